@@ -7,22 +7,29 @@ known undone. `load` and `save` are of calibration.json.
 
 from typing import TYPE_CHECKING
 
-from rig.lazily import handed_on
+from rig.compute.lazy_exports import handed_on
 
 if TYPE_CHECKING:
     from calib.certify.calibration import Calibration as Calibration
-    from calib.commands import Commanded as Commanded
-    from calib.commands import commanded as commanded
-    from calib.diagnose.report.report import Report as Report
-    from calib.from_recordings import calibrated as calibrated
-    from calib.from_recordings import certified as certified
-    from calib.from_recordings import diagnosed as diagnosed
-    from calib.statement.certificate import Certificate as Certificate
-    from calib.store import load as load
-    from calib.store import save as save
+    from calib.models.wanted_pose_commands import Commanded as Commanded
+    from calib.models.wanted_pose_commands import commanded as commanded
+    from calib.diagnose.report.diagnosis_report import Report as Report
+    from calib.recording_calibration import calibrated as calibrated
+    from calib.recording_calibration import certified as certified
+    from calib.recording_calibration import diagnosed as diagnosed
+    from calib.certificate.certificate import Certificate as Certificate
+    from calib.files.calibration_file import load as load
+    from calib.files.calibration_file import save as save
 
 __all__ = ["calibrated", "diagnosed", "certified", "commanded", "load", "save", "Calibration", "Commanded", "Report", "Certificate"]
-__getattr__ = handed_on(__name__, {
-    **dict.fromkeys(("calibrated", "diagnosed", "certified"), "calib.from_recordings"),
-    **dict.fromkeys(("commanded", "Commanded"), "calib.commands"), **dict.fromkeys(("load", "save"), "calib.store"),
-    "Calibration": "calib.certify.calibration", "Report": "calib.diagnose.report.report", "Certificate": "calib.statement.certificate"})
+__getattr__ = handed_on(
+    __name__,
+    {
+        **dict.fromkeys(("calibrated", "diagnosed", "certified"), "calib.recording_calibration"),
+        **dict.fromkeys(("commanded", "Commanded"), "calib.models.wanted_pose_commands"),
+        **dict.fromkeys(("load", "save"), "calib.files.calibration_file"),
+        "Calibration": "calib.certify.calibration",
+        "Report": "calib.diagnose.report.diagnosis_report",
+        "Certificate": "calib.certificate.certificate",
+    },
+)

@@ -5,18 +5,26 @@
 
 from typing import TYPE_CHECKING
 
-from rig.compiled import keep_kernels
-from rig.lazily import handed_on
+from rig.compute.kernel_cache import keep_kernels
+from rig.compute.lazy_exports import handed_on
 
 if TYPE_CHECKING:
-    from rig.design import Design as Design
-    from rig.design_file import load as load_design
+    from rig.model.design import Design as Design
+    from rig.formats.rig_toml.design_file import load as load_design
     from rig.errors import RigError as RigError
-    from rig.recording import Recording as Recording
-    from rig.recording import load as load
+    from rig.recording.recording_folder import Recording as Recording
+    from rig.recording.recording_folder import load as load
 
 keep_kernels()
 
 __all__ = ["load", "load_design", "Recording", "Design", "RigError"]
-__getattr__ = handed_on(__name__, {"load": "rig.recording", "load_design": "rig.design_file:load", "Recording": "rig.recording",
-                                   "Design": "rig.design", "RigError": "rig.errors"})
+__getattr__ = handed_on(
+    __name__,
+    {
+        "load": "rig.recording.recording_folder",
+        "load_design": "rig.formats.rig_toml.design_file:load",
+        "Recording": "rig.recording.recording_folder",
+        "Design": "rig.model.design",
+        "RigError": "rig.errors",
+    },
+)

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import Design, Hexapod
-from synthetic.scene import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, bodies, plate_radius, standing, strut_ends
+from rig.model.design import Design, Hexapod
+from synthetic.rig_meshes import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, bodies, plate_radius, standing, strut_ends
 
 OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itself
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from rig import design_file, layout
-from rig.layout_parts import cube_lines
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.planning.layout.layout_elements import cube_lines
 
 GANTRY = """[mechanism]
 kind = "chain"
@@ -31,7 +32,7 @@ def written(folder, seen=False, cameras=3, size=(1280, 1024), carriage=False):
 
     carriage : whether the gantry's carriage has cubes of its own
     """
-    text = layout.layout(0.25, cameras, *size)
+    text = hexapod_layout.layout(0.25, cameras, *size)
     start, end, cameras = (text.index(word) for word in ("[mechanism]", "[actuator]", "[[camera]]"))
     stage = text[start:end].replace("[mechanism]", "[[mechanism.stage]]")
     rest = text[end:] + carriage * carriage_cubes() if seen else INSTRUMENT + text[end:cameras]

@@ -4,9 +4,9 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 
-from rig.cli import main
+from rig.cli.command_line import main
 
-RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
+RIG = [sys.executable, "-c", "import sys; from rig.cli.command_line import main; sys.exit(main())"]
 
 
 def run(*arguments, ok=True):

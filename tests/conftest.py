@@ -3,13 +3,16 @@
 import os
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as rig.cli.script has it; read when NumPy is loaded
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as rig.cli.command_line.script has it; read when NumPy is loaded
 
 import numpy as np
 import pytest
 
-from rig import design_file, layout, plan, recording
-from synthetic import simulation, world
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.planning import plan
+from rig.recording import recording_folder as recording
+from synthetic import recording_simulation, secret_machine
 
 ROOT = Path(__file__).parents[1]
 BENCH = ROOT / "tests" / "data" / "bench"
@@ -28,17 +31,17 @@ def shared():
 def opengl():
     """Skips a test that draws pictures where there is no OpenGL; `rig simulate --images` says there what to install."""
     from rig.errors import MissingLibrary
-    from synthetic import render
+    from synthetic import renderer
 
     try:
-        render.opengl()
+        renderer.opengl()
     except MissingLibrary as error:
         pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")
 def rig_text():
-    return layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4)
+    return hexapod_layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4)
 
 
 @pytest.fixture(scope="session")
@@ -51,11 +54,11 @@ def design(rig_text, tmp_path_factory):
 def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0, effects=()):
     """A simulated recording at corner level in a folder, its World and its true poses."""
     rng = np.random.default_rng(seed)
-    secret = world.draw(design, rng, size, effects)
+    secret = secret_machine.draw(design, rng, size, effects)
     strokes = design.mechanism.strut_range
     route = plan.settled(plan.low_discrepancy(strokes, count, seed=seed), strokes.mean(axis=1), plan.speed_of(design))
-    done = simulation.simulate(secret, route, rng)
-    simulation.write(done, folder, rig_text, rng, noise)
+    done = recording_simulation.simulate(secret, route, rng)
+    recording_simulation.write(done, folder, rig_text, rng, noise)
     return secret, done.run.T_base_platform
 
 
@@ -72,12 +75,14 @@ def limbed(tmp_path_factory):
     """(Design, Recording, its Simulation) of a rig with measuring limbs that went along and about every axis; the folder holds a second
     recording of the same machine, "again", another day."""
     folder = tmp_path_factory.mktemp("limbs")
-    text = layout.layout(0.3, limbs=6)
+    text = hexapod_layout.layout(0.3, limbs=6)
     (folder / "rig.toml").write_text(text)
     design = design_file.load(folder / "rig.toml")
     rng = np.random.default_rng(2)
-    machine = world.draw(design, rng)
-    done = simulation.simulate(machine, plan.build(design, "axes:5,sobol:50"), rng)
-    simulation.write(done, folder / "rec", text, rng, noise=0.04)
-    simulation.write(simulation.simulate(machine, plan.build(design, "sobol:40", seed=1), rng), folder / "again", text, rng, noise=0.04)
+    machine = secret_machine.draw(design, rng)
+    done = recording_simulation.simulate(machine, plan.build(design, "axes:5,sobol:50"), rng)
+    recording_simulation.write(done, folder / "rec", text, rng, noise=0.04)
+    recording_simulation.write(
+        recording_simulation.simulate(machine, plan.build(design, "sobol:40", seed=1), rng), folder / "again", text, rng, noise=0.04
+    )
     return design, recording.load(folder / "rec"), done

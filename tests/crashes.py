@@ -12,9 +12,9 @@ import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig import cli
+from rig.cli import command_line
 from rig.errors import FileError
-from rig.files import complete
+from rig.formats.output_files import complete
 from tests.conftest import ROOT
 
 RECORD = "simulate rig.toml --plan sobol:24 --out {} --seed {}"
@@ -73,7 +73,7 @@ class Command:
                 for descriptor, to in ((0, nothing), (1, nothing), (2, self._said.fileno())):
                     os.dup2(to, descriptor)
                 sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
-                status = cli.main(words)
+                status = command_line.main(words)
             except BaseException:
                 traceback.print_exc()
             finally:

@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 
-from rig import cli
+from rig.cli import command_line
 
 
 def rig(*words):
     """One command of `rig`, in this process, which must succeed."""
-    assert cli.main([str(word) for word in words]) == 0, words
+    assert command_line.main([str(word) for word in words]) == 0, words
 
 
 def calibrated(folder, capfd, *words):
@@ -47,6 +47,6 @@ def holds(verification, parts=("position", "rotation")):
 
 def lines(T):
     """Lines of a poses.csv of poses T (n,)."""
-    from rig.pose import vector
+    from rig.model.pose import vector
 
     return [f"{k}," + ",".join(f"{value:.9f}" for value in np.asarray(row)) for k, row in enumerate(vector(T))]

@@ -7,10 +7,12 @@ import socket
 import threading
 from pathlib import Path
 
-from rig import design_file, emulator, layout
-from rig.clock import SystemClock
-from rig.emulator import serve
-from rig.emulator.faults import Faults
+from rig.formats.rig_toml import design_file
+from rig.driving import emulators
+from rig.planning.layout import hexapod_layout
+from rig.driving.clock import SystemClock
+from rig.driving.emulators import terminal_and_tcp_server
+from rig.driving.emulators.controller_faults import Faults
 
 WIDTH, HEIGHT = 64, 48
 CONTROLLER = """
@@ -43,12 +45,12 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
     listening = socket.create_server(("127.0.0.1", 0))
     threading.Thread(target=cameras, args=(listening,), daemon=True).start()
     link = Path(folder) / "port"
-    text = layout.layout(0.3, cameras=1, width=WIDTH, height=HEIGHT).replace(
+    text = hexapod_layout.layout(0.3, cameras=1, width=WIDTH, height=HEIGHT).replace(
         'shutter = "global"', f'shutter = "global"\nsource = "emulator:127.0.0.1:{listening.getsockname()[1]}"')
     (Path(folder) / "rig.toml").write_text(text + CONTROLLER.format(protocol=protocol, port=link))
     clock = SystemClock()
-    made = emulator.of(design_file.load(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock)
-    wire, told = serve.Terminal(link), open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
+    made = emulators.of(design_file.load(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock)
+    wire, told = terminal_and_tcp_server.Terminal(link), open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
     count = 0
 
     def record() -> None:
@@ -59,7 +61,7 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
             count += 1
 
     pipe.send(True)
-    serve.serve(made, wire, lambda: True, lambda name: None, record)
+    terminal_and_tcp_server.serve(made, wire, lambda: True, lambda name: None, record)
 
 
 class EmulatedRig:
@@ -92,7 +94,7 @@ def runner(arguments: list[str], log: Path) -> multiprocessing.Process:
 def _run(arguments: list[str], log: str) -> None:
     import sys
 
-    from rig.cli import main
+    from rig.cli.command_line import main
 
     handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(handle, 1)

@@ -7,20 +7,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib import store
-from calib.chains import model
-from calib.chains.identify import identify
-from calib.pipeline import sample_recording
-from calib.samples import Samples
-from rig import cli, design_file, machine_file, recording, table
-from rig.configurations import low_discrepancy
-from rig.effects.parse import parse, placed
+from calib.files import calibration_file
+from calib.models.chain import error_model
+from calib.models.chain.identification import identify
+from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import Samples
+from rig.cli import command_line
+from rig.formats.rig_toml import design_file
+from rig.formats import machine_json, csv_table
+from rig.recording import recording_folder
+from rig.planning.configuration_sets import low_discrepancy
+from rig.effects.texts.effect_text import parse, placed
 from rig.errors import FileError, RigError, Unreachable
-from rig.machine import run
-from rig.mechanisms import places as chain_places
-from rig.mechanisms import arm, chain, hexapod
-from rig.pose import difference, exp, log, pose
-from rig.recording import Commands
+from rig.model.motion_simulation import run
+from rig.model.mechanisms import places as chain_places
+from rig.model.mechanisms import arm, chain, hexapod
+from rig.model.pose import difference, exp, log, pose
+from rig.recording.recording_folder import Commands
 from tests.chained import written
 from tests.loops import holds, lines, rig, verified
 from tests.numeric import jacobian as differences
@@ -47,9 +50,9 @@ def test_the_jacobians_are_the_differences(gantry):
     x = low_discrepancy(chain.travel(gantry), 1, 0.5)[0]
     at = chain.forward(x, gantry)
     np.testing.assert_allclose(chain.jacobian(x, gantry), differences(lambda v: log(at.inv() * chain.forward(v, gantry)), x), atol=1e-8)
-    still = np.zeros(len(model.names(gantry)))
-    of = differences(lambda p: log(at.inv() * chain.forward(x, model.moved(gantry, p))), still)
-    np.testing.assert_allclose(model.parameter_jacobian(x[None], gantry)[0], of, atol=1e-7)
+    still = np.zeros(len(error_model.names(gantry)))
+    of = differences(lambda p: log(at.inv() * chain.forward(x, error_model.moved(gantry, p))), still)
+    np.testing.assert_allclose(error_model.parameter_jacobian(x[None], gantry)[0], of, atol=1e-7)
 
 
 def test_the_inverse_reaches_poses_within_the_travels_and_says_which_it_does_not(gantry):
@@ -68,8 +71,8 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     """z-scores of every parameter of every stage; the six figures of where the hexapod stands on the carriage have no information."""
     design = written(tmp_path)
     rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:60", "--seed", "2", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
-    true, _ = machine_file.load(tmp_path / "truth.json", design)
-    samples = sample_recording(recording.load(tmp_path / "rec")).samples
+    true, _ = machine_json.load(tmp_path / "truth.json", design)
+    samples = sample_recording(recording_folder.load(tmp_path / "rec")).samples
     found = identify(samples, design.mechanism)
     # the true machine in the parameters that are freedoms of their own: what poses without noise say of it, to the last digit
     exact = identify(replace(samples, T_base_platform=chain.forward(samples.commanded, true.mechanism), covariance=samples.covariance * 1e-8),
@@ -77,7 +80,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     assert np.abs(difference(chain.forward(samples.commanded, exact.chain), chain.forward(samples.commanded, true.mechanism))).max() < 1e-7
     free = np.diag(found.covariance) > 0
     off, covariance = (found.step - exact.step)[free], found.covariance[np.ix_(free, free)]
-    for part in model.parts(design.mechanism):  # stage by stage
+    for part in error_model.parts(design.mechanism):  # stage by stage
         assert np.abs((found.step - exact.step)[part][free[part]] / np.sqrt(np.diag(found.covariance)[part][free[part]])).max() < 3
     told = np.linalg.eigh(covariance)
     sharp = told.eigenvalues < (2e-4) ** 2  # combinations told better than machines are off
@@ -98,7 +101,7 @@ def test_of_a_machine_as_stated_nothing_is_off(gantry):
     for one in found.untold:
         v = np.zeros(len(found.step))
         for name, weight in one.parameters:
-            v[model.names(gantry).index(name)] = weight
+            v[error_model.names(gantry).index(name)] = weight
         assert v.any() and one.left > 0.5
 
 
@@ -109,7 +112,7 @@ def test_a_loop_closes_under_an_instrument(tmp_path, capfd):
     found = verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 8, 0.5, 5), m)))
     holds(found)
     assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]
-    kept = store.load(tmp_path / "calibration.json").correction
+    kept = calibration_file.load(tmp_path / "calibration.json").correction
     assert [stage.kind for stage in kept.fitted.stages] == ["arm", "hexapod"] and json.loads((tmp_path / "calibration.json").read_text())["claim"]
 
 
@@ -120,11 +123,11 @@ def test_an_instrument_that_sees_positions_alone_says_so_of_a_carriage_too(desig
         (tmp_path / "rec" / name).write_text("".join(",".join(cells) + "\n" for cells in short))
     stated = (tmp_path / "rec" / "rig.toml").read_text()
     (tmp_path / "rec" / "rig.toml").write_text(stated.replace("rotation_sigma = 5e-5\n", ""))
-    stage = recording.load(tmp_path / "rec").stages[1]
+    stage = recording_folder.load(tmp_path / "rec").stages[1]
     np.testing.assert_array_equal(stage.T_base_platform.translation, np.array(short[1:], float)[:, 1:])
     assert stage.T_base_platform.rotation.magnitude().max() == 0 and stage.covariance is None
     capfd.readouterr()
-    assert cli.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 1
+    assert command_line.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 1
     assert "positions alone calibrate arms, not a mechanism of kind 'chain'" in capfd.readouterr().err
 
 
@@ -168,7 +171,7 @@ def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
     m = design_file.load(tmp_path / "rig.toml").mechanism
-    assert not chain.limits(table.read(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes), m).any()
+    assert not chain.limits(csv_table.read(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes), m).any()
 
 
 @pytest.mark.slow

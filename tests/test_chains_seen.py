@@ -5,15 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.chains import model
-from calib.chains.identify import identify
-from calib.pipeline import sample_recording
-from rig import cli, design_file, machine_file, recording
-from rig.configurations import low_discrepancy
+from calib.models.chain import error_model
+from calib.models.chain.identification import identify
+from calib.samples.recording_samples import sample_recording
+from rig.cli import command_line
+from rig.formats.rig_toml import design_file
+from rig.formats import machine_json
+from rig.recording import recording_folder
+from rig.planning.configuration_sets import low_discrepancy
 from rig.errors import FileError
-from rig.mechanisms import chain
-from rig.pose import difference
-from synthetic import scene
+from rig.model.mechanisms import chain
+from rig.model.pose import difference
+from synthetic import rig_meshes
 from synthetic.occlusion import hidden
 from tests.chained import written
 from tests.loops import holds, lines, rig, verified
@@ -23,8 +26,8 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
     """Where the hexapod stands on the carriage is told by what the carriage shows: each figure within 3.5 sigma, none untold; without, six are."""
     design = written(tmp_path, seen=True, carriage=True)
     rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:30", "--seed", "4", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
-    true, _ = machine_file.load(tmp_path / "truth.json", design)
-    read = recording.load(tmp_path / "rec")
+    true, _ = machine_json.load(tmp_path / "truth.json", design)
+    read = recording_folder.load(tmp_path / "rec")
     samples = sample_recording(read).samples
     stage, = samples.below
     stands = chain.standing(samples.commanded, true.mechanism)[0]
@@ -41,7 +44,7 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
     step, sigma = identify(exact, design.mechanism).step, np.sqrt(np.diag(found.covariance))
     free = sigma > 0
     assert np.abs((found.step - step)[free] / sigma[free]).max() < 3.5 and np.abs(step[free]).max() > 3 * np.median(sigma[free])
-    upper = model.parts(design.mechanism)[1]
+    upper = error_model.parts(design.mechanism)[1]
     assert np.median(np.sqrt(np.diag(alone.covariance)[upper])) > 2 * np.median(sigma[upper])
 
 
@@ -54,18 +57,18 @@ def test_stages_that_are_measured_stand_in_files_of_their_own(tmp_path, capfd):
     rig("measure", tmp_path / "rec", "--out", tmp_path / "measured")
     said = capfd.readouterr().out
     assert "stage 1: 8 of 8 frames solved, poses to" in said and "poses_stage1.csv" in said
-    assert cli.main(["measure", str(tmp_path / "rec"), "--places", "free", "--out", str(tmp_path / "free")]) == 1
+    assert command_line.main(["measure", str(tmp_path / "rec"), "--places", "free", "--out", str(tmp_path / "free")]) == 1
     assert "places of markers cannot be adjusted on a rig with targets on stages" in capfd.readouterr().err
-    back = recording.load(tmp_path / "measured")
-    assert len(back.corners.frame) == len(recording.load(tmp_path / "rec").corners.frame) and list(back.stages) == [1]
+    back = recording_folder.load(tmp_path / "measured")
+    assert len(back.corners.frame) == len(recording_folder.load(tmp_path / "rec").corners.frame) and list(back.stages) == [1]
     by_vision = sample_recording(back).samples
     (tmp_path / "measured" / "corners.csv").unlink()
-    by_file = sample_recording(recording.load(tmp_path / "measured")).samples
+    by_file = sample_recording(recording_folder.load(tmp_path / "measured")).samples
     assert np.abs(difference(by_vision.below[0].T_base_stage, by_file.below[0].T_base_stage)).max() < 1e-5
     assert by_file.below[0].covariance.shape == (8, 6, 6) and by_file.take(np.arange(3)).below[0].seen.sum() == 3
     (tmp_path / "measured" / "poses_stage1.csv").rename(tmp_path / "measured" / "poses_stage2.csv")
     with pytest.raises(FileError, match="no 'stage 2' below a last platform; there are platform, base, stage 1"):
-        recording.load(tmp_path / "measured")
+        recording_folder.load(tmp_path / "measured")
     assert design.targets[-1].stage == 1 and not design.without_stages().targets[-1].stage
 
 
@@ -86,8 +89,8 @@ def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp
     m = design.mechanism
     x = low_discrepancy(chain.travel(m), 1, 0.9, 3)
     stages = chain.standing(x, m)
-    poses = scene.body_poses(m, [T[0] for T in stages])
-    parts = {part.body for part in scene.parts(design)}
+    poses = rig_meshes.body_poses(m, [T[0] for T in stages])
+    parts = {part.body for part in rig_meshes.parts(design)}
     assert {"stage 1", "platform", "base", *(f"stage 2 strut {i + 1} {end}" for i in range(6) for end in ("lower", "upper"))} <= parts
     assert parts <= set(poses)
     feet = stages[0][0].apply(m.stages[1].base_joints)

@@ -11,9 +11,10 @@ import termios
 import numpy as np
 import pytest
 
-from rig import design_file, observed, recording, writing
-from rig.mechanisms import hexapod
-from rig.pose import difference
+from rig.formats.rig_toml import design_file
+from rig.recording import corner_and_pose_tables, recording_folder, recording_tables
+from rig.model.mechanisms import hexapod
+from rig.model.pose import difference
 from tests.cli import RIG, Links, run
 from tests.conftest import BENCH, make_recording
 
@@ -33,11 +34,11 @@ def test_measure_writes_what_the_contract_says(worked):
     base, _ = worked
     out = base / "measured"
     header = (out / "poses.csv").read_text().splitlines()[0].split(",")
-    assert header[:7] == ["frame", "x", "y", "z", "rx", "ry", "rz"] and header[7:] == list(observed.COVARIANCE_COLUMNS)
+    assert header[:7] == ["frame", "x", "y", "z", "rx", "ry", "rz"] and header[7:] == list(corner_and_pose_tables.COVARIANCE_COLUMNS)
     assert (out / "corners.csv").read_text().splitlines()[0].startswith("frame,camera,marker,corner,u,v,sigma")
     nominal, adjusted = design_file.load(base / "fit" / "rig.toml"), design_file.load(out / "rig.toml")
     assert np.abs(difference(nominal.cameras[0].pose, adjusted.cameras[0].pose)).max() > 1e-4
-    again = recording.load(out)  # what was measured is itself a recording
+    again = recording_folder.load(out)  # what was measured is itself a recording
     assert again.poses.covariance.shape == (60, 6, 6)
     page = (out / "report.html").read_text()
     links = Links()
@@ -74,7 +75,7 @@ def test_calibration_corrects_the_true_machine(worked, tmp_path):
     base, secret = worked
     wanted = hexapod.forward(secret.stated.mechanism.strut_range.mean(axis=1) + 0.02 * np.random.default_rng(0).uniform(-1, 1, (30, 6)),
                              secret.stated.mechanism)
-    writing.write_poses(tmp_path / "wanted.csv", recording.Poses(np.arange(30) * 2, wanted, None))
+    recording_tables.write_poses(tmp_path / "wanted.csv", recording_folder.Poses(np.arange(30) * 2, wanted, None))
     run("correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "commands.csv")
     lines = (tmp_path / "commands.csv").read_text().splitlines()
     assert lines[0] == "frame,l1,l2,l3,l4,l5,l6" and [int(line.split(",")[0]) for line in lines[1:]] == list(range(0, 60, 2))
@@ -211,7 +212,7 @@ def test_bars_on_a_terminal_and_none_in_a_pipe(tmp_path):
 
 
 def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
-    from rig.effects.marker_swap import MarkerSwap
+    from rig.effects.catalogue.marker_swap import MarkerSwap
 
     folder = tmp_path / "swapped"
     marker = next(face[1] for target in design.targets if target.body == "platform" for face in target.faces if face[0] == "+z")
@@ -222,4 +223,4 @@ def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
     said = f"marker {marker}: is exchanged with marker {other}"
     assert "2 markers are not what rig.toml says" in done.stdout and said in done.stdout
     assert said in (tmp_path / "out/report.html").read_text()
-    assert np.abs(difference(recording.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max() < 1e-3
+    assert np.abs(difference(recording_folder.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max() < 1e-3

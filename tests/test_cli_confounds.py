@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib import store
-from rig import design_file, writing
-from rig.configurations import low_discrepancy
-from rig.plan import strokes_of
+from calib.files import calibration_file
+from rig.formats.rig_toml import design_file
+from rig.recording import recording_tables
+from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.plan import strokes_of
 from tests.cli import command
 from tests.conftest import BENCH
 
@@ -23,12 +24,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = (BENCH / "fit" / "rig.toml").read_text()
     (base / "rig.toml").write_text(text + INSTRUMENT)
     design = design_file.load(base / "rig.toml")
-    from rig.cli import main
+    from rig.cli.command_line import main
 
     for seed, name in enumerate(("sorted", "other")):
         values = low_discrepancy(strokes_of(design), 60, seed=seed)
         strut = np.argsort(values[:, 0])
-        writing.write_configurations(base / f"{name}.csv", design.mechanism.axes, values[strut])
+        recording_tables.write_configurations(base / f"{name}.csv", design.mechanism.axes, values[strut])
         assert not main(["simulate", str(base / "rig.toml"), "--plan", f"commands:{base / name}.csv", "--seed", "3", "--out", str(base / name)])
     return base
 
@@ -38,7 +39,7 @@ def test_what_place_absorbs_is_stated_by_every_command(recorded: Path, capsys: p
     assert "a function of place on struts 1-6: drift and place cannot be separated" in rig("calibrate", base / "sorted", "--out", base / "c.json")
     stored = json.loads((base / "c.json").read_text())["confounds"]
     assert "time on strut 1" in stored["serious"] and stored["n"] == 60
-    assert store.load(base / "c.json").confounds.tree() == stored
+    assert calibration_file.load(base / "c.json").confounds.tree() == stored
     assert "drift and place cannot be separated" in rig("verify", base / "c.json", base / "other")
     assert json.loads(rig("verify", base / "c.json", base / "other", "--json"))["confounds"]["serious"]
     certificate = base / "certificate.json"

@@ -15,14 +15,15 @@ import pytest
 
 from calib.correct.correction import Correction
 from calib.certify.calibration import Calibration
-from calib.store import save
-from rig import design_file, mechanisms
-from rig.cli import main
-from rig.clock import SystemClock
+from calib.files.calibration_file import save
+from rig.formats.rig_toml import design_file
+from rig.model import mechanisms
+from rig.cli.command_line import main
+from rig.driving.clock import SystemClock
 from rig.errors import RigError
-from rig.occupied import Occupied, interrupt
-from rig.pose import vector
-from synthetic import world
+from rig.driving.controller_lock import Occupied, interrupt
+from rig.model.pose import vector
+from synthetic import secret_machine
 from tests.conftest import ROOT
 from tests.running import EmulatedRig, runner
 
@@ -43,7 +44,7 @@ def rig(emulated):
 def calibration(emulated, rig):
     """A calibration of a machine that is not quite as stated."""
     nominal = design_file.load(rig).mechanism
-    fitted = world.draw(design_file.load(rig), np.random.default_rng(4)).true.mechanism
+    fitted = secret_machine.draw(design_file.load(rig), np.random.default_rng(4)).true.mechanism
     path = emulated.folder / "calibration.json"
     save(path, Calibration(Correction(nominal, fitted, (None,) * 6), np.eye(42) * 1e-12, np.zeros(6), (0,), (), None, {"inputs_sha256": {}}))
     return str(path), fitted
@@ -164,7 +165,7 @@ def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, capsys, tm
     process = runner(["jog", rig, "--by", "30", "--speed", "0.001"], log)
     while process.is_alive() and len(emulated.told()) == before:
         process.join(0.001)
-    code = "import sys; sys.path.insert(0, sys.argv.pop(1)); from rig.cli import main; sys.exit(main(sys.argv[1:]))"
+    code = "import sys; sys.path.insert(0, sys.argv.pop(1)); from rig.cli.command_line import main; sys.exit(main(sys.argv[1:]))"
     done = subprocess.run([sys.executable, "-c", code, str(ROOT), "stop", rig], env={}, capture_output=True, text=True, cwd="/")
     assert done.returncode == 0 and f"process {process.pid}, which drove them, was stopped" in done.stdout, done.stderr
     process.join(10)

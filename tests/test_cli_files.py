@@ -9,8 +9,9 @@ import sys
 
 import pytest
 
-from rig import cli, recording
-from rig.commands import design as design_command
+from rig.cli import command_line
+from rig.recording import recording_folder
+from rig.cli import design as design_command
 from tests.cli import RIG
 from tests.conftest import ROOT, make_recording
 
@@ -57,7 +58,7 @@ def tree(folder):
 def test_what_is_read_is_never_written_over(words, force, here, capfd):
     (here / "link").symlink_to("rec")
     before = tree(here)
-    assert cli.main([*words.split(), *force]) == 1
+    assert command_line.main([*words.split(), *force]) == 1
     assert capfd.readouterr().err.count("\n") == 1
     assert tree(here) == before
 
@@ -68,20 +69,20 @@ def test_what_is_read_is_never_written_over(words, force, here, capfd):
 def test_what_a_command_did_not_make_is_refused(words, here, capfd):
     (here / "picture.png").write_text("a photograph")
     before = tree(here)
-    assert cli.main(words.split()) == 1
+    assert command_line.main(words.split()) == 1
     assert "--force" in capfd.readouterr().err and tree(here) == before
 
 
 def test_a_recording_drawn_again_is_replaced_and_its_manifest_tells_no_truth(here):
     words = ["simulate", "rig.toml", "--plan", "sobol:4", "--effect", "backlash:strut3:gap=4e-5", "--out", "sim", "--truth", "t.json"]
-    assert cli.main([*words, "--seed", "77"]) == 0
+    assert command_line.main([*words, "--seed", "77"]) == 0
     first = tree(here / "sim")
-    assert cli.main([*words, "--seed", "78"]) == 0
+    assert command_line.main([*words, "--seed", "78"]) == 0
     assert tree(here / "sim").keys() == first.keys() and tree(here / "sim") != first
     manifest = first[".rig-made.json"].decode()
     assert json.loads(manifest)["origin"]["complete"] and "backlash" not in manifest and "77" not in json.loads(manifest)["origin"]["arguments"]
-    assert recording.load(here / "sim").exposures.frame.size
-    assert cli.main(["simulate", "rig.toml", "--plan", "sobol:3", "--out", "other", "--force"]) == 0
+    assert recording_folder.load(here / "sim").exposures.frame.size
+    assert command_line.main(["simulate", "rig.toml", "--plan", "sobol:3", "--out", "other", "--force"]) == 0
     assert set(tree(here / "other")) == {".rig-made.json", "rig.toml", "commands.csv", "frames.csv", "sensors.csv", "corners.csv"}
 
 
@@ -93,7 +94,7 @@ def test_a_dash_is_the_standard_output_and_words_go_elsewhere(here):
 @pytest.mark.parametrize("words", ["design --radius 0.3 --out {}", "export rig.toml --format csv --out {}", "print rig.toml --out {}",
                                    "plan rig.toml --for parameters --count 8 --out {}", "view rec --frame 1 --out {}"])
 def test_a_full_device_is_said_in_a_line(words, here, capfd):
-    assert cli.main(words.format("/dev/full").split()) == 1
+    assert command_line.main(words.format("/dev/full").split()) == 1
     assert "/dev/full: cannot be written: No space left on device" in capfd.readouterr().err
     assert os.path.exists("/dev/full") and not os.path.isfile("/dev/full")
 
@@ -114,13 +115,13 @@ def test_what_ends_a_command_is_said_in_a_line(error, status, says, monkeypatch,
         raise error
 
     monkeypatch.setattr(design_command, "run", fail)
-    assert cli.main(["design", "--radius", "0.3"]) == status
+    assert command_line.main(["design", "--radius", "0.3"]) == status
     said = capfd.readouterr().err
     assert says in said and said.count("\n") == 1
 
 
 def test_a_signal_to_end_clears_away(tmp_path):
-    code = ("import os, signal, sys; from rig import cli; from rig.commands import design\n"
+    code = ("import os, signal, sys; from rig.cli import command_line as cli; from rig.cli import design\n"
             "def run(arguments):\n    arguments.outputs.file(arguments.out); os.kill(os.getpid(), signal.SIGTERM); signal.pause()\n"
             "design.run = run; sys.exit(cli.main(['design', '--radius', '1', '--out', 'x']))")
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=ENVIRONMENT)
@@ -129,10 +130,10 @@ def test_a_signal_to_end_clears_away(tmp_path):
 
 def test_a_view_names_its_formats_and_its_file(here, capfd, monkeypatch):
     monkeypatch.setattr("webbrowser.open", lambda _: False)
-    assert cli.main(["view", "rec", "--frame", "1", "--out", "x.xyz"]) == 1
+    assert command_line.main(["view", "rec", "--frame", "1", "--out", "x.xyz"]) == 1
     assert ".png, .jpg" in capfd.readouterr().err
-    assert cli.main(["view", "rec", "--frame", "1"]) == 0
+    assert command_line.main(["view", "rec", "--frame", "1"]) == 0
     assert (here / "rec-frame-1.png").read_bytes().startswith(b"\x89PNG") and "rec-frame-1.png" in capfd.readouterr().out
     (here / "rec-frame-2.png").write_text("mine")
-    assert cli.main(["view", "rec", "--frame", "2"]) == 1 and (here / "rec-frame-2.png").read_text() == "mine"
-    assert cli.main(["view", "rec", "--frame", "1", "--out", "rec"]) == 1 and "is a folder" in capfd.readouterr().err
+    assert command_line.main(["view", "rec", "--frame", "2"]) == 1 and (here / "rec-frame-2.png").read_text() == "mine"
+    assert command_line.main(["view", "rec", "--frame", "1", "--out", "rec"]) == 1 and "is a folder" in capfd.readouterr().err

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.arms.correction import ArmCorrection
-from calib.arms.profile import Profile
-from rig import shelf
-from rig.commands import kinematics
-from rig.mechanisms import arm as mechanism
-from rig.mechanisms import reading
-from rig.pose import difference, pose, vector
+from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.joint_profiles import Profile
+from rig.planning.layout import shipped_arms
+from rig.cli import kinematics
+from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_steps
+from rig.model.pose import difference, pose, vector
 from tests.calib import arm_worlds as worlds
 from tests.cli import command
 from tests.rig.arms import UR10
@@ -32,7 +32,7 @@ def poses_file(path, T):
 
 @pytest.mark.parametrize("name", ["puma560", "ur10", "stanford", "scara"])
 def test_what_forward_gives_inverse_takes_back(tmp_path, rig, name):
-    arm = shelf.load(name).mechanism
+    arm = shipped_arms.load(name).mechanism
     low, high = arm.limits.T
     q = np.random.default_rng(1).uniform(0.8 * low, 0.8 * high, (4, len(low)))
     rows = [",".join([str(i), *map(repr, row)]) for i, row in enumerate(q.tolist())]
@@ -52,7 +52,7 @@ def test_what_forward_gives_inverse_takes_back(tmp_path, rig, name):
 
 
 def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
-    arm = shelf.load("puma560").mechanism
+    arm = shipped_arms.load("puma560").mechanism
     far = pose([9.0, 0, 0], [0, 0, 0])
     T = RigidTransform.from_matrix(np.stack([mechanism.forward(np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8]), arm).as_matrix(), far.as_matrix()]))
     said = rig("puma560", "--inverse", poses_file(tmp_path / "p.csv", T), "--steps")
@@ -64,13 +64,13 @@ def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
 
 @pytest.mark.parametrize("name", ["panda", "scara"])
 def test_steps_of_solutions_found_numerically_end_where_the_hand_is_at_zero(tmp_path, rig, name):
-    arm = shelf.load(name).mechanism
+    arm = shipped_arms.load(name).mechanism
     T = mechanism.forward(np.array([[0.3, -0.4, 0.1, -1.5, 0.4, 1.2, 0.3][: len(arm.joints)]]), arm)
     file = poses_file(tmp_path / "p.csv", T)
     tree = json.loads(rig(name, "--inverse", file, "--steps", "--json"))
     for one in tree["frames"][0]["solutions"]:
         assert one["found"] == "numerically" and [s["joint"] for s in one["steps"]] == list(range(len(arm.joints) + 1))
-        np.testing.assert_allclose(list(one["steps"][-1]["points"].values()), reading.hand(arm), atol=1e-9)
+        np.testing.assert_allclose(list(one["steps"][-1]["points"].values()), arm_kinematics_steps.hand(arm), atol=1e-9)
         assert [s["value"] for s in one["steps"][1:]] == one["q"]
     said = rig(name, "--inverse", file, "--steps")
     assert "found numerically" in said and ("moved back along the axis through" in said) == (name == "scara")

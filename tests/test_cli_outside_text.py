@@ -6,11 +6,11 @@ import threading
 
 import pytest
 
-from rig.cli import main
-from rig.commands.escaped import Escaped
-from rig.commands.terminal import Block
-from rig.layout import layout
-from rig.visible import visible
+from rig.cli.command_line import main
+from rig.cli.shared.terminal_safe_output import Escaped
+from rig.cli.shared.run_terminal import Block
+from rig.planning.layout.hexapod_layout import layout
+from rig.formats.printable_text import visible
 from tests.conftest import ROOT
 
 WIPE = "\x1b[2J\x1b]0;title\x07"  # clears a screen, and names its window

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.played import FACTORS, played, scaled
-from rig import plan
-from rig.cli import main
-from rig.effects.parse import parse
-from rig.judgement import State, Verdict
-from rig.page.document import Page, write
-from rig.page.index import pages, read
+from calib.samples.effect_playback import FACTORS, played, scaled
+from rig.planning import plan
+from rig.cli.command_line import main
+from rig.effects.texts.effect_text import parse
+from rig.report.verdict import State, Verdict
+from rig.report.pages.page_template import Page, write
+from rig.report.pages.page_index import pages, read
 
 BENCH = Path(__file__).parent / "data" / "bench"
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rig import table
-from rig.cli import main
+from rig.formats import csv_table
+from rig.cli.command_line import main
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsy
     assert re.search("<strong>(good|check)</strong> 10 configurations beside 0 given", page) and f"commands:{out}" in page
     said = capsys.readouterr().out
     assert "condition number of the 42" in said and "evenly spread" in said and " um " in said
-    assert len(table.read(out, ("frame", "l1"))) == 10
+    assert len(csv_table.read(out, ("frame", "l1"))) == 10
     assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
     again = tmp_path / "more.csv"
     assert main(["plan", str(rig_file), "--for", "parameters", "--count", "6", "--given", str(tmp_path / "rec"), "--out", str(again)]) == 0
@@ -52,7 +52,7 @@ def test_parts_of_a_plan_are_written_as_configurations(rig_file, tmp_path, capsy
     out = tmp_path / "plan.csv"
     assert main(["plan", str(rig_file), "--parts", "axes:2,combined:2", "--out", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "48 configurations of axes:2,combined:2" in said and "rz -" in said and len(table.read(out, ("frame", "l1"))) == 48
+    assert "48 configurations of axes:2,combined:2" in said and "rz -" in said and len(csv_table.read(out, ("frame", "l1"))) == 48
     assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
     assert main(["plan", str(rig_file), "--parts", "combinde:2", "--out", str(tmp_path / "none.csv")]) == 1
     assert "there is no part 'combinde'" in capsys.readouterr().err
@@ -71,7 +71,7 @@ def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
     effect = "missed_steps:strut3:jump=9e-5,time=400"
     assert main(["simulate", str(rig_file), "--plan", "sobol:110", "--effect", effect, "--out", str(tmp_path / "rec"), "--truth",
                  str(tmp_path / "truth.json")]) == 0
-    times = table.read(tmp_path / "rec" / "frames.csv", ("frame", "t"))
+    times = csv_table.read(tmp_path / "rec" / "frames.csv", ("frame", "t"))
     first = int(times.numbers("frame")[times.numbers("t") > 400][0])
     state = tmp_path / "state.json"
     capsys.readouterr()
@@ -118,9 +118,9 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
     assert "the measuring limbs pass" in said and "verdict accepted" in said and "nothing jumped in 80 poses from measuring limbs" in said
     assert main(["measure", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "poses"), "--check", "10"]) == 0
     assert "40 poses from the measuring limbs; vision looked at 4 of them and agrees" in capsys.readouterr().out
-    assert len(table.read(tmp_path / "poses" / "poses.csv", ("frame", "x", "c55"))) == 40
-    told = table.read(tmp_path / "poses" / "rpy.csv", ("frame", "roll", "pitch", "yaw", "u_roll", "u_z"))
-    turned = table.read(tmp_path / "poses" / "poses.csv", ("rx",)).matrix(("rx", "ry", "rz"))
+    assert len(csv_table.read(tmp_path / "poses" / "poses.csv", ("frame", "x", "c55"))) == 40
+    told = csv_table.read(tmp_path / "poses" / "rpy.csv", ("frame", "roll", "pitch", "yaw", "u_roll", "u_z"))
+    turned = csv_table.read(tmp_path / "poses" / "poses.csv", ("rx",)).matrix(("rx", "ry", "rz"))
     np.testing.assert_allclose(Rotation.from_euler("xyz", told.matrix(("roll", "pitch", "yaw"))).as_rotvec(), turned, atol=1e-9)
     assert main(["calibrate", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "c.json")]) == 0
     kept = json.loads((tmp_path / "c.json").read_text())["provenance"]

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from rig import writing
-from rig.cli import main
-from rig.configurations import low_discrepancy
-from rig.mechanisms import hexapod
-from rig.observed import Poses
-from rig.pose import exp
+from rig.recording import recording_tables
+from rig.cli.command_line import main
+from rig.planning.configuration_sets import low_discrepancy
+from rig.model.mechanisms import hexapod
+from rig.recording.corner_and_pose_tables import Poses
+from rig.model.pose import exp
 
 SIGMAS = "\n[instrument]\nbase = \"rig\"\ntool = \"rig\"\nposition_sigma = 1e-6\nrotation_sigma = 1e-5\n"
 
@@ -24,10 +24,10 @@ def recorded(folder, design, rig_text, seed, count=60):
     x = T.translation - [0.0, 0.0, 0.44]
     T = T * exp(np.concatenate([1e-3 * x + 5e-3 * x * x[:, [1, 2, 0]], 1e-3 * x[:, ::-1]], axis=1))
     times = np.arange(count) * 10.0
-    writing.write_table(folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{k},{t + 5},," for k, t in enumerate(times)])
-    writing.write_table(folder / "commands.csv", ("t", *design.mechanism.axes),
+    recording_tables.write_table(folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{k},{t + 5},," for k, t in enumerate(times)])
+    recording_tables.write_table(folder / "commands.csv", ("t", *design.mechanism.axes),
                         [",".join([f"{t + wait}", *(f"{value:.9f}" for value in row)]) for t, row in zip(times, commands) for wait in (4.0, 6.0)])
-    writing.write_poses(folder / "poses.csv", Poses(np.arange(count), T, None))
+    recording_tables.write_poses(folder / "poses.csv", Poses(np.arange(count), T, None))
     return str(folder)
 
 

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig import cli
-from rig.cli import COMMANDS, command_line, main
-from rig.commands import found
-from rig.commands.progress_shown import Progress, line
-from rig.commands.usage import nearest, with_figures
-from rig.effects import ALL
+from rig.cli import command_line as cli
+from rig.cli.command_line import COMMANDS, command_line, main
+from rig.cli.shared import installation_inventory
+from rig.cli.shared.progress_bars import Progress, line
+from rig.cli.shared.argument_parser import nearest, with_figures
+from rig.effects.catalogue.effect_list import ALL
 from tests.cli import RIG
 from tests.conftest import BENCH
 
@@ -57,7 +57,7 @@ def test_every_command_has_a_file_and_help():
 
 
 def test_no_option_takes_a_name_that_the_command_line_sets():
-    """What rig/cli.py keeps among the arguments would stand in the place of what was asked for."""
+    """What rig/cli/command_line.py keeps among the arguments would stand in the place of what was asked for."""
     tree = ast.parse(Path(cli.__file__).read_text())
     own = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
            and isinstance(node.value, ast.Name) and node.value.id == "arguments"} | {"command", "run"}
@@ -115,11 +115,13 @@ def test_one_effect_is_told_whole_and_a_mistyped_one_refused(capsys):
 
 
 def test_doctor_tells_what_is_missing(capsys, monkeypatch):
-    monkeypatch.setattr(found, "graphics", lambda: found.Found("OpenGL", "absent", "none"))
+    monkeypatch.setattr(installation_inventory, "graphics", lambda: installation_inventory.Found("OpenGL", "absent", "none"))
     assert main(["doctor"]) == 0
     text = capsys.readouterr().out
     assert "numpy" in text and "cameras" in text and "GB free" in text and "cores" in text
-    monkeypatch.setattr(found.metadata, "requires", lambda name: ["numpy>=99", "no-such-thing>=1", "nor-this>=2; extra == 'genicam'"])
+    monkeypatch.setattr(
+        installation_inventory.metadata, "requires", lambda name: ["numpy>=99", "no-such-thing>=1", "nor-this>=2; extra == 'genicam'"]
+    )
     assert main(["doctor", "--json"]) == 1
     states = {one["about"]: (one["state"], one["todo"]) for one in json.loads(capsys.readouterr().out)["found"]}
     assert states["numpy"] == ("missing", "rig needs 99 or newer: pip install -U numpy")
@@ -129,12 +131,15 @@ def test_doctor_tells_what_is_missing(capsys, monkeypatch):
 def test_doctor_names_cameras_without_opening_them(tmp_path):
     (tmp_path / "video0").mkdir()
     (tmp_path / "video0" / "name").write_text("HD cam\n")
-    assert found.cameras(tmp_path).text == "/dev/video0 (HD cam)" and found.cameras(tmp_path / "none").state == "absent"
+    assert (
+        installation_inventory.cameras(tmp_path).text == "/dev/video0 (HD cam)"
+        and installation_inventory.cameras(tmp_path / "none").state == "absent"
+    )
 
 
 def test_graphics_that_break_are_absent(monkeypatch):
-    monkeypatch.setattr(found, "CONTEXT", "import os; os.abort()")
-    assert found.graphics().state == "absent"
+    monkeypatch.setattr(installation_inventory, "CONTEXT", "import os; os.abort()")
+    assert installation_inventory.graphics().state == "absent"
 
 
 def test_new_writes_a_rig_by_options_and_refuses_to_guess(tmp_path, capsys):
@@ -224,6 +229,6 @@ def test_quiet_commands_keep_the_result_that_was_asked_for(tmp_path, capsys):
 
 
 def test_help_of_every_command_opens_no_library():
-    code = ("import sys; from rig.cli import COMMANDS, command_line; command_line(COMMANDS)\n"
+    code = ("import sys; from rig.cli.command_line import COMMANDS, command_line; command_line(COMMANDS)\n"
             "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))")
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"

@@ -7,15 +7,15 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from calib import store
+from calib.files import calibration_file
 from calib.certify.calibration import Calibration
 from calib.correct.correction import Correction
-from calib.identify.geometry import identify
-from calib.pose_covariance import with_workspace
-from calib.workspace.region import lost
-from rig import table
-from rig.cli import main
-from synthetic import world
+from calib.models.platform.identification import identify
+from calib.models.corrected_pose_covariance import with_workspace
+from calib.workspace.reachable_poses import lost
+from rig.formats import csv_table
+from rig.cli.command_line import main
+from synthetic import secret_machine
 from tests.calib.worlds import sampled
 from tests.cli import Links
 
@@ -27,9 +27,9 @@ def kept(tmp_path_factory, design, rig_text):
     (base / "rig.toml").write_text(rig_text)
     samples, _ = sampled(design, 3, 40)
     found = identify(samples, design.mechanism)
-    true = world.draw(design, np.random.default_rng(2), 10.0).true.mechanism
+    true = secret_machine.draw(design, np.random.default_rng(2), 10.0).true.mechanism
     made = with_workspace(Calibration(Correction(design.mechanism, true, (None,) * 6), found.covariance, found.scatter, (), (), None, {"seed": 0}))
-    store.save(base / "calibration.json", made)
+    calibration_file.save(base / "calibration.json", made)
     return base, made
 
 
@@ -53,7 +53,7 @@ def test_the_map_is_said_and_written(kept, tmp_path, capsys):
     tree = json.loads((tmp_path / "map" / "workspace.json").read_text())
     assert tree["verdict"]["state"] == "check" and said.startswith("check: ") and "poses are lost" in tree["verdict"]["why"]
     assert tree["schema"] == "workspace/1" and tree["lost"] == made.workspace.lost and "turned like home" in tree["room_of"]
-    rows = table.read(tmp_path / "map" / "workspace.csv", ("x", "y", "z", "lost"))
+    rows = csv_table.read(tmp_path / "map" / "workspace.csv", ("x", "y", "z", "lost"))
     assert rows.matrix(("lost",)).sum() == made.workspace.lost_in.sum()
     page, links = (tmp_path / "map" / "workspace.html").read_text(), Links()
     links.feed(page)
@@ -92,7 +92,7 @@ def test_plans_avoid_what_was_lost(kept, tmp_path, asked, capsys):
     out = []
     for given in ([], ["--calibration", str(base / "calibration.json")]):
         assert main(["plan", str(base / "rig.toml"), *asked, *given, "--out", str(tmp_path / "plan.csv"), "--force"]) == 0
-        out.append(lost(made.correction, table.read(tmp_path / "plan.csv", ("frame",)).matrix(made.correction.nominal.axes)))
+        out.append(lost(made.correction, csv_table.read(tmp_path / "plan.csv", ("frame",)).matrix(made.correction.nominal.axes)))
     assert out[0].any() and not out[1].any()  # outermost configurations tell most, and are the first to go
     assert main(["plan", str(base / "rig.toml"), "--separate", "backlash:strut3:gap=4e-5", "creep:strut3:amount=4e-5", "--calibration",
                  str(base / "calibration.json"), "--out", str(tmp_path / "s.csv")]) == 1

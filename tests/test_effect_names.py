@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from rig.effects import BY_NAME
+from rig.effects.catalogue.effect_list import BY_NAME
 from tests.conftest import ROOT
 
 NAME = re.compile(rf"(?<![\w-])({'|'.join(BY_NAME)})(?![\w-])")

@@ -2,9 +2,9 @@
 
 import pytest
 
-from rig import design_file
-from rig.configurations import low_discrepancy
-from rig.mechanisms import hexapod
+from rig.formats.rig_toml import design_file
+from rig.planning.configuration_sets import low_discrepancy
+from rig.model.mechanisms import hexapod
 from tests.loops import holds, lines, rig, verified
 
 

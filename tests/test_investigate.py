@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from rig.cli import main
+from rig.cli.command_line import main
 from tests.running import EmulatedRig
 
 

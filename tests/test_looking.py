@@ -7,30 +7,31 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.certify import insitu
-from calib.online.limb_live import LimbLive
-from calib.online.limbs_file import Accepted
-from calib.online.watch import Learner
-from rig import design_file, layout
-from rig.cameras.source import Frame
-from rig.clock import SimulatedClock
-from rig.commands.looking import Looking, Stopping
-from rig.commands.page import Page
-from rig.commands.run_judgement import judged
-from rig.commands.terminal import Block, Lines, block
-from rig.commands.warming import drawn, warm
-from rig.journal import Departure, Ended, Exposed, Readings
-from rig.mechanisms import hexapod
-from rig.operate import Shot
-from rig.plan import build, low_discrepancy
-from rig.pose import exp
-from rig.steps import steps
-from vision.reading.live import Live, told_by_limbs
-from tests.vision.reading.test_watch import sight
+from calib.certify import measuring_limbs
+from calib.online.live_limb_poses import LimbLive
+from calib.online.measuring_limbs_file import Accepted
+from calib.online.run_learning import Learner
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.driving.cameras.camera_interface import Frame
+from rig.driving.clock import SimulatedClock
+from rig.cli.shared.run_observation import Looking, Stopping
+from rig.cli.shared.run_page import Page
+from rig.cli.shared.run_verdict import judged
+from rig.cli.shared.run_terminal import Block, Lines, block
+from rig.cli.shared.compilation_warm_up import drawn, warm
+from rig.driving.run_journal import Departure, Ended, Exposed, Readings
+from rig.model.mechanisms import hexapod
+from rig.driving.operator_loop import Shot
+from rig.planning.plan import build, low_discrepancy
+from rig.model.pose import exp
+from rig.driving.run_steps import steps
+from vision.reading.live_measurement import Live, told_by_limbs
+from tests.vision.reading.test_camera_and_marker_alarms import sight
 
 
 class Measured:
-    """In place of vision.reading.live.Live: sights as they are made here; from frame 3 on cam1 has moved by a pixel."""
+    """In place of vision.reading.live_measurement.Live: sights as they are made here; from frame 3 on cam1 has moved by a pixel."""
 
     noise = 0.02
 
@@ -128,15 +129,15 @@ class Told:
 
 def by_limbs(folder, slip, at):
     """(Looking that has seen 60 frames by limbs of which the fifth slips by `slip` m from a frame on, its Live, what was withdrawn)"""
-    (folder / "rig.toml").write_text(layout.layout(0.3, limbs=6))
+    (folder / "rig.toml").write_text(hexapod_layout.layout(0.3, limbs=6))
     design = design_file.load(folder / "rig.toml")
-    true, nominal, rng = design.mechanism, insitu.stated(design), np.random.default_rng(5)
+    true, nominal, rng = design.mechanism, measuring_limbs.stated(design), np.random.default_rng(5)
     commands = low_discrepancy(true.strut_range, 60, 0.6)
     poses = hexapod.forward(commands, true)
     live = Told(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
     clock, withdrawn, planned = SimulatedClock(), [], steps(build(design, "sobol:6"))
-    agreement = insitu.agreement(poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3))
-    accepted = Accepted(insitu.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)), nominal, agreement, None, {})
+    agreement = measuring_limbs.agreement(poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3))
+    accepted = Accepted(measuring_limbs.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)), nominal, agreement, None, {})
     looking = Looking(design, planned, planned[0].goal, clock, live, Learner(true, shared=42), Stopping(frozenset(), lambda: None))
     looking.source, looking.withdraw = LimbLive(accepted, 10), lambda source, frame, reason: withdrawn.append((frame, reason))
     for frame, (command, read) in enumerate(zip(commands, hexapod.inverse(poses, nominal))):

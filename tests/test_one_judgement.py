@@ -5,9 +5,9 @@ import re
 
 import pytest
 
-from rig import refutations
-from rig.cli import main
-from rig.page.index import pages
+from rig.report import refutations
+from rig.cli.command_line import main
+from rig.report.pages.page_index import pages
 from tests import truth
 from tests.truth.draw_faults import fits
 from tests.truth.sights import SIGHTS

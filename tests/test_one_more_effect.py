@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from rig.layout import layout
+from rig.planning.layout.hexapod_layout import layout
 from tests.conftest import ROOT
 
 TOY = '''"""An axis sticks out by a constant that changes sign with the day's half."""
@@ -20,7 +20,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.base import Effect, Motion, Parameter
-from rig.effects.covariate import Covariate
+from rig.effects.framework.covariate import Covariate
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +57,10 @@ def house(tmp_path_factory):
     root = tmp_path_factory.mktemp("house")
     for package in ("rig", "vision", "calib", "synthetic"):
         shutil.copytree(ROOT / package, root / package)
-    (root / "rig" / "effects" / "toy_tide.py").write_text(TOY)
-    catalogue = root / "rig" / "effects" / "__init__.py"
+    (root / "rig" / "effects" / "catalogue" / "toy_tide.py").write_text(TOY)
+    catalogue = root / "rig" / "effects" / "catalogue" / "effect_list.py"
     text = catalogue.read_text()
-    line = "from rig.effects.toy_tide import ToyTide\nALL: tuple[type[Effect], ...] = (\n    ToyTide,\n"
+    line = "from rig.effects.catalogue.toy_tide import ToyTide\nALL: tuple[type[Effect], ...] = (\n    ToyTide,\n"
     assert text.count("ALL: tuple[type[Effect], ...] = (\n") == 1
     catalogue.write_text(text.replace("ALL: tuple[type[Effect], ...] = (\n", line))
     return root
@@ -68,7 +68,7 @@ def house(tmp_path_factory):
 
 def rig(house, *words):
     """What `rig` of the house writes to its standard output; words : of its command line."""
-    code = "import sys; from rig.cli import main; sys.exit(main(sys.argv[1:]))"
+    code = "import sys; from rig.cli.command_line import main; sys.exit(main(sys.argv[1:]))"
     done = subprocess.run([sys.executable, "-P", "-c", code, *map(str, words)], capture_output=True, text=True, cwd=house,
                           env={**os.environ, "PYTHONPATH": str(house)})
     assert done.returncode == 0, done.stderr

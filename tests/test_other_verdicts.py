@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.experiment.record import Look, diagnosis_of, looks, plan_of
-from calib.experiment.timeline import judged as judged_investigation
-from calib.pages.measured import Measured
-from calib.pages.measured import judged as judged_measurement
-from rig.cli import main
-from rig.commands.blind_page import judged as judged_campaign
-from synthetic.score import Case, Found, Hidden, figures
+from calib.experiment.investigation_folder import Look, diagnosis_of, looks, plan_of
+from calib.experiment.investigation_page import judged as judged_investigation
+from calib.report.measurement_page import Measured
+from calib.report.measurement_page import judged as judged_measurement
+from rig.cli.command_line import main
+from rig.cli.shared.blind_campaign_page import judged as judged_campaign
+from synthetic.diagnosis_score import Case, Found, Hidden, figures
 from tests import truth
 
 SOUND = Look(1, "rec1", 12.0, (), (), (), (), (), ())

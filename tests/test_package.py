@@ -8,7 +8,7 @@ from importlib import metadata
 
 import pytest
 
-from rig.cli import main
+from rig.cli.command_line import main
 from tests.conftest import ROOT
 
 ALLOWED = re.compile(r"\b(MIT|BSD|0BSD|Apache|LGPL\w*|GNU Lesser General Public|MPL|Mozilla Public|PSF|Python Software Foundation|"
@@ -90,7 +90,10 @@ def test_what_is_drawn_on_paper_says_what_to_install(plain, tmp_path, capsys):
 def test_only_what_is_drawn_on_paper_needs_matplotlib():
     found = {str(path.relative_to(ROOT)) for package in ("rig", "vision", "calib", "synthetic") for path in (ROOT / package).rglob("*.py")
              if re.search(r"^\s*(from|import) matplotlib", path.read_text(encoding="utf-8"), re.MULTILINE)}
-    assert found == {f"synthetic/{name}.py" for name in ("sheets", "sheet_marks", "assembly")} | {"calib/statement/pdf.py", "rig/posture/drawing.py"}
+    assert found == {f"synthetic/{name}.py" for name in ("print_sheets", "sheet_rulers", "cube_assembly_page")} | {
+        "calib/certificate/certificate_pdf.py",
+        "rig/posture/force_polytope_figure.py",
+    }
 
 
 def test_decisions_are_listed():

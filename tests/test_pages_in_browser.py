@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.certify.insitu import Agreement
-from calib.experiment.record import Hypothesis, Look
-from calib.experiment.timeline import timeline_page
-from calib.pages.limbs import limbs_page
+from calib.certify.measuring_limbs import Agreement
+from calib.experiment.investigation_folder import Hypothesis, Look
+from calib.experiment.investigation_page import timeline_page
+from calib.report.measuring_limbs_page import limbs_page
 from docs.make import pictures, project
-from rig.commands.blind_page import campaign_page
-from rig.page.server import PageServer
-from synthetic.score import Case, Found, Hidden
-from tests.rig.test_page import EVENT
-from vision.snapshot import jpeg
+from rig.cli.shared.blind_campaign_page import campaign_page
+from rig.report.pages.run_page_server import PageServer
+from synthetic.diagnosis_score import Case, Found, Hidden
+from tests.rig.report.pages.test_run_page_server import EVENT
+from vision.jpeg_pictures import jpeg
 
 pytestmark = pytest.mark.slow
 KINDS = ("measure", "calibrate", "diagnose", "verify", "certify", "workspace", "online", "plan", "view", "watch", "index", "insitu", "blind",

@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from rig import cli, design_file
-from rig.mechanisms import planar
-from rig.plan import low_discrepancy
+from rig.cli import command_line
+from rig.formats.rig_toml import design_file
+from rig.model.mechanisms import two_strut_plane
+from rig.planning.plan import low_discrepancy
 from tests.loops import calibrated, holds, lines, rig, verified
 
 
@@ -19,7 +20,7 @@ def recorded(folder, *words, plan="sobol:24", size="640x512", again=False):
 
 def wanted(folder, count=6):
     m = design_file.load(folder / "rig.toml").mechanism
-    return lines(planar.forward(low_discrepancy(m.strut_range, count, 0.7, 5), m))
+    return lines(two_strut_plane.forward(low_discrepancy(m.strut_range, count, 0.7, 5), m))
 
 
 def test_a_loop_closes_from_corners(tmp_path, capfd):
@@ -51,7 +52,7 @@ def test_configurations_are_planned(tmp_path, capfd):
     assert "10 configurations for 6 parameters" in said and len(rows) == 6 and all(float(row[0]) < float(row[1]) for row in rows)
     recorded(tmp_path, plan=f"commands:{tmp_path / 'plan.csv'}", again=True)
     calibrated(tmp_path, capfd)
-    assert cli.main(["plan", str(tmp_path / "rig.toml"), "--for", "parameters", "--count", "3", "--out", str(tmp_path / "few.csv")]) != 0
+    assert command_line.main(["plan", str(tmp_path / "rig.toml"), "--for", "parameters", "--count", "3", "--out", str(tmp_path / "few.csv")]) != 0
     assert "3 configurations cannot determine 6 parameters" in capfd.readouterr().err
 
 

@@ -3,7 +3,7 @@
 import io
 import time
 
-from rig.commands.progress_shown import Progress
+from rig.cli.shared.progress_bars import Progress
 
 
 class Terminal(io.StringIO):

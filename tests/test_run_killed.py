@@ -5,11 +5,12 @@ import shutil
 import numpy as np
 import pytest
 
-from rig import design_file, recording
-from rig.controller import PROTOCOLS
-from rig.journal import Departure, Ended, Exposed, Resumed, read
-from rig.plan import build
-from rig.steps import steps
+from rig.formats.rig_toml import design_file
+from rig.recording import recording_folder
+from rig.model.controller_settings import PROTOCOLS
+from rig.driving.run_journal import Departure, Ended, Exposed, Resumed, read
+from rig.planning.plan import build
+from rig.driving.run_steps import steps
 from tests.running import EmulatedRig, runner
 
 PLAN = "sobol:6"
@@ -18,8 +19,8 @@ SAME = 2e-6  # m; the controller is told micrometres
 
 @pytest.fixture
 def emulated(tmp_path, request):
-    import rig.commands.bench
-    import rig.commands.watching  # noqa: F401  (so that forked runners need not)
+    import rig.cli.shared.run_equipment
+    import rig.cli.shared.run_observation_options  # noqa: F401  (so that forked runners need not)
 
     made = EmulatedRig(tmp_path, getattr(request, "param", "grblhal"))
     yield made
@@ -71,7 +72,7 @@ def check(emulated, out, before, log, seen):
     assert max(apart, default=0.0) < SAME, "a move that the journal does not have"
     for goal in (step.goal for step in planned[1:]):
         assert any(np.abs(np.subtract(move, goal)).max() < SAME for move in told)
-    found = recording.load(out)
+    found = recording_folder.load(out)
     np.testing.assert_allclose(found.commanded()[2], [planned[row.step].goal for row in frames], atol=2e-9)
 
 

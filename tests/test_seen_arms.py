@@ -5,13 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from rig import design_file, machine, recording
+from rig.formats.rig_toml import design_file
+from rig.model import motion_simulation
+from rig.recording import recording_folder
 from rig.errors import FileError
-from rig.mechanisms import arm
-from rig.configurations import low_discrepancy
-from rig.pose import difference
-from synthetic.world import from_truth
-from vision.recorded import measure_recording
+from rig.model.mechanisms import arm
+from rig.planning.configuration_sets import low_discrepancy
+from rig.model.pose import difference
+from synthetic.secret_machine import from_truth
+from vision.recording_measurement import measure_recording
 from tests.loops import holds, lines, rig, verified
 
 
@@ -40,11 +42,11 @@ def test_a_loop_closes_with_base_and_hand_solved_for(tmp_path, capfd, carried, c
 def test_where_the_hand_is_is_the_inverse_of_where_the_base_is_seen(tmp_path):
     """Measured poses and their covariance, against the true ones: the camera stands in the hand elsewhere than stated, the same in every frame."""
     recorded(tmp_path, "hand", cameras=1, plan="sobol:24")
-    rec = recording.load(tmp_path / "rec")
+    rec = recording_folder.load(tmp_path / "rec")
     poses, _ = measure_recording(rec)
     world = from_truth(tmp_path / "truth.json", rec.design)
     frames, t = rec.exposures.times()
-    true = machine.run(world.true, rec.commands, t, (), rec.sensors).T_base_platform[np.searchsorted(frames, poses.frames)]
+    true = motion_simulation.run(world.true, rec.commands, t, (), rec.sensors).T_base_platform[np.searchsorted(frames, poses.frames)]
     held = world.true.cameras[0].pose * rec.design.cameras[0].pose.inv()  # the platform's frame is held by the camera's stated pose
     off = difference(true * held, poses.T_base_platform)
     z = np.einsum("ni,nij,nj->n", off, np.linalg.inv(poses.covariance), off)
@@ -103,19 +105,19 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
     said = capfd.readouterr().out
     assert 5 < float(said.split("seen in ")[1].split("%")[0]) < 95
     rig("simulate", tmp_path / "rig.toml", "--plan", f"commands:{tmp_path / 'plan.csv'}", "--secret", "0", "--out", tmp_path / "rec")
-    corners = recording.load(tmp_path / "rec").corners
+    corners = recording_folder.load(tmp_path / "rec").corners
     assert set(corners.frame.tolist()) == set(range(12))
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
     assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows[2:])
 
 
 def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
-    from calib.diagnose.problems.arm.separation import separation
-    from rig import shelf
-    from rig.effects.parse import parse
-    from rig.plan import build
+    from calib.diagnose.problems.arm.effect_separation import separation
+    from rig.planning.layout import shipped_arms
+    from rig.effects.texts.effect_text import parse
+    from rig.planning.plan import build
 
-    design, found = shelf.load("puma560"), {}
+    design, found = shipped_arms.load("puma560"), {}
     lag, late = parse("servo_lag:rig:time_constant=0.02"), parse("time_offset:clock:offset=-0.02")
     for text in ("moving:40", "zigzag:40"):
         plan = build(design, text, 3)

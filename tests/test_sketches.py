@@ -8,17 +8,17 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from rig.cli import main
-from rig.effects import ALL
-from rig.effects.backlash import Backlash
-from rig.effects.base import Effect
-from rig.effects.parameter import Parameter
-from rig.effects.scale_error import ScaleError
+from rig.cli.command_line import main
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.catalogue.backlash import Backlash
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.parameter import Parameter
+from rig.effects.catalogue.scale_error import ScaleError
 from rig.errors import RigError
-from rig.page.alone import alone
-from rig.sketch.example import Sketch
+from rig.report.pages.standalone_svg import alone
+from rig.effects.sketches.effect_example import Sketch
 from tests.conftest import ROOT
-from vision.sketch import drawn
+from vision.effect_sketches import drawn
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 WITHOUT_SIZE = {"marker_swap"}  # faces are exchanged or they are not

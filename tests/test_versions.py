@@ -13,20 +13,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib import store
-from calib.diagnose import taken
-from calib.drift import history_file
-from calib.experiment import record
-from calib.online import learner_file, limbs_file, state_file
-from rig import design_file, recording, refutations
-from rig.cli import main
-from rig.commands import workspace
-from rig.commands.effects import _suggested
+from calib.files import calibration_file
+from calib.diagnose import platform_findings_refit
+from calib.drift import visit_history_file
+from calib.experiment import investigation_folder
+from calib.online import learner_file, measuring_limbs_file, filter_state_file
+from rig.formats.rig_toml import design_file
+from rig.recording import recording_folder
+from rig.report import refutations
+from rig.cli.command_line import main
+from rig.cli import workspace
+from rig.cli.effects import _suggested
 from rig.errors import FileError
-from rig.files import MANIFEST, made
-from rig.importing import recipe
-from rig.mechanisms import hexapod
-from rig.schema import NAMED
+from rig.formats.output_files import MANIFEST, folder_manifest
+from rig.formats.importers import import_recipe
+from rig.model.mechanisms import hexapod
+from rig.formats.schema_version import NAMED
 from tests.conftest import ROOT
 
 DATA = ROOT / "tests" / "data"
@@ -39,19 +41,19 @@ def looked_at(path: Path) -> None:
     (folder / "diagnosis1").mkdir(parents=True)
     (folder / "diagnosis1" / "diagnosis.json").write_text('{"schema": "diagnosis/1"}')
     path.rename(folder / "diagnosis1" / "next.json")
-    record.looks(folder)
+    investigation_folder.looks(folder)
 
 
 def listed(path: Path) -> None:
     """What was made in a folder."""
     path.rename(path.parent / MANIFEST)
-    made.load(path.parent)
+    folder_manifest.load(path.parent)
 
 
 def held(path: Path) -> None:
     """A diagnosis that is to be taken into a calibration."""
     path.rename(path.parent / "diagnosis.json")
-    taken.of_folder(path.parent, recording.load(DATA / "bench" / "check"))
+    platform_findings_refit.of_folder(path.parent, recording_folder.load(DATA / "bench" / "check"))
 
 
 def suggesting(path: Path) -> None:
@@ -66,9 +68,17 @@ def refuted(path: Path) -> None:
 
 
 READERS = {  # schema: what reads such files
-    "calibration/3": (store.load,), "limbs/1": (limbs_file.load,), "online/1": (state_file.load,), "learner/1": (learner_file.load,),
-    "watch/1": (lambda path: history_file.load(path, ""),), "diagnosis/1": (held, suggesting), "next/1": (looked_at,), "made/1": (listed,),
-    "refutations/1": (refuted,), "certificate/1": (lambda path: workspace._certified(path, path, None),)}
+    "calibration/3": (calibration_file.load,),
+    "limbs/1": (measuring_limbs_file.load,),
+    "online/1": (filter_state_file.load,),
+    "learner/1": (learner_file.load,),
+    "watch/1": (lambda path: visit_history_file.load(path, ""),),
+    "diagnosis/1": (held, suggesting),
+    "next/1": (looked_at,),
+    "made/1": (listed,),
+    "refutations/1": (refuted,),
+    "certificate/1": (lambda path: workspace._certified(path, path, None),),
+}
 CASES = [(schema, reader) for schema, readers in READERS.items() for reader in readers]
 
 
@@ -93,7 +103,7 @@ def test_a_newer_file_of_toml_and_a_newer_investigation_are_refused_with_their_p
         design_file.load(tmp_path / "rig.toml")
     (tmp_path / "import.toml").write_text('\nschema = "import/2"\n')
     with pytest.raises(FileError, match=r"import.toml:2:\d+: was written by a newer rig: its schema is 'import/2'"):
-        recipe.load(tmp_path / "import.toml")
+        import_recipe.load(tmp_path / "import.toml")
     (tmp_path / "asked").mkdir()
     (tmp_path / "asked" / "investigation.json").write_text('{"schema": "investigation/2"}')
     (tmp_path / "rig.toml").write_text(text)
@@ -120,10 +130,10 @@ def test_limbs_of_before_there_were_more_than_six_are_the_six(tmp_path):
     path = written("limbs-1.json", tmp_path)
     tree = json.loads(path.read_text())
     assert "chosen" not in tree and "checks" not in tree
-    found = limbs_file.load(path)
+    found = measuring_limbs_file.load(path)
     assert found.verdict == "accepted" and found.limbs.checks is None and found.limbs.chosen.tolist() == [0, 1, 2, 3, 4, 5]
     np.testing.assert_array_equal(found.limbs.hexapod.base_joints, tree["limbs"]["base_joints"])
-    limbs_file.save(tmp_path / "again.json", found)
+    measuring_limbs_file.save(tmp_path / "again.json", found)
     again = json.loads((tmp_path / "again.json").read_text())
     assert again.pop("chosen") == [1, 2, 3, 4, 5, 6] and again.pop("checks") == [] and again == tree
 
@@ -133,7 +143,7 @@ def test_older_calibrations_correct_as_they_did(name, schema, tmp_path):
     path = written(name, tmp_path)
     tree = json.loads(path.read_text())
     assert tree["schema"] == schema
-    found = store.load(path)
+    found = calibration_file.load(path)
     np.testing.assert_array_equal(found.correction.fitted.base_joints, tree["fitted"]["base_joints"])
     assert (found.physics is not None) is (schema == "calibration/2")
     if found.physics is not None:
@@ -141,7 +151,7 @@ def test_older_calibrations_correct_as_they_did(name, schema, tmp_path):
         assert (effect.name, effect.place) == ("backlash", "strut 3") and effect.gap == pytest.approx(2e-4, rel=0.1)
     home = found.correction.nominal.home
     assert 1e-6 < np.abs(found.correction.uncorrected(home) - hexapod.inverse(home, found.correction.fitted)).max() < 5e-3
-    store.save(tmp_path / "again.json", found)
+    calibration_file.save(tmp_path / "again.json", found)
     again = json.loads((tmp_path / "again.json").read_text())
     again["claim"] = {key: again["claim"][key] for key in tree["claim"]}  # keys may be added, none changed
     assert {key: again[key] for key in ("schema", "nominal", "fitted", "parameter_covariance", "remainder", "held_out", "claim")} == {
@@ -153,12 +163,12 @@ def test_a_diagnosis_of_before_there_were_suggestions_is_taken(tmp_path):
     written("machine-1.json", tmp_path).rename(tmp_path / "machine.json")
     assert "suggestions" not in json.loads((tmp_path / "diagnosis.json").read_text())
     (tmp_path / "rig.toml").write_bytes(gzip.decompress((DATA / "written" / "rig.toml.gz").read_bytes()))
-    found = taken.of_folder(tmp_path, recording_of(tmp_path))
+    found = platform_findings_refit.of_folder(tmp_path, recording_of(tmp_path))
     assert [(effect.name, effect.place) for effect in found.effects] == [("backlash", "strut 3")]
 
 
-def recording_of(folder: Path) -> recording.Recording:
+def recording_of(folder: Path) -> recording_folder.Recording:
     """A recording of the rig that the diagnosis is of, without a frame that it knew."""
     (folder / "frames.csv").write_text("frame,t,camera,image\n0,1,,\n")
     (folder / "poses.csv").write_text("frame,x,y,z,rx,ry,rz\n0,0,0,0.45,0,0,0\n")
-    return recording.load(folder)
+    return recording_folder.load(folder)

@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from calib import store
-from calib.certify.verification import Part, Verification
-from calib.drift.evidence import ALARM, Suspect, Verdict
-from calib.drift.hypotheses import SOMETHING
-from calib.pages.watched import Visit, judged
-from rig import table
-from rig.cli import main
-from rig.judgement import REFUTED as CHANGED
-from rig.judgement import Evidence
+from calib.files import calibration_file
+from calib.certify.claim_verification import Part, Verification
+from calib.drift.change_evidence import ALARM, Suspect, Verdict
+from calib.drift.change_hypotheses import SOMETHING
+from calib.report.visits_page import Visit, judged
+from rig.formats import csv_table
+from rig.cli.command_line import main
+from rig.report.verdict import REFUTED as CHANGED
+from rig.report.verdict import Evidence
 from tests.calib.drifting import changed, rig
 
 
@@ -22,7 +22,7 @@ def watched(tmp_path_factory, design, rig_text):
     """(folder with calibration.json and three quiet visits, the Rig)."""
     base = tmp_path_factory.mktemp("watched")
     one, rng = rig(design, rig_text, 3, base / "calibrated"), np.random.default_rng(4)
-    store.save(base / "calibration.json", one.calibration)
+    calibration_file.save(base / "calibration.json", one.calibration)
     for day in range(3):
         one.visit(base / f"day{day}", rng)
     return base, one
@@ -98,7 +98,7 @@ def test_a_visit_is_planned_within_the_strokes_and_tells_more_than_an_even_one(w
     assert main(["watch", str(base / "calibration.json"), "--plan", "--count", "6", "--out", str(out)]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
     assert len(rows) == 4 and all(float(row[-3]) < float(row[-2]) for row in rows)
-    commands = table.read(out, ("frame",)).matrix(design.mechanism.axes)
+    commands = csv_table.read(out, ("frame",)).matrix(design.mechanism.axes)
     low, high = design.mechanism.strut_range.T
     assert commands.shape == (6, 6) and (commands > low).all() and (commands < high).all()
 

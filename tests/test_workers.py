@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig import cluster, processes
-from rig.cli import main
+from rig.compute import dask_cluster, worker_processes
+from rig.cli.command_line import main
 from rig.errors import FileError, RigError
-from rig.parallel import parallel_map
-from rig.processes import WorkerEnded, cores, done_by
+from rig.compute.parallel_map import parallel_map
+from rig.compute.worker_processes import WorkerEnded, cores, done_by
 from tests.conftest import BENCH
 
 SAME = ("corners.csv", "poses.csv", "rpy.csv", "rig.toml", "frames.csv", "report.html")  # of what rig measure writes
@@ -42,7 +42,7 @@ def test_what_a_process_was_at_when_it_was_killed_is_done_again(tmp_path):
 
 def test_processes_that_end_at_the_same_thing_every_time_are_given_up(monkeypatch):
     begun = []
-    monkeypatch.setattr(processes, "gathered", lambda *a, real=processes.gathered: begun.append(1) or real(*a))
+    monkeypatch.setattr(worker_processes, "gathered", lambda *a, real=worker_processes.gathered: begun.append(1) or real(*a))
     with pytest.raises(WorkerEnded, match="3 processes at work were ended from outside"):
         done_by(1, "fork", os._exit, [9, 9])
     assert len(begun) == 3
@@ -50,7 +50,7 @@ def test_processes_that_end_at_the_same_thing_every_time_are_given_up(monkeypatc
 
 def test_workers_are_as_many_as_asked(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    with processes.workers(3), processes.workers(None):
+    with worker_processes.workers(3), worker_processes.workers(None):
         assert cores() == 3
         assert len({pid for pid, _ in parallel_map(lambda k: (os.getpid(), time.sleep(0.01)), range(12), few=1)}) > 1
     assert cores() == 1
@@ -60,7 +60,7 @@ def test_workers_are_as_many_as_asked(tmp_path, capsys, monkeypatch):
 
 
 def test_a_cluster_that_is_not_there_is_said(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(cluster, "WAIT", 0.2)
+    monkeypatch.setattr(dask_cluster, "WAIT", 0.2)
     words = ["measure", str(tmp_path), "--out", str(tmp_path / "o"), "--scheduler"]
     assert main([*words, "tcp://127.0.0.1:9"]) == 1 and "no Dask scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err
     assert main([*words, "tpc://x:1"]) == 1 and "no Dask scheduler answers at tpc://x:1" in capsys.readouterr().err
@@ -121,7 +121,7 @@ def test_what_the_work_raises_is_not_said_of_the_cluster(kind):
     def fail(k):
         raise kind(f"corners.csv of {k} is far away")
 
-    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as here, cluster.cluster(here.scheduler_address) as there, \
+    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as here, dask_cluster.cluster(here.scheduler_address) as there, \
             pytest.raises(kind, match="corners.csv of 0 is far away"):
         there.map(fail, range(3))
 
@@ -133,7 +133,7 @@ def test_a_cluster_does_calls_in_order_and_raises_what_they_raise(tmp_path):
             raise FileError("x.csv", f"is wrong {k}", 3)
         return k
 
-    with two_workers() as (here, _), cluster.cluster(here.scheduler_address) as there:
+    with two_workers() as (here, _), dask_cluster.cluster(here.scheduler_address) as there:
         told = []
         things = [(k, tmp_path / "killed") for k in range(40)]
         assert there.map(killed_once, things, lambda done, of: told.append((done, of))) == [2 * k for k in range(40)]
@@ -142,7 +142,7 @@ def test_a_cluster_does_calls_in_order_and_raises_what_they_raise(tmp_path):
             parallel_map(fail, range(40), far=True)
         nested = parallel_map(lambda k: (os.getpid(), {pid for pid in parallel_map(lambda _: os.getpid(), range(40))}), range(4), few=1, far=True)
         assert all(inner == {pid} and pid != os.getpid() for pid, inner in nested)
-    with pytest.raises(RigError, match="has no worker"), _no_workers() as address, cluster.cluster(address):
+    with pytest.raises(RigError, match="has no worker"), _no_workers() as address, dask_cluster.cluster(address):
         pass
 
 
@@ -151,7 +151,7 @@ def test_work_at_which_workers_end_is_given_up():
     from dask import config
 
     once = config.set({"distributed.scheduler.allowed-failures": 0})
-    with once, two_workers() as (here, _), cluster.cluster(here.scheduler_address), pytest.raises(RigError, match="ended one after the other"):
+    with once, two_workers() as (here, _), dask_cluster.cluster(here.scheduler_address), pytest.raises(RigError, match="ended one after the other"):
         parallel_map(lambda k: os._exit(9), range(4), few=1, far=True)
 
 
@@ -160,7 +160,7 @@ def _no_workers():
     from dask.distributed import LocalCluster
 
     with LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=":0") as here, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cluster, "WAIT", 0.5)
+        patch.setattr(dask_cluster, "WAIT", 0.5)
         yield here.scheduler_address
 
 
@@ -207,7 +207,7 @@ def test_drawing_is_the_same_by_one_by_two_and_by_a_cluster_of_which_one_is_kill
 
 @pytest.mark.slow
 def test_diagnosing_two_recordings_is_the_same_on_a_cluster(design, rig_text, tmp_path):
-    from rig.effects.parse import parse
+    from rig.effects.texts.effect_text import parse
     from tests.conftest import make_recording
 
     for name, seed in (("a", 1), ("b", 2)):
@@ -234,12 +234,12 @@ def test_a_campaign_is_the_same_on_a_cluster_of_which_one_is_killed(tmp_path):
 
 @pytest.mark.slow
 def test_a_process_here_that_is_killed_costs_no_result(tmp_path, monkeypatch):
-    from vision.reading import collect
+    from vision.reading import recording_corners
 
-    monkeypatch.setattr(collect, "LEARN_FROM", 4)  # so that images are left to be shared out
+    monkeypatch.setattr(recording_corners, "LEARN_FROM", 4)  # so that images are left to be shared out
     words = ["measure", str(BENCH / "check"), "--quiet", "--workers", "2", "--out"]
     assert main([*words, str(tmp_path / "1")]) == 0
-    seen, killed, here = collect.detect, tmp_path / "killed", os.getpid()
+    seen, killed, here = recording_corners.detect, tmp_path / "killed", os.getpid()
 
     def once(*a, **k):
         if not killed.exists() and os.getpid() != here:
@@ -247,7 +247,7 @@ def test_a_process_here_that_is_killed_costs_no_result(tmp_path, monkeypatch):
             os.kill(os.getpid(), signal.SIGKILL)
         return seen(*a, **k)
 
-    monkeypatch.setattr(collect, "detect", once)
+    monkeypatch.setattr(recording_corners, "detect", once)
     assert main([*words, str(tmp_path / "2")]) == 0 and killed.exists()
     alike(tmp_path / "1", tmp_path / "2", SAME)
     shutil.rmtree(tmp_path)

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.arms.certify import calibrate
-from calib.chains import model as chains
-from calib.chains.identify import identify as identify_chain
-from calib.identify.geometry import identify, parameters
-from calib.pipeline import sample_recording
-from rig import recording
-from rig.pose import exp, log
+from calib.models.arm.certification import calibrate
+from calib.models.chain import error_model as chains
+from calib.models.chain.identification import identify as identify_chain
+from calib.models.platform.identification import identify, parameters
+from calib.samples.recording_samples import sample_recording
+from rig.recording import recording_folder
+from rig.model.pose import exp, log
 from tests.chained import written
 from tests.loops import rig
 
@@ -75,7 +75,7 @@ def scores(folder, make, *words):
     """(runs, combinations) z of what is identified, along combinations that are independent and that corners tell, not the owner."""
     plan = make(folder, *words)
     rig("simulate", folder / "rig.toml", "--plan", plan, "--seed", "4", "--noise", "0", "--out", folder / "rec", "--truth", folder / "truth.json")
-    clean = recording.load(folder / "rec")
+    clean = recording_folder.load(folder / "rec")
     if clean.poses is not None:
         poses = np.array(json.loads((folder / "truth.json").read_text())["poses"]).reshape(-1, 4, 4)
         clean = replace(clean, poses=replace(clean.poses, T_base_platform=RigidTransform.from_matrix(poses)))

@@ -5,11 +5,11 @@
 
 from typing import TYPE_CHECKING
 
-from rig.lazily import handed_on
+from rig.compute.lazy_exports import handed_on
 
 if TYPE_CHECKING:
-    from vision.measure import Measurement as Measurement
-    from vision.recorded import measured as measured
+    from vision.recording_adjustment import Measurement as Measurement
+    from vision.recording_measurement import measured as measured
 
 __all__ = ["measured", "Measurement"]
-__getattr__ = handed_on(__name__, {"measured": "vision.recorded", "Measurement": "vision.measure"})
+__getattr__ = handed_on(__name__, {"measured": "vision.recording_measurement", "Measurement": "vision.recording_adjustment"})

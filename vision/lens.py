@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vision import compiled
+from vision import projection_kernels
 
 INTRINSICS = ("fx", "fy", "cx", "cy")
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
@@ -17,7 +17,7 @@ def project(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> n
     """
     flat, matrix, k = _flat(points, matrix, distortion)
     uv, tilted = np.empty((len(flat), 2)), bool(k[12:].any())
-    compiled.project(flat, np.eye(3) if tilted else matrix, k, uv)
+    projection_kernels.project(flat, np.eye(3) if tilted else matrix, k, uv)
     return (_on_sensor(uv, matrix, _tilt(*k[12:])) if tilted else uv).reshape(*np.shape(points)[:-1], 2)
 
 
@@ -29,7 +29,7 @@ def project_jacobian(points: np.ndarray, matrix: np.ndarray, distortion: np.ndar
     flat, matrix, k = _flat(points, matrix, distortion)
     sensor, shape = len(distortion) == 14, np.shape(points)[:-1]
     uv, to_point, to_lens = np.empty((len(flat), 2)), np.empty((len(flat), 2, 3)), np.empty((len(flat), 2, 4 + len(distortion)))
-    compiled.derivatives(flat, np.eye(3) if sensor else matrix, k, uv, to_point, to_lens)
+    projection_kernels.derivatives(flat, np.eye(3) if sensor else matrix, k, uv, to_point, to_lens)
     if sensor:
         _derivatives_on_sensor(uv, to_point, to_lens, matrix, k[12:])
         uv = _on_sensor(uv, matrix, _tilt(*k[12:]))

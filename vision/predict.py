@@ -9,13 +9,13 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import Camera
-from rig.effects.base import Effect
+from rig.model.design import Camera
+from rig.effects.framework.effect import Effect
 from rig.errors import RigError
-from rig.machine import Run
-from rig.pose import exp, transform_points
-from rig.recording import Sensors
-from vision import compiled, lens
+from rig.model.motion_simulation import Run
+from rig.model.pose import exp, transform_points
+from rig.recording.recording_folder import Sensors
+from vision import projection_kernels, lens
 from vision.targets import MarkerMap
 
 STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
@@ -23,7 +23,7 @@ INSIDE = 2.0  # px; an expected marker's corners lie this far inside the image
 
 
 class ObservedCorners(Protocol):
-    """What is asked of n corners that were seen, sorted by camera; vision.observations has them."""
+    """What is asked of n corners that were seen, sorted by camera; vision.corner_observations has them."""
 
     @property
     def frame(self) -> np.ndarray:
@@ -255,7 +255,7 @@ def base_points(observations: ObservedCorners, state: State) -> np.ndarray:
     """(n, 3) m, the observed points in the base frame."""
     points = np.ascontiguousarray(body_points(observations, state))
     out = np.empty(points.shape)
-    compiled.carried(points, state.platform.as_matrix(), observations.frame, observations.on_platform, out)
+    projection_kernels.carried(points, state.platform.as_matrix(), observations.frame, observations.on_platform, out)
     return out
 
 

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.design import FACES, Design, Marker, Target
-from rig.pose import transform_points
+from rig.model.design import FACES, Design, Marker, Target
+from rig.model.pose import transform_points
 
 _OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])  # corners 0..3, clockwise from the top left

@@ -5,23 +5,23 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.claim import Claim
-from calib.certify.held_out import HeldOut
-from calib.certify.verdict import verdict
-from calib.confounds import Confounds
+from calib.certify.workspace_claim import Claim
+from calib.certify.held_out_errors import HeldOut
+from calib.certify.calibration_verdict import verdict
+from calib.samples.confounded_conditions import Confounds
 from calib.correct.correction import Correction
 from calib.correct.physics import Physics
-from calib.samples import Samples
-from calib.workspace.cells import Workspace
+from calib.samples.pose_samples import Samples
+from calib.workspace.workspace_cells import Workspace
 from rig.errors import RigError
-from rig.notebook import shown
-from rig.recording import Recording
+from rig.report.notebook_display import shown
+from rig.recording.recording_folder import Recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """correction : Correction, of an arm an ArmCorrection; covariance : (42, 42) m^2 of the fitted parameters, of an arm
-    (12 + 5 n, 12 + 5 n) in the order of calib.arms.model; scatter : (6,) m of each strut beyond the poses' noise, of an arm
+    (12 + 5 n, 12 + 5 n) in the order of calib.models.arm.error_model; scatter : (6,) m of each strut beyond the poses' noise, of an arm
     (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that did not agree
     held_out : HeldOut, or None where too few configurations were recorded to hold any out
     provenance : what went in, by which versions and arguments; claim : Claim, or None in files of before there was one

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certify.held_poses import HeldPoses
-from rig.design import Design
-from rig.recording import Recording
+from calib.certify.held_out_poses import HeldPoses
+from rig.model.design import Design
+from rig.recording.recording_folder import Recording
 
 VISITS, POSES = 30, 5
 FEWEST = 3  # visits from which a scatter is reported

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certify.component_sizes import Closures, sizes
-from calib.certify.deviations import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component, components, scaled
-from calib.certify.machines import Machines
-from calib.identify.geometry import Identified, loop_jacobian, parameters, strut_jacobian
-from calib.identify.tolerance import Tolerance, spread
-from calib.samples import Samples
-from rig import mechanisms
-from rig.kinds import Struts
+from calib.certify.deviation_component_sizes import Closures, sizes
+from calib.certify.strut_deviation_kernels import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component, components, scaled
+from calib.certify.possible_machines import Machines
+from calib.models.platform.identification import Identified, loop_jacobian, parameters, strut_jacobian
+from calib.models.platform.stated_geometry_accuracy import Tolerance, spread
+from calib.samples.pose_samples import Samples
+from rig.model import mechanisms
+from rig.model.mechanism_kinds import Struts
 
 ALIKE = 0.12  # by which share what a law leaves in use is more or less than these functions of it have it
 WILD = 0.05  # share of poses that may be left out as wild; where more agree with no geometry, the machine is counted as doing so

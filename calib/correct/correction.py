@@ -13,21 +13,21 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.geometry import Identified, identify, pose_jacobian, strut_jacobian, to_pose
-from calib.identify.tolerance import tolerance
-from calib.correct.interpolate import radial
-from calib.correct.interpolate.field import Field
-from calib.correct.interpolate.part import Within
-from calib.correct.interpolate.radial import Radial
-from calib.correct.interpolate.simplex import Simplex
-from calib.correct.posed import PoseMap
-from calib.samples import Samples
-from rig import mechanisms
-from rig.design import Arm, Chain, Hexapod, Planar2
-from rig.effects.covariate import DRAWN
+from calib.models.platform.identification import Identified, identify, pose_jacobian, strut_jacobian, to_pose
+from calib.models.platform.stated_geometry_accuracy import tolerance
+from calib.correct.interpolation import gaussian_process
+from calib.correct.interpolation.field import Field
+from calib.correct.interpolation.partial_map import Within
+from calib.correct.interpolation.gaussian_process import Radial
+from calib.correct.interpolation.simplex import Simplex
+from calib.correct.pose_space_map import PoseMap
+from calib.samples.pose_samples import Samples
+from rig.model import mechanisms
+from rig.model.design import Arm, Chain, Hexapod, Planar2
+from rig.effects.framework.covariate import DRAWN
 from rig.errors import NotConverged, RigError, Unreachable
-from rig.kinds import Struts, struts_of
-from rig.parallel import parallel_map
+from rig.model.mechanism_kinds import Struts, struts_of
+from rig.compute.parallel_map import parallel_map
 
 ITERATIONS = 100
 TOLERANCE = 1e-12  # m
@@ -279,7 +279,7 @@ def _remainder(samples: Samples, found: Identified, nominal: Struts, before: tup
     def part(i: int) -> Radial | None:
         if (like[i] is None) if given else not (found.scatter[i] and may[i]):
             return None
-        return radial.fit(samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
+        return gaussian_process.fit(samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
 
     axes = range(len(like))
     return tuple([part(i) for i in axes] if given else parallel_map(part, axes, few=1))

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.samples import Samples
-from rig import machine
-from rig.design import Actuator, Arm, Chain, Design, Platform
-from rig.effects.base import MOTION_STAGES, Effect
-from rig.effects.coordinate import Coordinate, coordinates_of
-from rig.kinds import Struts
-from rig.pose import exp
-from rig.recording import Commands, Sensors
+from calib.samples.pose_samples import Samples
+from rig.model import motion_simulation as machine
+from rig.model.design import Actuator, Arm, Chain, Design, Platform
+from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of
+from rig.model.mechanism_kinds import Struts
+from rig.model.pose import exp
+from rig.recording.recording_folder import Commands, Sensors
 
 ANOTHER_DAY = 2.0  # K, standard deviation by which a room and its struts differ from one day to another
 
@@ -31,7 +31,7 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Physics:
-    """effects : Effects found; own : (c, c) covariance of their coordinates (rig.effects.coordinate), in order; cross : (p, c) of the
+    """effects : Effects found; own : (c, c) covariance of their coordinates (rig.effects.framework.fit_coordinates), in order; cross : (p, c) of the
     geometry's p parameters with these; gravity, actuator, platform : of the machine as its owner states them, which effects look at
     channels : {sensor channel: (median, standard deviation)} while all this was learnt; unknown : what has no name."""
 

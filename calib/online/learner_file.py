@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 
 from calib.online.learners import LEARNERS, Learner
-from calib.mechanism_file import mechanism_in, mechanism_out
-from rig import json_file
-from rig.design import Hexapod
-from rig.entries import LARGEST_RIG
-from rig.files import write_text
+from calib.files.mechanism_json import mechanism_in, mechanism_out
+from rig.formats import json_file
+from rig.model.design import Hexapod
+from rig.formats.checked_entries import LARGEST_RIG
+from rig.formats.output_files import write_text
 
 SCHEMA = "learner/1"
 

@@ -1,4 +1,4 @@
-"""Other ways of learning the 42 parameters pose by pose, behind the same update(x, pose, covariance) as calib/online/filter.py.
+"""Other ways of learning the 42 parameters pose by pose, behind the same update(x, pose, covariance) as calib/online/information_filter.py.
 
 They watch for nothing: each says how far a pose was from what it expected, and follows it.
 """
@@ -9,10 +9,10 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify import closed_loop
-from calib.identify.geometry import PRIOR, parameters, with_parameters
-from calib.identify.observability import PLAUSIBLE
-from rig.design import Hexapod
+from calib.models.platform import closed_loop_kernels
+from calib.models.platform.identification import PRIOR, parameters, with_parameters
+from calib.models.platform.parameter_observability import PLAUSIBLE
+from rig.model.design import Hexapod
 from rig.errors import RigError
 
 NO_SCATTER = np.zeros(6)
@@ -21,7 +21,7 @@ NO_SCATTER = np.zeros(6)
 class Learner(ABC):
     """nominal : Hexapod; the estimate is `hexapod`; `memory` : what is kept of the poses beside it; `setting` : its one choice, named SETTING.
 
-    number : poses so far; data : marks of what was learnt (see rig.provenance), so that it is not learnt again
+    number : poses so far; data : marks of what was learnt (see rig.recording.data_provenance), so that it is not learnt again
     """
 
     SETTING: ClassVar[str]
@@ -62,8 +62,8 @@ class Learner(ABC):
         R, t = self.home[:3, :3].copy(), self.home[:3, 3].copy()
         right, J = np.empty((6, 1)), np.zeros((6, 42))
         x, covariance = np.asarray(x, float), np.ascontiguousarray(covariance, float)
-        measured = closed_loop.Measured(np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]), covariance)
-        if not closed_loop.pose_of(x, p, R, t) or not closed_loop.row(R, t, p, measured, NO_SCATTER, right, J)[0]:
+        measured = closed_loop_kernels.Measured(np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]), covariance)
+        if not closed_loop_kernels.pose_of(x, p, R, t) or not closed_loop_kernels.row(R, t, p, measured, NO_SCATTER, right, J)[0]:
             raise RigError(f"the commanded lengths {x.round(6).tolist()} m close on no pose, or its covariance is none")
         return right[:, 0], J
 

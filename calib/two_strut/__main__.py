@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from calib.two_strut.draw import figures
-from rig.files import write_text
+from calib.two_strut.example_figures import figures
+from rig.formats.output_files import write_text
 
 if len(sys.argv) != 2:
     sys.exit("usage: python -m calib.two_strut FOLDER")

@@ -4,9 +4,9 @@ import argparse
 import importlib
 
 from docs.make.told import in_cell
-from rig.cli import COMMANDS
-from rig.commands.usage import SHARED
-from rig.commands.workers import add_workers
+from rig.cli.command_line import COMMANDS
+from rig.cli.shared.argument_parser import SHARED
+from rig.cli.shared.worker_options import add_workers
 
 HEAD = """# The commands
 
@@ -22,7 +22,7 @@ def page() -> str:
     parts = [HEAD]
     for name, words in COMMANDS.items():
         parser = argparse.ArgumentParser(prog=f"rig {name}", add_help=False, formatter_class=_Plain)
-        importlib.import_module(f"rig.commands.{name.replace('-', '_')}").arguments(parser)
+        importlib.import_module(f"rig.cli.{name.replace('-', '_')}").arguments(parser)
         if name in SHARED:
             add_workers(parser)
         usage = "\n".join(f"    {line}" for line in parser.format_usage().removeprefix("usage: ").rstrip().splitlines())

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 from docs.make.told import in_cell
-from tests.mistakes.matrix import CASES
+from tests.calib.checks.matrix import CASES
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("rig", "vision", "calib", "synthetic")

@@ -11,12 +11,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rig.cli import main
+from rig.cli.command_line import main
 
 HIDDEN = "backlash:strut3:gap=2e-4"
 BOARD = "charuco:7x5:0.03:0.022:DICT_5X5_100"
 SHOTS, PIXELS, STARTED = 12, 90, 60  # photographs of the board, px of its squares as drawn, s that an emulator may take to answer
-RIG = (sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main(sys.argv[1:]))")
+RIG = (sys.executable, "-c", "import sys; from rig.cli.command_line import main; sys.exit(main(sys.argv[1:]))")
 
 
 def rig(*words: object, may_end: tuple[int, ...] = (0,)) -> None:

@@ -11,14 +11,16 @@ from typing import Any
 import tomlkit
 
 from docs.make.told import fields_told, headline
-from rig import design_file, dynamics_file, layout, layout_planar, shelf
-from rig.arm_entries import Joint
-from rig.controller import Controller
-from rig.design import (Actuator, Arm, Camera, Design, Hexapod, Instrument, Marker, MeasuringLimbs, Permission, Planar2, Platform, Sensor, SensorPort,
-                        Target)
-from rig.dynamics_file import ArmDynamics
-from rig.entries import REQUIRED, Entries, Key
-from rig.toml_positions import positions
+from rig.formats.rig_toml import design_file, arm_dynamics
+from rig.planning.layout import hexapod_layout, two_strut_layout, shipped_arms
+from rig.formats.rig_toml.arm_joint_entries import Joint
+from rig.model.controller_settings import Controller
+from rig.model.design import (
+    Actuator, Arm, Camera, Design, Hexapod, Instrument, Marker, MeasuringLimbs, Permission, Planar2, Platform, Sensor, SensorPort, Target,
+)
+from rig.formats.rig_toml.arm_dynamics import ArmDynamics
+from rig.formats.checked_entries import REQUIRED, Entries, Key
+from rig.formats.toml_positions import positions
 
 HEAD = """# rig.toml, table by table
 
@@ -148,17 +150,17 @@ def _limits(least: float | None, most: float | None, above: float | None, unit: 
 
 def samples() -> list[dict[str, Any]]:
     """Rigs as tables, which between them state everything that the reader asks for."""
-    whole = tomllib.loads(layout.layout(0.3, cameras=1, cubes=1, limbs=6))
+    whole = tomllib.loads(hexapod_layout.layout(0.3, cameras=1, cubes=1, limbs=6))
     whole["camera"][0] |= {"shutter": "rolling", "row_time": 1e-5, "source": "uvc:0", "mount": "fixed"}
     whole["controller"] = {"protocol": "grblhal", "port": "/dev/ttyACM0", "max_speed": 0.01}
     whole["sensors"] = {"port": "/dev/ttyUSB1", "channels": ["ambient_temperature_C"]}
     whole["experiment"] = {"may": ["payload", "wait"]}
     whole["instrument"] = {"base": "rig", "tool": "rig", "position_sigma": 1e-5, "rotation_sigma": 1e-4}
     whole["sensor"] = {name: getattr(Sensor(), name) for name in Sensor.__slots__}
-    listed = tomllib.loads(layout_planar.layout(0.3, cameras=1, cubes=1))
+    listed = tomllib.loads(two_strut_layout.layout(0.3, cameras=1, cubes=1))
     marker = {"id": 90, "side": 0.03, "pose": {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}}
     listed["target"].append({"name": "plate", "body": "base", "dictionary": "DICT_5X5_100", "marker": [marker]})
-    arms = [tomllib.loads(shelf.design(name)) for name in shelf.names()]
+    arms = [tomllib.loads(shipped_arms.design(name)) for name in shipped_arms.names()]
     joint = {"joint": "prismatic", "theta": 0.0, "d": 0.0, "a": 0.0, "alpha": 0.0, "limits": [0.0, 0.2]}
     arms.append({"schema": "rig/1", "mechanism": {"kind": "arm", "joints": [joint]}})
     return [whole, listed, *arms, {**whole, "mechanism": {"kind": "free"}, "controller": None}]
@@ -172,7 +174,7 @@ def asked() -> dict[tuple[str, Key], Asked]:
         root = Log(tomllib.loads(text), (), Path("rig.toml"), positions(text), found)
         mechanism = design_file.design_of(root).mechanism
         if isinstance(mechanism, Arm):
-            dynamics_file.stated(root.table("dynamics", optional=True), len(mechanism.axes))
+            arm_dynamics.stated(root.table("dynamics", optional=True), len(mechanism.axes))
     return {at: what for at, what in found.items() if at[1] not in TABLE_KEYS or at == ("[instrument]", "kind")}
 
 
@@ -191,7 +193,7 @@ def page() -> str:
         rows = [_row(at, what, told) for at, what in found.items() if at[0] == heading]
         if rows:
             parts.append("\n| key | takes | if left out | what |\n|---|---|---|---|\n" + "\n".join(rows) + "\n")
-    whole = _indented(layout.layout(0.3, cameras=1, cubes=1))
+    whole = _indented(hexapod_layout.layout(0.3, cameras=1, cubes=1))
     return "".join(parts) + f"\n## A whole one\n\nAs `rig design --radius 0.3 --cameras 1 --cubes 1` writes it:\n\n{whole}"
 
 

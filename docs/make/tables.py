@@ -8,9 +8,11 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
-from rig import layout, recording, table
-from rig.effects.thermal_expansion import AMBIENT
-from rig.table import Table
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
+from rig.formats import csv_table
+from rig.effects.catalogue.thermal_expansion import AMBIENT
+from rig.formats.csv_table import Table
 
 HEAD = """# The tables of a recording, column by column
 
@@ -48,21 +50,21 @@ RIG = {"cameras": 1, "cubes": 1}
 def asked() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
     """{file: (columns that must be there, columns that may be)} as the reader asks for them."""
     found: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
-    read = table.read
+    read = csv_table.read
 
     def noted(path: Any, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
         found[Path(path).name] = (required, optional)
         return read(path, required, optional)
 
-    with TemporaryDirectory() as name, patch.object(table, "read", noted):
-        recording.load(_sample(Path(name)))
+    with TemporaryDirectory() as name, patch.object(csv_table, "read", noted):
+        recording_folder.load(_sample(Path(name)))
     return {file: found[file] for file in FILES}
 
 
 def _sample(folder: Path) -> Path:
     """A recording of one frame with every file that there can be."""
-    (folder / "rig.toml").write_text(layout.layout(0.3, **RIG))
-    design = recording.design_file.load(folder / "rig.toml")
+    (folder / "rig.toml").write_text(hexapod_layout.layout(0.3, **RIG))
+    design = recording_folder.design_file.load(folder / "rig.toml")
     lengths = ",".join(f"{x:.4f}" for x in design.mechanism.strut_range.mean(axis=1))
     marker = design.targets[0].ids[0]
     for file, header, row in (("commands.csv", "t,l1,l2,l3,l4,l5,l6", f"0,{lengths}"), ("frames.csv", "frame,t,camera,image", "0,1,cam0,"),

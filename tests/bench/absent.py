@@ -10,23 +10,25 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rig import design_file, layout, plan
-from rig.design import Sensor
-from rig.effects.parse import parse
-from synthetic import scene, simulation, world
-from synthetic.render import SAMPLES
-from synthetic.sensor import expose
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.planning import plan
+from rig.model.design import Sensor
+from rig.effects.texts.effect_text import parse
+from synthetic import rig_meshes, recording_simulation, secret_machine
+from synthetic.renderer import SAMPLES
+from synthetic.image_sensor import expose
 from tests.cli import RIG
 from tests.conftest import ROOT
-from tests.rig.test_effects import SOME
-from tests.synthetic.test_render import LENSES, drawn, edge_errors, wall
+from tests.rig.effects.test_effects import SOME
+from tests.synthetic.test_renderer import LENSES, drawn, edge_errors, wall
 
 
 def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        text = layout.layout(0.3)
+        text = hexapod_layout.layout(0.3)
         (folder / "rig.toml").write_text(text)
         design = design_file.load(folder / "rig.toml")
         yield from _accuracy(design)
@@ -57,9 +59,9 @@ def _speed(folder, design):
     subprocess.run([*RIG, "simulate", folder / "rig.toml", "--plan", "sobol:100", *look, "--out", folder / "rec"], check=True, capture_output=True)
     seconds = time.perf_counter() - start
     yield "rig simulate, 300 images of 1280 x 1024, eight cubes, struts, noise, PNG, start included", f"{300 / seconds:.1f} images/s", ">= 8"
-    from synthetic.render import Renderer
+    from synthetic.renderer import Renderer
 
-    renderer = Renderer(scene.parts(design), design)
+    renderer = Renderer(rig_meshes.parts(design), design)
     rng, sensor, parts = np.random.default_rng(0), Sensor(blur=0.5, read_noise=1.5), {"draw": [], "lens": [], "sensor": [], "PNG": []}
     pinhole = renderer.cameras["cam0"]
     picture = np.zeros((pinhole.size[1], pinhole.size[0], 3), np.uint8)
@@ -85,9 +87,9 @@ def _corner_level(design, folder, text):
     start = time.perf_counter()
     rng = np.random.default_rng(1)
     effects = tuple(parse(f"{name}:{place}") for name, place in SOME.items() if name != "marker_swap")
-    secret = world.draw(design, rng, effects=effects)
-    done = simulation.simulate(secret, plan.build(design, "sobol:190,moving:154,payload:12", 1), rng)
-    simulation.write(done, folder / "corners", text, rng, noise=0.04)
+    secret = secret_machine.draw(design, rng, effects=effects)
+    done = recording_simulation.simulate(secret, plan.build(design, "sobol:190,moving:154,payload:12", 1), rng)
+    recording_simulation.write(done, folder / "corners", text, rng, noise=0.04)
     count = f"{len(done.plan.t)} frames x 3 cameras at corner level, {len(effects)} effects at once"
     yield count, f"{time.perf_counter() - start:.1f} s", "<= 5 s"
 

@@ -12,21 +12,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.arms import model
-from calib.arms.certify import certify, promised
-from calib.commands import command
-from calib.diagnose.problems.arm.diagnose import diagnose
-from calib.diagnose.taken_arm import of_arm_diagnosis, take_arm
-from calib.kept import kept
-from calib.pipeline import sample_recording
-from rig import design_file, machine, plan, recording, shelf
-from rig.configurations import low_discrepancy
-from rig.effects.base import Effect
-from rig.effects.parse import parse
-from rig.pose import difference
-from rig.recording import Recording
-from synthetic import simulation, world
-from synthetic.world import World
+from calib.models.arm import error_model
+from calib.models.arm.certification import certify, promised
+from calib.models.wanted_pose_commands import command
+from calib.diagnose.problems.arm.arm_diagnosis import diagnose
+from calib.diagnose.arm_findings_refit import of_arm_diagnosis, take_arm
+from calib.files.calibration_from_recording import kept
+from calib.samples.recording_samples import sample_recording
+from rig.formats.rig_toml import design_file
+from rig.model import motion_simulation
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.planning.layout import shipped_arms
+from rig.planning.configuration_sets import low_discrepancy
+from rig.effects.framework.effect import Effect
+from rig.effects.texts.effect_text import parse
+from rig.model.pose import difference
+from rig.recording.recording_folder import Recording
+from synthetic import recording_simulation, secret_machine
+from synthetic.secret_machine import World
 
 ARMS, ROUTE, POSES, REACH = 3, "sobol:150", 60, 0.7
 NEAR_SINGULAR = 0.02  # least over greatest singular value; where a wrist is near it, a micrometre may be out of reach
@@ -65,7 +69,7 @@ def effect_of(name: str, rng: np.random.Generator) -> Effect:
 
 def ways(folder: Path, name: str, seed: int) -> Ways:
     """Ways of one arm."""
-    text = shelf.design("puma560")
+    text = shipped_arms.design("puma560")
     if name.endswith("positions"):
         text = "\n".join(line for line in text.splitlines() if not line.startswith("rotation_sigma")) + "\n"
     effect = effect_of(name, np.random.default_rng([seed, 7]))
@@ -80,9 +84,9 @@ def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(text)
     design, rng = design_file.load(folder / "rig.toml"), np.random.default_rng(seed)
-    secret = world.draw(design, rng, 1.0, effects)
-    simulation.write(simulation.simulate(secret, plan.build(design, ROUTE, seed), rng), folder / "rec", text, rng)
-    return recording.load(folder / "rec"), secret
+    secret = secret_machine.draw(design, rng, 1.0, effects)
+    recording_simulation.write(recording_simulation.simulate(secret, plan.build(design, ROUTE, seed), rng), folder / "rec", text, rng)
+    return recording_folder.load(folder / "rec"), secret
 
 
 def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -94,10 +98,12 @@ def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, n
     calibration = kept(rec, sampled, done, promised(samples, done, rng), (), None if taken is None else taken.with_geometry(done))
     seen = np.stack([sampled.samples.commanded.min(axis=0), sampled.samples.commanded.max(axis=0)], axis=1)
     q = low_discrepancy(seen, 2 * POSES, REACH, 17)
-    values = np.linalg.svd(model.joint_jacobian(q, secret.true.mechanism), compute_uv=False)
-    T = model.predicted(q[values[:, -1] > NEAR_SINGULAR * values[:, 0]][:POSES], done.correction.fitted)  # its own idea of how the hand is turned
+    values = np.linalg.svd(error_model.joint_jacobian(q, secret.true.mechanism), compute_uv=False)
+    T = error_model.predicted(
+        q[values[:, -1] > NEAR_SINGULAR * values[:, 0]][:POSES], done.correction.fitted
+    )  # its own idea of how the hand is turned
     made = command(calibration, T, np.zeros(len(seen)))
-    run = machine.run(secret.true, made.route.commands(np.round(made.values, 10)), made.route.times, secret.effects)
+    run = motion_simulation.run(secret.true, made.route.commands(np.round(made.values, 10)), made.route.times, secret.effects)
     error = _rms((difference(T, run.T_base_platform) ** 2).reshape(-1, 2, 3))
     return error, np.full(2, np.nan) if made.covariance is None else _rms(np.einsum("nii->ni", made.covariance).reshape(-1, 2, 3))
 

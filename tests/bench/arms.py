@@ -11,21 +11,21 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from calib import store
-from calib.arms import model, place
-from calib.arms.identify import identify, parameters
-from calib.arms.observations import of_poses
-from rig import design_file
-from rig.mechanisms import arm as mechanism
-from rig.mechanisms import dynamics, wrist
-from rig.posture import measure, search, wrench
-from rig.posture.measure import Wish
+from calib.files import calibration_file
+from calib.models.arm import error_model, instrument_placement
+from calib.models.arm.identification import identify, parameters
+from calib.models.arm.instrument_observations import of_poses
+from rig.formats.rig_toml import design_file
+from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_dynamics, six_joint_inverse
+from rig.posture import force_transmission, null_space_search, wrench_estimate
+from rig.posture.force_transmission import Wish
 from tests.calib import arm_worlds as worlds
 from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.rig import pinocchio_arm
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
-from tests.rig.test_wrist import ARMS, check, near_singular
+from tests.rig.model.mechanisms.test_six_joint_inverse import ARMS, check, near_singular
 
 PANDA = design_file.load(files("rig") / "arms" / "panda.toml").mechanism
 
@@ -51,14 +51,14 @@ def _forward():
 def _closed_forms():
     rng = np.random.default_rng(2)
     for name, arm in ARMS.items():
-        six = wrist.six(arm)
+        six = six_joint_inverse.six(arm)
         q = near_singular(rng.uniform(-np.pi, np.pi, (100_000, 6)), rng)
         closure, missed, found = check(six, q)
         yield (f"{name} ({six.kind}): round trip, 100 000 poses, 25 000 within 1e-6 of singular", f"{closure.max():.1e} m, {missed.sum()} missed",
                "<= 1e-9 m, none missed")
         yield f"{name}: poses by number of branches", ", ".join(f"{n}: {k}" for n, k in enumerate(np.bincount(found.there.sum(1))) if k), ""
         T = mechanism.forward(q, arm)
-        times = [_timed(lambda six=six, T=T: wrist.inverse(T, six), time.process_time) for _ in range(5)]
+        times = [_timed(lambda six=six, T=T: six_joint_inverse.inverse(T, six), time.process_time) for _ in range(5)]
         numeric = _timed(lambda T=T, q=q, arm=arm: mechanism.solve(T[:2000], arm, q[:2000] + 0.05, starts=0), time.process_time) / 2000
         reached = f"{1e5 / np.median(times):.0f} poses/s"
         yield f"{name}: closed-form inverse, all branches, 100 000 at once, median of 5, of one processor", reached, ">= 400 000"
@@ -72,7 +72,7 @@ def _identification():
             rng = np.random.default_rng(seed)
             true = worlds.secret(nominal, rng)
             seen = of_poses(worlds.tracked(true, nominal, 80, rng))
-            found = identify(seen, place.placed(seen, nominal, True, True))
+            found = identify(seen, instrument_placement.placed(seen, nominal, True, True))
             z.append(worlds.scores(found, true, nominal, free))
             steps.append(found.iterations)
         z = np.array(z)
@@ -82,14 +82,14 @@ def _identification():
     rng = np.random.default_rng(50)
     true = worlds.secret(UR10, rng)
     q = configurations(UR10, 200, rng, 0.5)
-    want = model.predicted(q, true)
+    want = error_model.predicted(q, true)
     for name, seen in (("tracker, 6D probe, 20 um", of_poses(worlds.tracked(true, UR10, 120, rng))),
                        ("CMM, ball, 20 um", worlds.touched(true, UR10, 120, rng)),
                        ("vision, 50 um and 0.1 mrad shared 20 um", of_poses(worlds.tracked(true, UR10, 120, rng, (5e-5, 1e-4), (2e-5, 2e-5)))),
                        ("drawn wire, 50 um, 400 lengths", worlds.wired(true, UR10, 400, rng))):
         start = UR10 if seen.kind != "distance" else type(UR10)(UR10.joints, UR10.limits, tool=worlds.TOOL)
-        found = identify(seen, place.placed(seen, start, True, seen.kind != "distance"))
-        got = model.predicted(q, found.arm)
+        found = identify(seen, instrument_placement.placed(seen, start, True, seen.kind != "distance"))
+        got = error_model.predicted(q, found.arm)
         error = np.linalg.norm(got.translation, axis=1) - np.linalg.norm(want.translation, axis=1)
         error = np.abs(error) if seen.kind == "distance" else np.linalg.norm(got.translation - want.translation, axis=1)
         what = "length" if seen.kind == "distance" else "position"
@@ -103,12 +103,12 @@ def _real():
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "calibration.json"
         seconds = _timed(lambda: subprocess.run([*RIG, "calibrate", SHARED / "recordings/arm-1", "--out", out], check=True, capture_output=True))
-        held = store.load(out).held_out
-    from calib.arms.certify import certify
-    from calib.pipeline import sample_recording
-    from rig import recording
+        held = calibration_file.load(out).held_out
+    from calib.models.arm.certification import certify
+    from calib.samples.recording_samples import sample_recording
+    from rig.recording import recording_folder
 
-    folder = recording.load(SHARED / "recordings/arm-1")
+    folder = recording_folder.load(SHARED / "recordings/arm-1")
     done = certify(sample_recording(folder).samples, folder.design.mechanism, folder.design.instrument, np.random.default_rng(0))
     yield "arm-1: `rig calibrate`, whole", f"{seconds:.1f} s", ""
     yield "arm-1: owner's model, base and probe placed, mean of held-out positions", f"{held.before.mean[0] * 1e3:.4f} mm", "about 0.8"
@@ -130,9 +130,9 @@ def _real():
 def _postures():
     q = configurations(PANDA, 500, np.random.default_rng(3), 0.95)
     for wish in (Wish(("fy",)), Wish(("fy",), np.inf), Wish(("fx", "mz")), Wish()):
-        found = search.gradient_search(q, PANDA, wish)
-        best = search.global_search(q, PANDA, wish)
-        sampled = search.sampled_search(q, PANDA, wish, np.random.default_rng(4))
+        found = null_space_search.gradient_search(q, PANDA, wish)
+        best = null_space_search.global_search(q, PANDA, wish)
+        sampled = null_space_search.sampled_search(q, PANDA, wish, np.random.default_rng(4))
         name = f"Panda, 500 poses, {' and '.join(wish.directions) or 'det'}, norm {wish.norm:g}"
         for kind, answer in (("gradient", found), ("sampled", sampled)):
             ratio = answer.value / best.value
@@ -146,14 +146,14 @@ def _postures():
 def _wrenches():
     rng = np.random.default_rng(5)
     q = configurations(PANDA, 20_000, rng, 0.9)
-    q = q[measure.value(q, PANDA, Wish()) > 1e-4]
-    own = dynamics.Links(rng.uniform(1, 4, 7), 0.1 * rng.normal(size=(7, 3)), np.tile(0.02 * np.eye(3), (7, 1, 1)))
+    q = q[force_transmission.value(q, PANDA, Wish()) > 1e-4]
+    own = arm_dynamics.Links(rng.uniform(1, 4, 7), 0.1 * rng.normal(size=(7, 3)), np.tile(0.02 * np.eye(3), (7, 1, 1)))
     gravity, (v, a) = np.array([0, 0, -9.80665]), rng.normal(size=(2, *q.shape))
     true = rng.normal(size=(len(q), 6)) * [20, 20, 20, 3, 3, 3]
     half = 0.1 * (np.eye(7) + 0.3 * rng.normal(size=(7, 7)))
     pushed = np.einsum("mai,ma->mi", mechanism.jacobian(q, PANDA, "base"), true)
-    measured = dynamics.torques(q, v, a, PANDA, own, gravity) - pushed + rng.normal(size=q.shape) @ half.T
-    found = wrench.estimate(wrench.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T)
+    measured = arm_dynamics.torques(q, v, a, PANDA, own, gravity) - pushed + rng.normal(size=q.shape) @ half.T
+    found = wrench_estimate.estimate(wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T)
     error = found.value - true
     inside = np.einsum("mi,mij,mj->m", error, np.linalg.inv(found.covariance), error) < chi2.ppf(0.95, 6)
     each = (np.abs(error) < 1.96 * np.sqrt(np.einsum("mii->mi", found.covariance))).mean(axis=0)

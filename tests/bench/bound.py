@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from tests.vision.pictures import camera, picture, quad
-from vision.corners.detect import place
-from vision.corners.read import Read
+from vision.corners.marker_detection import place
+from vision.corners.marker_reader import Read
 
 NAME = "DICT_5X5_100"
 BLURS, NOISES, TILTS, SIDES = (0.5, 1.0, 1.5), (0.5, 1.0, 2.0, 4.0), (0, 35, 65), (25, 50, 120)

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certify.conformity import CONFORMS, FAILS
-from rig import design_file, layout
-from tests.calib.statement.trials import share_kept, trial, wrong_decisions
+from calib.certify.tolerance_conformity import CONFORMS, FAILS
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from tests.calib.certificate.trials import share_kept, trial, wrong_decisions
 
 RIGS = 500
 SIZES = (59, 93, 120)  # held out
@@ -25,7 +26,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(layout.layout(0.3))
+        path.write_text(hexapod_layout.layout(0.3))
         design = design_file.load(path)
     for name, (level, kinds, noise) in CASES.items():
         start = time.process_time()

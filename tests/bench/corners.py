@@ -12,16 +12,18 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig import design_file, layout, recording
-from rig.design import Marker, Sensor, Target
-from rig.exposures import read_image
-from rig.pose import difference, pose
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
+from rig.model.design import Marker, Sensor, Target
+from rig.recording.exposures import read_image
+from rig.model.pose import difference, pose
 from tests.bench import bound
 from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.vision.scenes import nees, scene
-from vision.corners.detect import detect
-from vision.measure import measure
+from vision.corners.marker_detection import detect
+from vision.recording_adjustment import measure
 from vision.targets import marker_map
 
 INSIDE = {2: 5.991, 6: 12.592}  # chi-square that 95 % stay below
@@ -33,7 +35,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(layout.layout(0.3))
+        path.write_text(hexapod_layout.layout(0.3))
         design = design_file.load(path)
         if SHARED.is_dir():
             yield from _first_light(Path(folder) / "first-light")
@@ -49,7 +51,7 @@ def _first_light(out):
     subprocess.run([*RIG, "measure", folder, "--out", out], check=True, capture_output=True)
     truth = json.loads((SHARED / "truth/first-light.json").read_text())
     true = {tuple(row[:4]): np.array(row[4:6]) for row in truth["corners"]}
-    found = recording.load(out).corners
+    found = recording_folder.load(out).corners
     ours = {(f, c, m, k): i for i, (f, c, m, k) in enumerate(zip(found.frame.tolist(), found.camera, found.marker.tolist(), found.corner.tolist()))}
     keys = [key for key in ours if key in true]
     rows_ = [ours[key] for key in keys]
@@ -67,7 +69,7 @@ def _first_light(out):
     yield "first-light: bias per axis", ", ".join(f"{v:+.4f}" for v in error.mean(axis=0)) + " px", "<= 0.005 px"
     yield "first-light: bias along the marker's own diagonal, outward", f"{along.mean():+.4f} px", "<= 0.005 px"
     yield "first-light: true corners in their stated 95 % ellipse", f"{100 * inside.mean():.1f} %", "93-97 %"
-    poses = recording.load_poses(out / "poses.csv")
+    poses = recording_folder.load_poses(out / "poses.csv")
     errors = difference(poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4))[poses.frame])
     size = [np.sqrt((errors[:, part] ** 2).sum(axis=1).mean()) * 1e6 for part in (slice(0, 3), slice(3, 6))]
     stated = [np.sqrt(np.einsum("nii->n", poses.covariance[:, part, part]).mean()) * 1e6 for part in (slice(0, 3), slice(3, 6))]
@@ -84,7 +86,7 @@ def _subpix():
 
 
 def _subpix_errors(folder, true):
-    exposures, detector, errors = recording.load(folder).exposures, _subpix(), []
+    exposures, detector, errors = recording_folder.load(folder).exposures, _subpix(), []
     for frame, camera, name in zip(exposures.frame.tolist(), exposures.camera, exposures.image):
         corners, ids, _ = detector.detectMarkers(read_image(folder / name))
         for number, quad in zip(ids.ravel().tolist(), corners):
@@ -127,15 +129,15 @@ def _recordings(design):
 
 def _speed(folder):
     from rig.errors import MissingLibrary
-    from synthetic import scene as scenes
-    from synthetic.render import SAMPLES, Renderer
-    from synthetic.sensor import expose
+    from synthetic import rig_meshes as scenes
+    from synthetic.renderer import SAMPLES, Renderer
+    from synthetic.image_sensor import expose
 
     detector, rng = _subpix(), np.random.default_rng(0)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     for width, height in ((1280, 1024), (2448, 2048)):
-        (folder / "rig.toml").write_text(layout.layout(0.3, width=width, height=height))
+        (folder / "rig.toml").write_text(hexapod_layout.layout(0.3, width=width, height=height))
         design = design_file.load(folder / "rig.toml")
         markers, home = marker_map(design), design.mechanism.home
         try:

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from calib.correct.correction import Correction, reachable
-from calib.correct.interpolate.simplex import Simplex
-from rig.mechanisms import hexapod
+from calib.correct.interpolation.simplex import Simplex
+from rig.model.mechanisms import hexapod
 from tests.bench.forward import mechanism_of_bench
 
 LEVELS, QUERIES = 4, 1_000_000

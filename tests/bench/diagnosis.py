@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from synthetic.score import case
+from synthetic.diagnosis_score import case
 from tests.cli import RIG
 from tests.conftest import SHARED
 

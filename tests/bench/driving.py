@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rig import design_file, layout
-from rig.clock import SystemClock
-from rig.driver import Driver
-from rig.emulator.build import home_lengths
-from rig.port import SerialPort
-from rig.protocols.base import Segment
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.driving.clock import SystemClock
+from rig.driving.driver import Driver
+from rig.driving.emulators.emulator_construction import home_lengths
+from rig.driving.serial_port import SerialPort
+from rig.driving.protocols.protocol_interface import Segment
 
 COUNT = 300
 
@@ -23,11 +24,11 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        text = layout.layout(0.3)
+        text = hexapod_layout.layout(0.3)
         path.write_text(text + "\n[controller]\nprotocol = \"grblhal\"\nport = \"set below\"\nmax_speed = 0.01\n")
         zero = home_lengths(design_file.load(path).mechanism).tolist()
         path.write_text(path.read_text() + f"zero = {zero}\n")
-        emulator = subprocess.Popen([sys.executable, "-c", "from rig.cli import main; main()", "emulate", str(path), "--speed", "1000"],
+        emulator = subprocess.Popen([sys.executable, "-c", "from rig.cli.command_line import main; main()", "emulate", str(path), "--speed", "1000"],
                                     stdout=subprocess.PIPE, text=True)
         try:
             port = emulator.stdout.readline().split()[1]

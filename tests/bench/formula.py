@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.diagnose import diagnose
-from rig import design_file, layout
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
 from tests.calib import laws
 from tests.calib.recorded import recorded
 
@@ -31,7 +32,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     right, worst = 0, []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(text := layout.layout(0.3))
+        path.write_text(text := hexapod_layout.layout(0.3))
         design = design_file.load(path)
         for number, law in enumerate(laws.LAWS):
             hits, ratios = [], []

@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from rig import design_file, layout
-from rig.design import Hexapod
-from rig.mechanisms import hexapod
-from rig.pose import exp
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.model.design import Hexapod
+from rig.model.mechanisms import hexapod
+from rig.model.pose import exp
 
 
 def mechanism_of_bench() -> Hexapod:
     """The Hexapod of `rig design --radius 0.3`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(layout.layout(0.3))
+        path.write_text(hexapod_layout.layout(0.3))
         return design_file.load(path).mechanism
 
 

@@ -11,25 +11,27 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from calib.online.watch import Learner
-from rig import design_file, layout, recording
-from rig.cameras.settled import settling
-from rig.cameras.source import Frame
-from rig.cameras.together import Shutter
-from rig.clock import SystemClock
-from rig.commands.bench import save_image
-from rig.commands.looking import Looking, Stopping
-from rig.commands.page import Page
-from rig.commands.warming import warm
-from rig.design import Sensor
-from rig.journal import Began, Journal
-from rig.operate import Bench, Operator
-from rig.plan import build
-from rig.steps import steps
-from synthetic import simulation, world
-from synthetic.pictures import Images
-from vision.reading.collect import read_image
-from vision.reading.live import TAUGHT, Live
+from calib.online.run_learning import Learner
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
+from rig.driving.cameras.settling_check import settling
+from rig.driving.cameras.camera_interface import Frame
+from rig.driving.cameras.camera_synchronisation import Shutter
+from rig.driving.clock import SystemClock
+from rig.cli.shared.run_equipment import save_image
+from rig.cli.shared.run_observation import Looking, Stopping
+from rig.cli.shared.run_page import Page
+from rig.cli.shared.compilation_warm_up import warm
+from rig.model.design import Sensor
+from rig.driving.run_journal import Began, Journal
+from rig.driving.operator_loop import Bench, Operator
+from rig.planning.plan import build
+from rig.driving.run_steps import steps
+from synthetic import recording_simulation, secret_machine
+from synthetic.image_simulation import Images
+from vision.reading.recording_corners import read_image
+from vision.reading.live_measurement import TAUGHT, Live
 
 FRAMES = 20
 TIME = 1.0  # s that moving and settling take here, so that frames do not wait for each other
@@ -66,12 +68,12 @@ def rows() -> Iterator[tuple[str, str, str]]:
 
 def _run(folder):
     """{frame: s from its exposure to its event at the page}"""
-    text = layout.layout(0.3, cameras=3, width=1280, height=1024)
+    text = hexapod_layout.layout(0.3, cameras=3, width=1280, height=1024)
     (folder / "rig.toml").write_text(text)
     design, rng, plan = design_file.load(folder / "rig.toml"), np.random.default_rng(1), f"sobol:{FRAMES}"
-    done = simulation.simulate(world.draw(design, rng), build(design, plan), rng)
-    simulation.write(done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0)))
-    read, clock = recording.load(folder / "drawn"), SystemClock()
+    done = recording_simulation.simulate(secret_machine.draw(design, rng), build(design, plan), rng)
+    recording_simulation.write(done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0)))
+    read, clock = recording_folder.load(folder / "drawn"), SystemClock()
     e, taken = read.exposures, {camera.name: [] for camera in design.cameras}
     images = {c.name: [read_image(read.folder / n) for n, name in zip(e.image, e.camera) if name == c.name] for c in design.cameras}
     warm(design)  # as while homing

@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.diagnose import diagnose
-from calib.diagnose.problems.platform.strength import strengths
-from calib.diagnose.report import platform
-from calib.pipeline import Sampled, sample_recording
-from rig import recording
-from rig.pose import difference
-from rig.recording import Recording
-from synthetic import blind, score
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from calib.diagnose.problems.platform.effect_strength import strengths
+from calib.diagnose.report import platform_report
+from calib.samples.recording_samples import Sampled, sample_recording
+from rig.recording import recording_folder
+from rig.model.pose import difference
+from rig.recording.recording_folder import Recording
+from synthetic import blind_cases, diagnosis_score
 from tests.vision.scenes import nees
-from tests.vision.test_measure import joint_chi2
-from vision.observations import Observations
+from tests.vision.test_recording_adjustment import joint_chi2
+from vision.corner_observations import Observations
 from vision.predict import Sightings, State, see
 from vision.targets import marker_map
 
@@ -58,7 +58,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
                 sampled = sample_recording(recorded)
                 if kind == "nothing":
                     told.append(true(case, sampled))
-                found.append(score.case(index, truth, diagnosed(recorded, sampled, Path(folder) / f"{kind}{index}")))
+                found.append(diagnosis_score.case(index, truth, diagnosed(recorded, sampled, Path(folder) / f"{kind}{index}")))
                 print(line(kind, found[-1]), file=sys.stderr, flush=True)
     yield from _measured(told)
     yield from _named([one for one in found if one.kind == "nothing"], [one for one in found if one.kind == "one"])
@@ -79,11 +79,11 @@ def _measured(told):
 
 def _named(still, one):
     yield f"nothing hidden: with a finding, of {len(still)}", str(sum(bool(c.found) or c.unexplained for c in still)), "<= 1"
-    figures = {f.name: f for f in score.figures([*still, *one])}
+    figures = {f.name: f for f in diagnosis_score.figures([*still, *one])}
     for name, missed, most in (("detected", "not detected", 2), ("named first", "not named first", 4), ("at its place", "misplaced", 3),
                                ("nothing else named", "something else named", "")):
         f = figures[f"one effect: {name}"]
-        figure = f"one effect at signal-to-noise >= {score.STRONG:g}, {f.trials} recordings: {missed}"
+        figure = f"one effect at signal-to-noise >= {diagnosis_score.STRONG:g}, {f.trials} recordings: {missed}"
         yield figure, str(f.trials - f.hits), f"<= {most}" if most else ""
     f = figures["95 % intervals that cover"]
     yield f"95 % intervals that cover the truth, of {f.trials}", f"{f.hits / max(f.trials, 1):.0%} ({f.low:.0%} to {f.high:.0%})", "91 %"
@@ -98,53 +98,53 @@ def cases(kind: str, wanted: int) -> list[int]:
     out, index = [], 0
     while len(out) < wanted:
         index += 1
-        if min(strength(drawn_case(kind, index)), default=np.inf) >= score.STRONG:
+        if min(strength(drawn_case(kind, index)), default=np.inf) >= diagnosis_score.STRONG:
             out.append(index)
     return out
 
 
-def drawn_case(kind: str, index: int) -> blind.DrawnCase:
+def drawn_case(kind: str, index: int) -> blind_cases.DrawnCase:
     """The DrawnCase of a number, with nothing drawn yet."""
-    return blind.draw(SEEDS[kind], index, FRAMES[kind], kinds=[kind], images=True)
+    return blind_cases.draw(SEEDS[kind], index, FRAMES[kind], kinds=[kind], images=True)
 
 
-def strength(case: blind.DrawnCase) -> list[float]:
+def strength(case: blind_cases.DrawnCase) -> list[float]:
     """Signal-to-noise of each hidden effect, from corners as good as those of its images."""
     if not case.hidden:
         return []
     with tempfile.TemporaryDirectory() as folder:
         # writing draws noise from the case's rng, so that the case's own stays as it was: another is written
-        blind.write_recording(replace(case, eyes=None, rng=np.random.default_rng(0)), Path(folder) / "rec")
-        written = replace(recording.load(Path(folder) / "rec"), corners=blind.corners_of(case))
+        blind_cases.write_recording(replace(case, eyes=None, rng=np.random.default_rng(0)), Path(folder) / "rec")
+        written = replace(recording_folder.load(Path(folder) / "rec"), corners=blind_cases.corners_of(case))
     world = case.simulation.world
     return strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[: len(case.hidden)].tolist()
 
 
-def drawn(keep: Path, kind: str, index: int) -> tuple[blind.DrawnCase, Recording, Path]:
+def drawn(keep: Path, kind: str, index: int) -> tuple[blind_cases.DrawnCase, Recording, Path]:
     """(DrawnCase, its Recording, its truth's path) of a number: drawn, unless it was."""
     name = f"{kind}-{SEEDS[kind]}-{FRAMES[kind]}-{index}"
     case, folder, truth = drawn_case(kind, index), keep / name, keep / f"{name}.json"
     if not truth.exists():
-        blind.write_recording(case, folder)
-        blind.write_truth(case, truth, index=index, strengths=strength(case))
-    return case, recording.load(folder), truth
+        blind_cases.write_recording(case, folder)
+        blind_cases.write_truth(case, truth, index=index, strengths=strength(case))
+    return case, recording_folder.load(folder), truth
 
 
 def diagnosed(recorded: Recording, sampled: Sampled, out: Path) -> Path:
     """The diagnosis.json of a recording that was measured before."""
     out.mkdir(parents=True, exist_ok=True)
     found = diagnose(recorded, sampled=sampled)
-    platform.save(out, found, recorded, platform.report(found))
+    platform_report.save(out, found, recorded, platform_report.report(found))
     return out / "diagnosis.json"
 
 
-def right(case: score.Case) -> bool:
+def right(case: diagnosis_score.Case) -> bool:
     """Whether the one hidden effect is named first, at its place, and nothing else."""
     hidden = case.hidden[0]
     return bool(case.said) and (case.said[0].effect, case.said[0].place) == (hidden.effect, hidden.place) and len(case.named) <= 1
 
 
-def line(kind: str, case: score.Case) -> str:
+def line(kind: str, case: diagnosis_score.Case) -> str:
     """What was hidden and what was found, in one line."""
     hidden = ", ".join(f"{h.effect} at {h.place} ({h.strength:.0f})" for h in case.hidden) or "nothing"
     found = ", ".join(f"{f.effect} at {f.place}" for f in case.found) or ("something left" if case.unexplained else "nothing")
@@ -152,7 +152,7 @@ def line(kind: str, case: score.Case) -> str:
     return f"{kind} {case.index}: hidden {hidden}; found {found}" + (f"; remarks {remarks}" if remarks else "")
 
 
-def true(case: blind.DrawnCase, sampled: Sampled) -> Told:
+def true(case: blind_cases.DrawnCase, sampled: Sampled) -> Told:
     """Told of a case's measurement."""
     m, T = sampled.measurement, case.simulation.run.T_base_platform
     errors = difference(m.T_base_platform, T[m.frames])
@@ -163,7 +163,7 @@ def true(case: blind.DrawnCase, sampled: Sampled) -> Told:
                 float(np.mean(again < INSIDE)) if len(again) else np.nan, m.noise / case.noise)
 
 
-def true_corners(case: blind.DrawnCase, observations: Observations) -> np.ndarray:
+def true_corners(case: blind_cases.DrawnCase, observations: Observations) -> np.ndarray:
     """(n, 2) px where the observed corners of a DrawnCase really are."""
     done, o = case.simulation, observations
     sighting, row = np.unique(np.stack([o.camera, o.frame, o.marker], axis=1), axis=0, return_inverse=True)

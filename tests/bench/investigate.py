@@ -15,17 +15,20 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis, diagnose
-from calib.experiment.apart import NAME
-from calib.experiment.choose import Experiment, choose, evaluate, kinds
-from calib.experiment.hypotheses import questions
-from rig import design_file, layout, plan, recording
-from rig.design import Design
-from rig.effects.parse import parse, placed
+from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis, diagnose
+from calib.experiment.discriminating_configurations import NAME
+from calib.experiment.experiment_choice import Experiment, choose, evaluate, kinds
+from calib.experiment.platform_questions import questions
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.model.design import Design
+from rig.effects.texts.effect_text import parse, placed
 from rig.errors import RigError
-from rig.recording import Recording
-from synthetic import simulation, world
-from vision.together import together
+from rig.recording.recording_folder import Recording
+from synthetic import recording_simulation, secret_machine
+from vision.combined_recordings import together
 
 NOISE, LOOKS, BUDGET = 0.04, 8, 120.0  # px; recordings at the most; min
 AT_RANDOM = 4  # recordings at the most that random plans have: what they would have needed is understated
@@ -64,13 +67,13 @@ class Case:
     def __init__(self, folder, design, text, truth, seed):
         self.folder, self.design, self.text, self.seed = folder, design, text, seed
         effects = () if truth is None else (placed(parse(truth), design),)
-        self.world, self.truth = world.draw(design, np.random.default_rng(seed), 1.0, effects), truth
+        self.world, self.truth = secret_machine.draw(design, np.random.default_rng(seed), 1.0, effects), truth
         self.title = "" if truth is None else f"{effects[0].name.replace('_', ' ')} at {effects[0].place}"
 
     def recorded(self, name, route) -> Recording:
         rng = np.random.default_rng([self.seed, *name.encode()])
-        simulation.write(simulation.simulate(self.world, route, rng), self.folder / name, self.text, rng, NOISE)
-        return recording.load(self.folder / name)
+        recording_simulation.write(recording_simulation.simulate(self.world, route, rng), self.folder / name, self.text, rng, NOISE)
+        return recording_folder.load(self.folder / name)
 
     def first(self, text) -> tuple[Recording, PlatformDiagnosis]:
         """(Recording, its diagnosis) of a first plan."""
@@ -180,7 +183,7 @@ def tried(base, rooms, number, draws) -> Tried:
 
 def _rig(path, kind) -> tuple[Design, str]:
     """(Design, text of rig.toml) of a rig whose poses an instrument measures, or which cameras see, or with a heavy platform."""
-    text = layout.layout(0.3) + ("" if kind == "corners" else POSES)
+    text = hexapod_layout.layout(0.3) + ("" if kind == "corners" else POSES)
     if kind == "heavy":
         text = re.sub(r"mass = [\d.]+", f"mass = {HEAVY}", text, count=1)
     path.write_text(text)

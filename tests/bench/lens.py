@@ -13,21 +13,23 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
-from rig import design_file, layout, recording
-from rig.design import Camera
-from rig.pose import exp
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
+from rig.model.design import Camera
+from rig.model.pose import exp
 from tests.conftest import SHARED
 from tests.vision.scenes import scene
-from vision.bundle.adjust import adjust
-from vision.bundle.crossvalidate import crossvalidate
-from vision.bundle.places import places
-from vision.bundle.motions import move, offset
-from vision.bundle.unknowns import unknowns
-from vision.corners.detect import detect
-from vision.lenses import board as boards
-from vision.lenses.calibration import calibrate, hold_out, observations_of
-from vision.measure import measure
-from vision.observations import from_corners, whitener
+from vision.bundle.bundle_adjustment import adjust
+from vision.bundle.held_out_frames import crossvalidate
+from vision.bundle.marker_displacements import places
+from vision.bundle.estimate_update import move, offset
+from vision.bundle.unknown_priors import unknowns
+from vision.corners.marker_detection import detect
+from vision.lenses import calibration_board as boards
+from vision.lenses.lens_calibration import calibrate, hold_out, observations_of
+from vision.recording_adjustment import measure
+from vision.corner_observations import from_corners, whitener
 from vision.predict import State, predict
 from vision.targets import MarkerMap, marker_map
 
@@ -93,7 +95,7 @@ def _sheet():
 def _adjustment():
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4))
+        path.write_text(hexapod_layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4))
         design = design_file.load(path)
     observations, stated, _, T = scene(design, 1, frames=380)
     observations = replace(observations, covariance=np.tile(0.04**2 * np.eye(2), (len(observations), 1, 1)))  # the noise that it was drawn with
@@ -139,13 +141,13 @@ def _scipys(observations, begin, stated):
 
 
 def _block():
-    from rig.cli import main
+    from rig.cli.command_line import main
 
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         begun = time.perf_counter()
         main(["measure", str(SHARED / "recordings" / "tumbling-block"), "--out", folder])
         seconds = time.perf_counter() - begun
-    block = recording.load(SHARED / "recordings" / "tumbling-block")
+    block = recording_folder.load(SHARED / "recordings" / "tumbling-block")
     frames, t = block.exposures.times()
     markers = marker_map(block.design)
     observed = from_corners(block.corners, frames, block.design, markers)

@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from calib.diagnose.report.report import Report
-from calib.from_recordings import diagnosed
+from calib.diagnose.report.diagnosis_report import Report
+from calib.recording_calibration import diagnosed
 from docs.make.results import SCHEMA
-from rig import masking, recording
+from rig.recording import frame_mask, recording_folder
 from rig.errors import RigError
 from tests.bench.made_by import commit, machine
 from tests.truth import FAULTS, PLANS, SIGHTS, Case, draw, record
@@ -86,10 +86,10 @@ def tried(hidden: Hidden, folder: Path) -> dict[str, Any]:
     """The line of a recording, written to a folder and diagnosed."""
     begun, case = time.process_time(), hidden.case()
     bad, frames, laws = spoilt(case, hidden.seed)
-    found: dict[str, Any] = {"clean": _diagnosed(recording.load(record(case, folder / "clean")))}
-    spoiled = recording.load(record(bad, folder / "wild"))
+    found: dict[str, Any] = {"clean": _diagnosed(recording_folder.load(record(case, folder / "clean")))}
+    spoiled = recording_folder.load(record(bad, folder / "wild"))
     for name, mask in masks(frames, np.random.default_rng([hidden.seed, 6])).items():
-        found[name] = _diagnosed(masking.masked(spoiled, mask) if mask else spoiled) | {"mask": mask}
+        found[name] = _diagnosed(frame_mask.masked(spoiled, mask) if mask else spoiled) | {"mask": mask}
     same, as_clean = counted(found)
     return {"recording": hidden.name, "kind": hidden.kind, "effect": hidden.effect, "strength": hidden.strength, "plan": hidden.plan,
             "seed": hidden.seed, "wild": dict(zip(map(str, frames), laws)), "diagnoses": found,
@@ -103,7 +103,7 @@ def counted(found: dict[str, Any]) -> tuple[int, int]:
     return max(map(named.count, named), default=0), named.count(found["clean"]["names"])
 
 
-def _diagnosed(rec: recording.Recording) -> dict[str, Any]:
+def _diagnosed(rec: recording_folder.Recording) -> dict[str, Any]:
     """What a diagnosis says: names with places, what has no name, frames that were left out, or why there is none."""
     try:
         told: Report = diagnosed(rec)

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.correct.extend import corrected, extend, geometry_of, summands
-from calib.diagnose.problems.platform.diagnose import diagnose
-from calib.diagnose.taken import of_diagnosis
-from calib.pipeline import sample_recording
-from rig import design_file, layout
-from rig.effects.parse import parse
+from calib.correct.summand_extension import corrected, extend, geometry_of, summands
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from calib.diagnose.platform_findings_refit import of_diagnosis
+from calib.samples.recording_samples import sample_recording
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.effects.texts.effect_text import parse
 from tests.calib.physical import ASKED, driven, learnt, write
 
 EFFECTS = ("transmission_error:strut2:profile=0/2e-5/-2e-5/3e-5/0/2e-5/-3e-5/1e-5", "compliance:rig:stiffness=3e6")
@@ -35,7 +36,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(text := layout.layout(0.3))
+        path.write_text(text := hexapod_layout.layout(0.3))
         design, effects = design_file.load(path), [parse(one) for one in EFFECTS]
         recording, secret = write(Path(folder) / "rec", design, text, SEED, effects, ROUTE)
         sampled = sample_recording(recording)

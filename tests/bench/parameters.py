@@ -10,19 +10,22 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib.certify import insitu
-from calib.identify import with_cameras
-from calib.identify.d_optimal import CRITERIA, choose
-from calib.identify.geometry import PRIOR, identify, parameters, pose_jacobian, with_parameters
+from calib.certify import measuring_limbs
+from calib.models.platform import joint_camera_fit
+from calib.models.platform.d_optimal_configurations import CRITERIA, choose
+from calib.models.platform.identification import PRIOR, identify, parameters, pose_jacobian, with_parameters
 from calib.online.learners import Drifting, FirstOrder, Forgetting
-from calib.identify.observability import PLAUSIBLE, combinations
-from calib.online.filter import Online
-from calib.pipeline import sample_recording
-from rig import design_file, layout, plan, recording
-from rig.export import genhexkins
-from rig.mechanisms import hexapod
-from rig.pose import difference, exp
-from synthetic import simulation, world
+from calib.models.platform.parameter_observability import PLAUSIBLE, combinations
+from calib.online.information_filter import Online
+from calib.samples.recording_samples import sample_recording
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.formats.exporters import linuxcnc_genhexkins
+from rig.model.mechanisms import hexapod
+from rig.model.pose import difference, exp
+from synthetic import recording_simulation, secret_machine
 from tests.calib.designs import worst_jacobian
 from tests.calib.streams import found_within, learnt, missed_step, stream
 from tests.calib.worlds import sampled
@@ -37,7 +40,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(layout.layout(0.3))
+        path.write_text(hexapod_layout.layout(0.3))
         design = design_file.load(path)
     yield "J_p against differences, 1000 random machines and poses, worst", f"{worst_jacobian(1000, 0):.1e}", "<= 1e-6"
     yield from _batch(design)
@@ -145,30 +148,30 @@ def _jumps(design):
 
 
 def _exports(design):
-    true = world.draw(design, np.random.default_rng(0)).true
+    true = secret_machine.draw(design, np.random.default_rng(0)).true
     commands = plan.low_discrepancy(true.mechanism.strut_range, 200, 0.9)
-    theirs = genhex_forward(genhexkins.text(true.mechanism), commands, design.mechanism.home, 1e3)
+    theirs = genhex_forward(linuxcnc_genhexkins.text(true.mechanism), commands, design.mechanism.home, 1e3)
     worst = np.linalg.norm(difference(hexapod.forward(commands, true.mechanism), theirs)[:, :3], axis=1).max()
     yield "genhexkins' forward kinematics from the exported numbers alone, 200 poses, worst", f"{worst:.1e} m", "<= 1e-9 m"
 
 
 def _limbs():
     with tempfile.TemporaryDirectory() as folder:
-        text, path = layout.layout(0.3, limbs=6), Path(folder) / "rig.toml"
+        text, path = hexapod_layout.layout(0.3, limbs=6), Path(folder) / "rig.toml"
         path.write_text(text)
         design, rng = design_file.load(path), np.random.default_rng(0)
-        done = simulation.simulate(world.draw(design, rng), plan.build(design, "axes:9,sobol:150"), rng)
-        simulation.write(done, Path(folder) / "rec", text, rng, noise=0.04)
-        read = recording.load(Path(folder) / "rec")
-        frames, lengths = insitu.readings(read)
-        samples, nominal = insitu.read(sample_recording(read).samples, frames, lengths), insitu.stated(design)
-    T, expected = insitu.held_out(samples, nominal, 1e-6)
-    found = insitu.agreement(samples.T_base_platform, T, expected, (5e-5, 2e-4))
+        done = recording_simulation.simulate(secret_machine.draw(design, rng), plan.build(design, "axes:9,sobol:150"), rng)
+        recording_simulation.write(done, Path(folder) / "rec", text, rng, noise=0.04)
+        read = recording_folder.load(Path(folder) / "rec")
+        frames, lengths = measuring_limbs.readings(read)
+        samples, nominal = measuring_limbs.read(sample_recording(read).samples, frames, lengths), measuring_limbs.stated(design)
+    T, expected = measuring_limbs.held_out(samples, nominal, 1e-6)
+    found = measuring_limbs.agreement(samples.T_base_platform, T, expected, (5e-5, 2e-4))
     for part, name, unit in ((slice(0, 3), "position", "um"), (slice(3, 6), "rotation", "urad")):
         bias, scatter, claim, surely = (np.abs(v[part]).max() * 1e6 for v in (found.bias, found.scatter, found.expected, found.surely))
         yield (f"measuring limbs less vision, {found.n} poses, worst axis in {name}: bias, scatter (expected), limits",
                f"{bias:.1f}, {scatter:.1f} ({claim:.1f}), {surely:.1f} {unit}", "50 um, 200 urad")
-    limbs, _ = insitu.calibrated(samples, nominal, 1e-6)
+    limbs, _ = measuring_limbs.calibrated(samples, nominal, 1e-6)
     T = limbs.pose(lengths)
     learner, true = Online(read.design.mechanism, shared=42), done.world.true.mechanism
     for each in zip(read.commanded()[2], T, *limbs.uncertainty(T)):
@@ -181,7 +184,7 @@ def _limbs():
 
 
 def _joint():
-    read = recording.load(SHARED / "recordings/open-quiet")
+    read = recording_folder.load(SHARED / "recordings/open-quiet")
     truth, nominal = json.loads((SHARED / "truth/open-quiet.json").read_text()), read.design.mechanism
     true = replace(nominal, base_joints=truth["base_joints"], platform_joints=truth["platform_joints"], strut_zeros=truth["strut_zeros"])
     done = sample_recording(read)
@@ -200,8 +203,8 @@ def _joint():
         return ", ".join(both)
 
     start = time.perf_counter()
-    corners, commanded, state = with_cameras.commanded_state(done.measurement, samples)
-    one = with_cameras.solve(corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).mechanism)
+    corners, commanded, state = joint_camera_fit.commanded_state(done.measurement, samples)
+    one = joint_camera_fit.solve(corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).mechanism)
     seconds = time.perf_counter() - start
     two = identify(samples, nominal)
     pooled = identify(replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0]), nominal)

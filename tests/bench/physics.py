@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig import design_file, layout
-from rig.effects import BY_NAME
-from rig.effects.base import Effect
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.framework.effect import Effect
 from tests.calib.physical import three_ways
 
 RIGS = 3
@@ -46,7 +47,7 @@ def measured(name, rigs=RIGS, route=ROUTE, text=None) -> np.ndarray:
     out = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        text = layout.layout(0.3) if text is None else text
+        text = hexapod_layout.layout(0.3) if text is None else text
         path.write_text(text)
         design = design_file.load(path)
         for k in range(rigs):

@@ -3,7 +3,8 @@
 Corners of the same pictures are fitted with every candidate, the spread learnt from the pictures themselves as `rig measure` does.
 Each kind of picture (exact ones and the renderer's, blurs, defocus, a halo, sharpening) gives the RMS of a candidate's corner
 errors (without the largest, see SOUND) over the least any candidate has there; a candidate's score is the geometric mean over
-the kinds. vision/corners/edges.py's REACH and vision/corners/spread.py's KNOTS are the smallest reach, then the fewest knots, whose score is
+the kinds. vision/corners/edge_pixels.py's REACH and vision/corners/edge_spread.py's KNOTS are the smallest reach, then the fewest knots, whose score
+is
 within MARGIN of the best one's.
 """
 
@@ -19,9 +20,10 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import correlate1d
 
-from rig import design_file, layout
-from rig.design import Marker, Sensor, Target
-from rig.pose import exp, pose
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.model.design import Marker, Sensor, Target
+from rig.model.pose import exp, pose
 from tests.vision.pictures import camera, picture, quad
 
 REACHES, KNOTS = (2.4, 2.8, 3.2, 3.6), (5, 7, 9, 11)
@@ -46,9 +48,9 @@ def rows() -> Iterator[tuple[str, str, str]]:
     for reach in REACHES:
         yield f"reach {reach}: score with {', '.join(map(str, KNOTS))} knots", ", ".join(f"{mean[reach, knots]:.3f}" for knots in KNOTS), ""
     best = min(key for key in mean if mean[key] <= (1 + MARGIN) * min(mean.values()))
-    from vision.corners import edges, spread
+    from vision.corners import edge_pixels, edge_spread as spread
 
-    yield "reach and knots by the rule; as they are", f"{best}; {(edges.REACH, spread.KNOTS)}", "equal"
+    yield "reach and knots by the rule; as they are", f"{best}; {(edge_pixels.REACH, spread.KNOTS)}", "equal"
     for kind in least:
         yield f"{kind}: RMS with them; least of all", f"{scores[best][kind]:.4f}; {least[kind]:.4f} px", ""
 
@@ -86,13 +88,13 @@ def _exact(rng):
 
 def _rendered(design, rng):
     """The same of the renderer's pictures of a rig."""
-    from synthetic import scene
-    from synthetic.render import SAMPLES, Renderer
-    from synthetic.sensor import expose
+    from synthetic import rig_meshes
+    from synthetic.renderer import SAMPLES, Renderer
+    from synthetic.image_sensor import expose
     from vision.predict import expected
     from vision.targets import marker_map
 
-    renderer, markers, out = Renderer(scene.parts(design), design), marker_map(design), {}
+    renderer, markers, out = Renderer(rig_meshes.parts(design), design), marker_map(design), {}
     scenes = []
     for _ in range(4):
         T = design.mechanism.home * exp(rng.uniform(-1, 1, 6) * [0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
@@ -107,10 +109,10 @@ def _rendered(design, rng):
 
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
-    from vision.corners.detect import grey, place
-    from vision.corners.read import Read
-    from vision.corners.spread import PLAIN, empty_profile, learn
-    from vision.reading.collect import ROUNDS
+    from vision.corners.marker_detection import grey, place
+    from vision.corners.marker_reader import Read
+    from vision.corners.edge_spread import PLAIN, empty_profile, learn
+    from vision.reading.recording_corners import ROUNDS
 
     out = {}
     for kind, shown in pictures.items():
@@ -133,15 +135,15 @@ def _score(pictures, markers):
 
 
 def _main(reach):
-    from vision.corners import edges
+    from vision.corners import edge_pixels
 
-    edges.REACH = reach
-    from vision.corners import spread
+    edge_pixels.REACH = reach
+    from vision.corners import edge_spread as spread
     from vision.targets import marker_map
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(layout.layout(0.3))
+        path.write_text(hexapod_layout.layout(0.3))
         design = design_file.load(path)
     listed = tuple(Marker(k, 1.0, pose([0, 0, 0], [0, 0, 0]), 0.9 / 7) for k in range(PICTURES))
     sheet = marker_map(replace(design, targets=(Target("t", "platform", NAME, listed=listed),)))

@@ -21,7 +21,7 @@ REPEATS = 2  # of each way, one after the other in turn; the quickest counts
 FEW = 4  # times fewer images, to hold memory against
 FILES = ("poses.csv", "corners.csv", "rig.toml", "rpy.csv", "frames.csv")
 RUN = """import resource, sys
-from rig.cli import main
+from rig.cli.command_line import main
 status = main(sys.argv[1:])
 print("peak", *(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)), file=sys.stderr)
 sys.exit(status)"""

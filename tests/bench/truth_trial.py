@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from rig import cli
+from rig.cli import command_line
 from tests.bench.made_by import commit
 from tests.truth import SIGHTS, Case, again, draw, drive, drive_in_time, errors, record, rms, wanted, write_sensors, write_wanted
 
@@ -90,7 +90,7 @@ def _rig(*words: str | Path) -> str:
     """What a command prints on the standard output. Raises Refused."""
     out, beside = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(beside):
-        status = cli.main([*map(str, words), "--quiet"])
+        status = command_line.main([*map(str, words), "--quiet"])
     if status:
         raise Refused(f"{words[0]}: {' '.join((out.getvalue() + beside.getvalue()).split())[-300:]}")
     return out.getvalue()

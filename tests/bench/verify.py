@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import beta
 
-from calib.certify.claim import Claim
-from calib.certify.verification import Verification, verification
-from calib.samples import Samples
-from rig.pose import exp
+from calib.certify.workspace_claim import Claim
+from calib.certify.claim_verification import Verification, verification
+from calib.samples.pose_samples import Samples
+from rig.model.pose import exp
 
 CLAIMS = 300
 WRONG = (1.5, 4.0)  # times the claim's upper end

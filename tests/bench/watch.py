@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.drift.history import History, take
-from rig import design_file, layout
+from calib.drift.visit_history import History, take
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
 from tests.calib.drifting import SIX, changed, rig
 
 RIGS, WEEK, QUIET = 10, 7, 20  # rigs; quiet visits before a change; quiet visits of each rig in all, beside those
@@ -21,7 +22,7 @@ def rows(rigs=RIGS, quiet=QUIET) -> Iterator[tuple[str, str, str]]:
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
-        (base / "rig.toml").write_text(layout.layout(0.3))
+        (base / "rig.toml").write_text(hexapod_layout.layout(0.3))
         design, text = design_file.load(base / "rig.toml"), (base / "rig.toml").read_text()
         for seed in range(rigs):
             one, rng = rig(design, text, seed, base / f"{seed}"), np.random.default_rng([seed, 1])

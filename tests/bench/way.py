@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.held_out import compare, errors_of
+from calib.certify.held_out_errors import compare, errors_of
 from calib.correct.correction import calibrate
-from calib.identify.geometry import pose_jacobian
-from calib.pipeline import sample_recording
-from rig import recording
-from rig.mechanisms import hexapod
-from rig.pose import difference
+from calib.models.platform.identification import pose_jacobian
+from calib.samples.recording_samples import sample_recording
+from rig.recording import recording_folder
+from rig.model.mechanisms import hexapod
+from rig.model.pose import difference
 from tests.cli import RIG
 from tests.conftest import SHARED
 
@@ -45,7 +45,7 @@ def _measured(folder, name, wanted, clock, limit):
     seconds = time.perf_counter() - start
     if clock:
         yield clock, f"{seconds:.1f} s", limit
-    poses = recording.load_poses(folder / name / "poses.csv")
+    poses = recording_folder.load_poses(folder / name / "poses.csv")
     true = RigidTransform.from_matrix(np.array(_truth(name)["poses"]).reshape(-1, 4, 4))
     errors = difference(poses.T_base_platform, true[poses.frame])
     position, rotation = _rms(errors)
@@ -59,7 +59,7 @@ def _measured(folder, name, wanted, clock, limit):
 
 def _corners(out):
     true = {tuple(row[:4]): row[4:6] for row in _truth("first-light")["corners"]}
-    found = recording.load(out).corners
+    found = recording_folder.load(out).corners
     error, seen = [], set()
     for key, uv in zip(zip(found.frame.tolist(), found.camera, found.marker.tolist(), found.corner.tolist()), found.uv):
         if key in true:
@@ -72,7 +72,7 @@ def _corners(out):
 
 
 def _workspace():
-    folder = recording.load(SHARED / "recordings/open-quiet")
+    folder = recording_folder.load(SHARED / "recordings/open-quiet")
     nominal, truth = folder.design.mechanism, _truth("open-quiet")
     true = replace(nominal, base_joints=truth["base_joints"], platform_joints=truth["platform_joints"], strut_zeros=truth["strut_zeros"])
     correction, found = calibrate(sample_recording(folder).samples, nominal)
@@ -91,7 +91,7 @@ def _workspace():
 
 
 def _unused(name):
-    folder = recording.load(SHARED / "recordings" / name)
+    folder = recording_folder.load(SHARED / "recordings" / name)
     samples = sample_recording(folder).samples
     half = np.arange(len(samples)) < len(samples) // 2
     correction, _ = calibrate(samples.take(half), folder.design.mechanism)

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.arms import model, observations
-from calib.samples import Samples
-from rig.design import Actuator, Design, Instrument, Platform
-from rig.pose import exp, log, pose, vector
-from rig.observed import POSE_COLUMNS
-from rig.writing import write_table
+from calib.models.arm import error_model, instrument_observations
+from calib.samples.pose_samples import Samples
+from rig.model.design import Actuator, Design, Instrument, Platform
+from rig.model.pose import exp, log, pose, vector
+from rig.recording.corner_and_pose_tables import POSE_COLUMNS
+from rig.recording.recording_tables import write_table
 from tests.rig.arms import configurations
 
 TRACKER = Instrument("free", "free", 2e-5, 1e-4)
@@ -41,7 +41,7 @@ def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), de
     q = configurations_of(nominal, count - again, rng)
     q = np.concatenate([q, q[:again]])
     scale, shared = (np.repeat(pair, 3) for pair in (sigma, common))
-    T = model.predicted(q if deviation is None else q + deviation(q), true)
+    T = error_model.predicted(q if deviation is None else q + deviation(q), true)
     T = T * exp(shared * rng.normal(size=6) + scale * rng.normal(size=(count, 6)))
     factor = np.tile(np.diag(shared)[:, shared > 0], (count, 1, 1))
     return Samples(np.arange(count), np.arange(count) * 10.0, q, T, np.tile(np.diag(scale**2), (count, 1, 1)), factor)
@@ -50,13 +50,15 @@ def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), de
 def touched(true, nominal, count, rng, sigma=2e-5):
     """Observations of positions alone: a reflector, a ball, a touched point."""
     q = configurations_of(nominal, count, rng)
-    return observations.of_positions(q, model.predicted(q, true).translation + sigma * rng.normal(size=(count, 3)), sigma)
+    return instrument_observations.of_positions(q, error_model.predicted(q, true).translation + sigma * rng.normal(size=(count, 3)), sigma)
 
 
 def wired(true, nominal, count, rng, sigma=5e-5):
     """Observations of one distance: a drawn wire from the frame's origin to the hand."""
     q = configurations_of(nominal, count, rng)
-    return observations.of_distances(q, np.linalg.norm(model.predicted(q, true).translation, axis=1) + sigma * rng.normal(size=count), sigma)
+    return instrument_observations.of_distances(
+        q, np.linalg.norm(error_model.predicted(q, true).translation, axis=1) + sigma * rng.normal(size=count), sigma
+    )
 
 
 def write(folder, nominal, samples, base="free", tool="free", positions_alone=False, sigma=(2e-5, 1e-4)):
@@ -76,13 +78,13 @@ def write(folder, nominal, samples, base="free", tool="free", positions_alone=Fa
 def same_gauge(true, nominal, free):
     """The true arm's parameters less the nominal's, in the fit's own gauge: the fit of noiseless observations."""
     q = configurations(nominal, 200, np.random.default_rng(99), 0.6)
-    T = model.predicted(q, true)
+    T = error_model.predicted(q, true)
     arm = replace(nominal, base=BASE, tool=TOOL)
     for _ in range(30):
-        J = model.parameter_jacobian(q, arm)[..., free].reshape(-1, free.sum())
+        J = error_model.parameter_jacobian(q, arm)[..., free].reshape(-1, free.sum())
         step = np.zeros(len(free))
-        step[free] = np.linalg.lstsq(J, model.residuals(q, T, arm).ravel())[0]
-        arm = model.moved(arm, step)
+        step[free] = np.linalg.lstsq(J, error_model.residuals(q, T, arm).ravel())[0]
+        arm = error_model.moved(arm, step)
         if np.abs(step).max() < 1e-13:
             return arm
     raise AssertionError("no arm of this gauge is the true one")

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from calib.identify import closed_loop
-from calib.identify.geometry import parameters
-from rig.design import Hexapod
-from rig.mechanisms import hexapod
-from rig.pose import exp, pose
+from calib.models.platform import closed_loop_kernels
+from calib.models.platform.identification import parameters
+from rig.model.design import Hexapod
+from rig.model.mechanisms import hexapod
+from rig.model.pose import exp, pose
 
 REGULAR = 50.0  # greatest condition number of the struts' Jacobian, lengths over the platform's radius
 
@@ -39,15 +39,15 @@ def by_differences(m, T, step=1e-5):
         for side, sign in enumerate((-2, -1, 1, 2)):
             moved, R, t = p.copy(), start[:3, :3].copy(), start[:3, 3].copy()
             moved[k] += sign * h
-            assert closed_loop.pose_of(command, moved, R, t)
-            closed_loop.error(start[:3, :3], start[:3, 3], R, t, e[side])
+            assert closed_loop_kernels.pose_of(command, moved, R, t)
+            closed_loop_kernels.error(start[:3, :3], start[:3, 3], R, t, e[side])
         out[:, k] = (8 * (e[2] - e[1]) - (e[3] - e[0])) / (12 * h)
     return out
 
 
 def worst_jacobian(count, seed):
     """Greatest relative disagreement, of the whole matrix, between J_p and differences over `count` random machines and poses."""
-    from calib.identify.geometry import pose_jacobian
+    from calib.models.platform.identification import pose_jacobian
 
     rng = np.random.default_rng(seed)
     worst = 0.0

@@ -6,12 +6,13 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.correct.correction import calibrate
-from calib.drift.visited import choose
-from calib.pipeline import sample_recording
-from rig import plan, recording
-from rig.effects.parse import parse
-from rig.recording import Sensors
-from synthetic import simulation, world
+from calib.drift.visit_configurations import choose
+from calib.samples.recording_samples import sample_recording
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.effects.texts.effect_text import parse
+from rig.recording.recording_folder import Sensors
+from synthetic import recording_simulation, secret_machine as world
 
 NOISE = 0.04  # px
 ROOM = 20.0  # degrees Celsius
@@ -32,8 +33,8 @@ class Rig:
         """Recording of a visit to a folder, after a Change or none."""
         change = change or Change("nothing", self.world)
         weather = _weather(self.route, change.room + 0.2 * rng.normal(), change.load)
-        simulation.write(simulation.simulate(change.world, self.route, rng, weather), folder, self.text, rng, NOISE)
-        return recording.load(folder)
+        recording_simulation.write(recording_simulation.simulate(change.world, self.route, rng, weather), folder, self.text, rng, NOISE)
+        return recording_folder.load(folder)
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,8 @@ def rig(design, text, seed, folder, poses=80):
     rng = np.random.default_rng(seed)
     secret = world.draw(design, rng, 1.0, tuple(map(parse, ALWAYS)))
     route = plan.build(design, f"sobol:{poses}", seed)
-    simulation.write(simulation.simulate(secret, route, rng, _weather(route, ROOM, 0.0)), folder, text, rng, NOISE)
-    sampled = sample_recording(recording.load(folder))
+    recording_simulation.write(recording_simulation.simulate(secret, route, rng, _weather(route, ROOM, 0.0)), folder, text, rng, NOISE)
+    sampled = sample_recording(recording_folder.load(folder))
     correction, found = calibrate(sampled.samples, design.mechanism)
     made = Calibration(correction, found.covariance, found.scatter, tuple(sampled.samples.frame.tolist()), (), None, {})
     return Rig(secret, text, made, visits_of(design, made))

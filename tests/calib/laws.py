@@ -4,9 +4,11 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from rig import machine, plan, recording
-from rig.effects.base import Effect
-from synthetic import simulation, world
+from rig.model import motion_simulation
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.effects.framework.effect import Effect
+from synthetic import recording_simulation, secret_machine
 
 WARM = "sobol:50,warmup:16,sobol:50,warmup:16,sobol:50"  # hours, in which the room and the struts warm each in its own way
 PLAN = "moving:24,sobol:60,ladder:6,moving:24,sobol:40"  # frames with speeds and steps of both directions, over some twenty minutes
@@ -139,14 +141,14 @@ def recorded(folder, design, text, number, seed, seen=2.5e-5):
     line in the struts' travels takes."""
     route = plan.build(design, WARM if number == 2 else PLAN, seed)
     effect, covariates = drawn(number, np.random.default_rng([number, seed]), float(route.t[-1]))
-    bare = simulation.simulate(world.draw(design, np.random.default_rng(seed), 1.0, ()), route, np.random.default_rng(seed))
-    motion = replace(machine.motion(bare.world.true, route.commands, route.t, (), bare.sensors), T=bare.run.T_base_platform)
-    lengths = effect.deviation(motion) + machine.swayed(bare.world.true, motion.T, effect.sway(motion))
+    bare = recording_simulation.simulate(secret_machine.draw(design, np.random.default_rng(seed), 1.0, ()), route, np.random.default_rng(seed))
+    motion = replace(motion_simulation.motion(bare.world.true, route.commands, route.t, (), bare.sensors), T=bare.run.T_base_platform)
+    lengths = effect.deviation(motion) + motion_simulation.swayed(bare.world.true, motion.T, effect.sway(motion))
     lines = np.column_stack([np.ones(len(route.t)), motion.stroke])
     left = lengths - lines @ np.linalg.lstsq(lines, lengths, rcond=None)[0]
     size = fields(effect)[1 if number not in (0, 5) else 2 if number == 0 else 1].name
     effect = replace(effect, **{size: getattr(effect, size) * seen / np.sqrt(np.mean(left[:, left.any(axis=0)] ** 2))})
-    secret = world.draw(design, np.random.default_rng(seed), 1.0, (effect,))
+    secret = secret_machine.draw(design, np.random.default_rng(seed), 1.0, (effect,))
     rng = np.random.default_rng(seed)
-    simulation.write(simulation.simulate(secret, route, rng), folder, text, rng, 0.04)
-    return recording.load(folder), effect, covariates
+    recording_simulation.write(recording_simulation.simulate(secret, route, rng), folder, text, rng, 0.04)
+    return recording_folder.load(folder), effect, covariates

@@ -5,17 +5,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.certificate import Certified
-from calib.commands import command, pace_of
+from calib.certify.platform_certification import Certified
+from calib.models.wanted_pose_commands import command, pace_of
 from calib.correct.correction import calibrate
-from calib.diagnose.problems.platform.diagnose import diagnose
-from calib.diagnose.taken import of_diagnosis, take
-from calib.pipeline import sample_recording
-from rig import layout, machine, mechanisms, plan, recording
-from rig.effects import ALL
-from rig.effects.base import MOTION_STAGES
-from rig.pose import difference
-from synthetic import simulation, world
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from calib.diagnose.platform_findings_refit import of_diagnosis, take
+from calib.samples.recording_samples import sample_recording
+from rig.planning.layout import hexapod_layout
+from rig.model import motion_simulation, mechanisms
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.framework.effect import MOTION_STAGES
+from rig.model.pose import difference
+from synthetic import recording_simulation, secret_machine
 from tests.calib.worlds import rms
 
 ASKED = [kind.name for kind in ALL if kind.stage in MOTION_STAGES]  # what cameras leave out is diagnosed apart, and takes most of the time
@@ -35,9 +38,9 @@ class Driven:
 def write(folder, design, text, seed, effects, route):
     """(Recording at a folder, World) of a rig with effects. text : its rig.toml"""
     rng = np.random.default_rng(seed)
-    secret = world.draw(design, rng, 1.0, tuple(effects))
-    simulation.write(simulation.simulate(secret, plan.build(design, route, seed), rng), folder, text, rng, 0.04)
-    return recording.load(folder), secret
+    secret = secret_machine.draw(design, rng, 1.0, tuple(effects))
+    recording_simulation.write(recording_simulation.simulate(secret, plan.build(design, route, seed), rng), folder, text, rng, 0.04)
+    return recording_folder.load(folder), secret
 
 
 def learnt(rec, sampled, findings, remainder="find"):
@@ -57,11 +60,11 @@ def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES)
     m = secret.stated.mechanism
     T = mechanisms.of(m).forward(plan.low_discrepancy(m.strut_range, poses, 0.75, seed=int(rng.integers(1 << 30))), m)
     t = 30 + np.cumsum(rng.uniform(8, 40, poses))
-    true, log = world.temperatures(t[-1], rng)
+    true, log = secret_machine.temperatures(t[-1], rng)
     payload = np.where(true.t % (2 * LOAD_EVERY) < LOAD_EVERY, 0.0, 0.6 * (secret.stated.platform.mass or 0.0))
     true, log = (replace(s, channels={**s.channels, "payload_mass_kg": payload}) for s in (true, log))
     done = command(calibration, T, mechanisms.of(m).home(m), pace_of(calibration, t, log), log if sensed else None, approach)
-    run = machine.run(secret.true, done.route.commands(np.round(done.values, 10)), t, secret.effects, true)
+    run = motion_simulation.run(secret.true, done.route.commands(np.round(done.values, 10)), t, secret.effects, true)
     errors = difference(T, run.T_base_platform)
     stated = np.sqrt(np.trace(done.covariance[:, :3, :3], axis1=1, axis2=2).mean())
     return Driven(rms(errors), float(stated), () if calibration.physics is None else calibration.physics.undone())
@@ -80,6 +83,6 @@ def three_ways(folder, design, text, seed, effect, route):
 
 def measured_by(text=None, position=4e-6, rotation=3e-5):
     """A rig.toml whose poses an outside instrument sees, in place of cameras: m and rad, standard deviations."""
-    text = layout.layout(0.3) if text is None else text
+    text = hexapod_layout.layout(0.3) if text is None else text
     return text[: text.index("\n[[camera]]")] + (f'\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = {position}\n'
                                                  f"rotation_sigma = {rotation}\n")

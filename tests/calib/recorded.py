@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from rig import plan, recording
-from rig.effects.parse import parse
-from rig.layout import layout
-from synthetic import simulation, world
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.effects.texts.effect_text import parse
+from rig.planning.layout.hexapod_layout import layout
+from synthetic import recording_simulation, secret_machine
 
 PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
 
@@ -13,10 +14,10 @@ PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
 def recorded(folder, design, effects, seed=5, route=PLAN, noise=0.04, logged=True):
     """Recording of a secret machine with effects (texts or Effects), its temperatures logged or not. noise : px"""
     rng = np.random.default_rng(seed)
-    secret = world.draw(design, rng, 1.0, tuple(parse(e) if isinstance(e, str) else e for e in effects))
-    simulation.write(simulation.simulate(secret, plan.build(design, route, seed), rng), folder, layout(0.3), rng, noise)
+    secret = secret_machine.draw(design, rng, 1.0, tuple(parse(e) if isinstance(e, str) else e for e in effects))
+    recording_simulation.write(recording_simulation.simulate(secret, plan.build(design, route, seed), rng), folder, layout(0.3), rng, noise)
     if not logged:
         lines = [line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()]
         kept = [i for i, name in enumerate(lines[0]) if "temperature" not in name]
         (folder / "sensors.csv").write_text("".join(",".join(line[i] for i in kept) + "\n" for line in lines))
-    return recording.load(folder)
+    return recording_folder.load(folder)

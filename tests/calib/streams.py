@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.identify.geometry import parameters, with_parameters
-from calib.online.filter import Online
-from rig.mechanisms import hexapod
-from rig.pose import exp
-from rig.plan import low_discrepancy
-from synthetic import world
+from calib.models.platform.identification import parameters, with_parameters
+from calib.online.information_filter import Online
+from rig.model.mechanisms import hexapod
+from rig.model.pose import exp
+from rig.planning.plan import low_discrepancy
+from synthetic import secret_machine
 from tests.calib.worlds import OWN
 
 COVARIANCE = np.diag(OWN**2)
@@ -29,7 +29,7 @@ class Stream:
 def stream(design, seed, count, at=None, jump=None, moved=None):
     """Stream of `count` poses; from pose `at` on the parameters are off by jump (42,) m, or the measured frame by moved (6,)."""
     rng = np.random.default_rng(seed)
-    before = world.draw(design, rng).true.mechanism
+    before = secret_machine.draw(design, rng).true.mechanism
     after = before if jump is None else with_parameters(before, parameters(before) + jump)
     commands = low_discrepancy(design.mechanism.strut_range, count, 0.9, seed)
     split = count if at is None else at
@@ -49,7 +49,7 @@ def learnt(design, poses, learner=None):
 
 def sigma_of(learner, strut):
     """m, standard error with which the last pose alone told the length of a strut (1..6), everything else as known then."""
-    from calib.online.square_root import KINDS, WINDOW
+    from calib.online.square_root_kernels import KINDS, WINDOW
 
     total = learner.state.estimate.sums[(learner.state.learnt - 1) % WINDOW]
     return float(total[1 + KINDS + (KINDS + 1) * (strut - 1)] ** -0.5)

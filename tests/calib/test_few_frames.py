@@ -5,18 +5,18 @@ import pytest
 from scipy.special import chdtri
 
 from calib.diagnose.engine.candidates import Candidate
-from calib.diagnose.engine.chance import davies, dispersion
-from calib.diagnose.engine.crossvalidate import folds
-from calib.diagnose.engine.linear import Block, Column, LinearModel
-from calib.diagnose.engine.policy import PLATFORM
-from calib.diagnose.engine.products import FrameProducts, solve, stepwise
-from calib.diagnose.engine.score import Score, sharpened
-from calib.diagnose.engine.select import _hidden
-from calib.diagnose.problems.platform.diagnose import diagnose
-from calib.diagnose.problems.platform.heldout import sides
-from calib.diagnose.report.platform import report
-from rig.effects.camera_bump import CameraBump
-from rig.effects.missed_steps import MissedSteps
+from calib.diagnose.engine.chance_probability import davies, dispersion
+from calib.diagnose.engine.cross_validation import folds
+from calib.diagnose.engine.linear_model import Block, Column, LinearModel
+from calib.diagnose.engine.selection_policy import PLATFORM
+from calib.diagnose.engine.frame_inner_products import FrameProducts, solve, stepwise
+from calib.diagnose.engine.candidate_score import Score, sharpened
+from calib.diagnose.engine.term_selection import _hidden
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from calib.diagnose.problems.platform.held_out_validation import sides
+from calib.diagnose.report.platform_report import report
+from rig.effects.catalogue.camera_bump import CameraBump
+from rig.effects.catalogue.missed_steps import MissedSteps
 from tests.calib.recorded import recorded
 
 FRAMES, ROWS, DRAWS = 30, 14, 500  # of a camera, numbers that each shows, worlds with nothing in them

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.crossvalidate import RIDGE, held_out
-from calib.diagnose.engine.linear import Block, Column, LinearModel
+from calib.diagnose.engine.cross_validation import RIDGE, held_out
+from calib.diagnose.engine.linear_model import Block, Column, LinearModel
 
 FRAMES, NUISANCES = 12, 5
 FOLDS = {"stretches": np.repeat([0, 1, 2], 4), "scattered": np.tile([0, 1, 2], 4)}

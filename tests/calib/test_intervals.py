@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.chance import Z95
-from calib.diagnose.problems.platform import tolerated
+from calib.diagnose.engine.chance_probability import Z95
+from calib.diagnose.problems.platform import tolerance_columns
 from calib.diagnose.problems.platform.operating_point import of_recording
-from calib.diagnose.problems.platform.refine import Refined, refine, refine_standing
-from calib.diagnose.problems.platform.sensitivities import Sensitivities
-from calib.diagnose.problems.platform.widened import of_tolerances, told, widened
-from calib.diagnose.report import words
-from calib.diagnose.report.schema import FindingEntry, Value, bounded
-from rig.effects.coordinate import coordinates_of
-from rig.effects.parse import parse
-from rig.tolerances import SIDES
-from synthetic import printing
+from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine, refine_standing
+from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnose.problems.platform.interval_widening import of_tolerances, told, widened
+from calib.diagnose.report import report_sentences
+from calib.diagnose.report.diagnosis_json import FindingEntry, Value, bounded
+from rig.effects.framework.fit_coordinates import coordinates_of
+from rig.effects.texts.effect_text import parse
+from rig.model.manufacturing_tolerances import SIDES
+from synthetic import printing_errors
 from tests.calib.recorded import recorded
 
 ROUTE, SCALE, SIDE = "sobol:24", "print_scale:markers:scale=2e-3", 1e-4
@@ -31,16 +31,16 @@ def fitted(folder, design, printed):
 
 def larger(k, place, by):
     """The OperatingPoint with one marker's corners seen where they are on a larger one."""
-    one = printing.Printing("markers", (0.0,) * (2 * len(k.observed.markers.id)), tuple(by * (k.observed.markers.id == int(place.split()[1]))))
+    one = printing_errors.Printing("markers", (0.0,) * (2 * len(k.observed.markers.id)), tuple(by * (k.observed.markers.id == int(place.split()[1]))))
     seen = k.observed.observations
     return replace(k, seen=replace(k.observed, observations=replace(seen, uv=seen.uv + k.pixels((*k.effects, one)) - k.pixels())))
 
 
 def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design):
     """A marker's side moves the scale of all as a fit to corners so moved finds it; they vary as much as the recording shows, not as is tolerated."""
-    prints = printing.drawn(design, np.random.default_rng(3), 3e-6, SIDE)
+    prints = printing_errors.drawn(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
-    found = tolerated.tolerated(refined.marginalised, sensitivities)
+    found = tolerance_columns.tolerated(refined.marginalised, sensitivities)
     sigma = told(found.projected(refined.marginalised), found)
     singles = {s.place: s.columns.start for s in found.sites if s.effect == "print_scale" and s.place != "markers"}
     together = next(s.columns for s in found.sites if s.place == "markers")
@@ -75,8 +75,10 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
     p = bounded(value, "s", (low, high), effect.parameters[1].bounds)
     assert p.open == left_open and p.ci95 == [low, high]
     finding = FindingEntry("warm_up", "strut 2", {"time_constant": p})
-    assert said in words.parameter_rows(finding)[0][2] and (left_open is None or f"time_constant 1800.0 s ({said})" in words.line(finding))
-    assert (words.size(finding) == ", time constant 1800.0 s (not determined)") is (left_open == "both")
+    assert said in report_sentences.parameter_rows(finding)[0][2] and (
+        left_open is None or f"time_constant 1800.0 s ({said})" in report_sentences.line(finding)
+    )
+    assert (report_sentences.size(finding) == ", time constant 1800.0 s (not determined)") is (left_open == "both")
 
 
 @pytest.mark.parametrize(("ends", "left_open", "said"), [((4e-5, 2.1e-3), "above", "40 µm or more"), ((-3e-3, 6e-5), "below", "60 µm or less"),
@@ -84,6 +86,6 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
 def test_an_interval_that_is_cut_off_at_one_end_says_so(ends, left_open, said):
     p = bounded(5e-5, "m", ends, (-2e-3, 2e-3))
     finding = FindingEntry("warm_up", "strut 2", {"amplitude": p})
-    assert p.open == left_open and words.parameter_rows(finding) == [("amplitude", "50 µm", said)]
-    assert words.size(finding) == f", amplitude 50 µm (95 %: {said.replace(' µm', '')})"
+    assert p.open == left_open and report_sentences.parameter_rows(finding) == [("amplitude", "50 µm", said)]
+    assert report_sentences.size(finding) == f", amplitude 50 µm (95 %: {said.replace(' µm', '')})"
     assert bounded(1.0, "", (0.5, 2.0), (-3, 3)) == Value(1.0, "", [0.5, 2.0])

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig import plan, recording
-from rig.effects.parse import parse
-from rig.layout import layout
-from rig.observed import Poses
-from rig.pose import exp
-from synthetic import simulation, world
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.effects.texts.effect_text import parse
+from rig.planning.layout.hexapod_layout import layout
+from rig.recording.corner_and_pose_tables import Poses
+from rig.model.pose import exp
+from synthetic import recording_simulation, secret_machine
 
 POSE = np.array([5e-6] * 3 + [3e-5] * 3)  # m, rad; noise of a pose, as stated
 ROUTE = "sobol:60,ladder:4,moving:12"
@@ -18,9 +19,9 @@ ROUTE = "sobol:60,ladder:4,moving:12"
 def posed(folder, design, effects, seed, route=ROUTE):
     """Recording of a secret hexapod whose poses an instrument measured."""
     rng = np.random.default_rng(seed)
-    done = simulation.simulate(world.draw(design, rng, 1.0, tuple(map(parse, effects))), plan.build(design, route, seed), rng)
-    simulation.write(done, folder, layout(0.3), rng, 0.04)
-    rec, T = recording.load(folder), done.run.T_base_platform
+    done = recording_simulation.simulate(secret_machine.draw(design, rng, 1.0, tuple(map(parse, effects))), plan.build(design, route, seed), rng)
+    recording_simulation.write(done, folder, layout(0.3), rng, 0.04)
+    rec, T = recording_folder.load(folder), done.run.T_base_platform
     frames = rec.exposures.times()[0]
     poses = Poses(frames, T * exp(POSE * rng.normal(size=(len(frames), 6))), np.tile(np.diag(POSE**2), (len(frames), 1, 1)))
     return replace(rec, corners=None, poses=poses)

@@ -14,11 +14,11 @@ from typing import get_args
 import pytest
 
 from docs.make import commands, messages, rig_toml, tables
-from rig.cli import COMMANDS
-from rig.commands.usage import add_common
+from rig.cli.command_line import COMMANDS
+from rig.cli.shared.argument_parser import add_common
 from rig.errors import FileError
-from rig.kinds import Mechanism
-from rig.recording import load
+from rig.model.mechanism_kinds import Mechanism
+from rig.recording.recording_folder import load
 from tests.docs import told
 
 ROOT = told.ROOT
@@ -37,7 +37,7 @@ def test_tables_are_current():
 def keys_read() -> set[str]:
     """Keys that stand as words in the reader's own calls."""
     found = set()
-    for path in (*(ROOT / "rig").glob("*_entries.py"), ROOT / "rig" / "design_file.py", ROOT / "rig" / "dynamics_file.py"):
+    for path in (ROOT / "rig" / "formats" / "rig_toml").glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in READERS and node.args \
                     and isinstance(node.args[0], ast.Constant):
@@ -56,7 +56,7 @@ def test_every_kind_of_mechanism_is_on_the_page():
 
 
 def test_every_file_of_a_recording_is_on_the_page():
-    assert {part for part in re.findall(r'"(\w+\.csv)"', (ROOT / "rig" / "recording.py").read_text())} == set(tables.asked())
+    assert {part for part in re.findall(r'"(\w+\.csv)"', (ROOT / "rig" / "recording" / "recording_folder.py").read_text())} == set(tables.asked())
 
 
 def refusal(folder: Path) -> str:
@@ -87,7 +87,7 @@ def test_every_kind_of_error_and_every_mistake_is_told():
 
 def parsed(words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(exit_on_error=False)
-    importlib.import_module(f"rig.commands.{words[0].replace('-', '_')}").arguments(parser)
+    importlib.import_module(f"rig.cli.{words[0].replace('-', '_')}").arguments(parser)
     add_common(parser, words[0])
     return parser.parse_args(words[1:])
 

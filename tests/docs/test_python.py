@@ -12,14 +12,14 @@ import calib
 import rig
 import vision
 from rig.errors import FileError
-from rig.notebook import shown
+from rig.report.notebook_display import shown
 from tests.docs.told import ROOT
 
 PACKAGES = (rig, vision, calib)
 BENCH = ROOT / "tests" / "data" / "bench" / "check"
 EXAMPLES = [".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for package in ("rig", "vision", "calib", "synthetic")
             for path in sorted((ROOT / package).rglob("*.py")) if ">>> " in path.read_text(encoding="utf-8")]
-LONG = ("vision.recorded",)  # measure images
+LONG = ("vision.recording_measurement",)  # measure images
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)

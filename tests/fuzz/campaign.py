@@ -13,10 +13,35 @@ from hashlib import sha256
 from pathlib import Path
 from types import FunctionType, ModuleType
 
-WATCHED = ("rig.table", "rig.entries", "rig.json_file", "rig.outside", "rig.origin", "rig.images", "rig.exposures", "rig.observed", "rig.recording",
-           "rig.design_file", "rig.toml_positions", "rig.json_positions", "rig.number", "rig.visible", "rig.pipelines", "rig.controller",
-           "rig.page.server", "calib.store_checks", "calib.mechanism_file", "rig.effects.parse", "calib.store", "calib.online.state_file",
-           "synthetic.score", "synthetic.world", "synthetic.machines", "vision.lenses.board", "tomllib._parser")
+WATCHED = (
+    "rig.formats.csv_table",
+    "rig.formats.checked_entries",
+    "rig.formats.json_file",
+    "rig.formats.input_files",
+    "rig.recording.time_origin",
+    "rig.recording.image_file_check",
+    "rig.recording.exposures",
+    "rig.recording.corner_and_pose_tables",
+    "rig.recording.recording_folder",
+    "rig.formats.rig_toml.design_file",
+    "rig.formats.toml_positions",
+    "rig.formats.json_positions",
+    "rig.formats.number_parsing",
+    "rig.formats.printable_text",
+    "rig.driving.cameras.gstreamer_pipelines",
+    "rig.model.controller_settings",
+    "rig.report.pages.run_page_server",
+    "calib.files.calibration_file_checks",
+    "calib.files.mechanism_json",
+    "rig.effects.texts.effect_text",
+    "calib.files.calibration_file",
+    "calib.online.filter_state_file",
+    "synthetic.diagnosis_score",
+    "synthetic.secret_machine",
+    "synthetic.secret_geometry",
+    "vision.lenses.calibration_board",
+    "tomllib._parser",
+)
 SHARES = {"rig.toml": 0.25, "image": 4.0, "effect": 3.0, "place": 3.0, "board": 3.0, "trials": 3.0, "effect as JSON": 2.0, "plan": 0.02,
           "calibration.json": 0.1, "state.json": 0.1, "frames.csv": 0.5, "sensors.csv": 0.5, "commands.csv": 0.5,
           "whole calibration.json": 0.1, "number": 3.0, "text shown": 3.0, "port": 3.0, "pipeline": 3.0}  # of the inputs, 1 by default

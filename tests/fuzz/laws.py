@@ -7,16 +7,16 @@ from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 
-from calib import store
-from rig import design_file
-from rig.controller import SCHEMES, port_problem
-from rig.design import Actuator
+from calib.files import calibration_file
+from rig.formats.rig_toml import design_file
+from rig.model.controller_settings import SCHEMES, port_problem
+from rig.model.design import Actuator
 from rig.errors import RigError
-from rig.json_positions import Places, doubled
-from rig.number import number, whole
-from rig.pipelines import complaint
-from rig.page import server
-from rig.visible import visible
+from rig.formats.json_positions import Places, doubled
+from rig.formats.number_parsing import number, whole
+from rig.driving.cameras.gstreamer_pipelines import complaint
+from rig.report.pages import run_page_server
+from rig.formats.printable_text import visible
 
 PLAIN = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 TOKEN = "a-token-that-nobody-guesses"
@@ -61,7 +61,7 @@ def _toml(table: str, line: str) -> str:
 
 def a_calibration(path: Path) -> None:
     """A calibration.json that is taken has no key twice, states the units, frames and order in which it is read, and holds what its schema says."""
-    store.load(path)
+    calibration_file.load(path)
     doubles: list[str] = []
 
     def looked(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -69,10 +69,10 @@ def a_calibration(path: Path) -> None:
         return dict(pairs)
 
     tree = json.loads(path.read_bytes().decode("utf-8-sig"), object_pairs_hook=looked)
-    assert not doubles and tree["units"] == store.UNITS and tree["frames"] == store.FRAMES
-    assert tree["parameter_order"] == store.PARAMETERS[tree["nominal"]["kind"]]
-    assert ("physics" in tree) == (tree["schema"] == store.WITH_PHYSICS) or tree["schema"] == store.WITH_POSE_MAPS
-    assert ("pose_maps" in tree) == (tree["schema"] == store.WITH_POSE_MAPS)
+    assert not doubles and tree["units"] == calibration_file.UNITS and tree["frames"] == calibration_file.FRAMES
+    assert tree["parameter_order"] == calibration_file.PARAMETERS[tree["nominal"]["kind"]]
+    assert ("physics" in tree) == (tree["schema"] == calibration_file.WITH_PHYSICS) or tree["schema"] == calibration_file.WITH_POSE_MAPS
+    assert ("pose_maps" in tree) == (tree["schema"] == calibration_file.WITH_POSE_MAPS)
     for name in ("nominal", "fitted"):
         assert all(0 < low < high <= 50 for low, high in tree[name]["strut_range"])
 
@@ -154,7 +154,7 @@ def requests_to_a_page(path: Path) -> None:
     page = SimpleNamespace(token=TOKEN, port=8000, pressed=lambda: pressed.append(True), image=lambda name: b"jpeg" if name == "cam0" else None,
                            listen=lambda after, seconds: (1, b"{}", False), take_line=lambda more: True)
     wire = Wire(data.replace(b"TOKEN", TOKEN.encode()))
-    server._Handler(wire, ("127.0.0.1", 1), SimpleNamespace(page=page, admit=lambda request: True))  # type: ignore[arg-type]
+    run_page_server._Handler(wire, ("127.0.0.1", 1), SimpleNamespace(page=page, admit=lambda request: True))  # type: ignore[arg-type]
     if b"TOKEN" not in data:
         assert not pressed and b" 200 " not in wire.answer, wire.answer[:80]
     if pressed:

@@ -10,25 +10,29 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calib import store
+from calib.files import calibration_file
 from calib.certify.calibration import Calibration
-from calib.certify.held_out import Figures, HeldOut
+from calib.certify.held_out_errors import Figures, HeldOut
 from calib.correct.correction import Correction
-from calib.online.filter import Online
-from rig import design_file, importing, layout, plan, recording, table
-from rig.commands import blind
-from rig.effects import ALL
-from rig.effects.parse import asked, from_dict, parse, placed
+from calib.online.information_filter import Online
+from rig.formats.rig_toml import design_file
+from rig.formats import importers, csv_table
+from rig.planning.layout import hexapod_layout
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.cli import blind
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.texts.effect_text import asked, from_dict, parse, placed
 from rig.errors import RigError
-from rig.exposures import load_exposures
-from rig.images import check_image
-from rig.importing import frames
-from rig.importing.recipe import ForeignTable
-from rig.observed import COVARIANCE_COLUMNS, load_corners, load_poses
-from rig.pose import TRIANGLE
-from synthetic import score, simulation, world
+from rig.recording.exposures import load_exposures
+from rig.recording.image_file_check import check_image
+from rig.formats.importers import image_file_frames as frames
+from rig.formats.importers.import_recipe import ForeignTable
+from rig.recording.corner_and_pose_tables import COVARIANCE_COLUMNS, load_corners, load_poses
+from rig.model.pose import TRIANGLE
+from synthetic import diagnosis_score, recording_simulation, secret_machine
 from tests.fuzz.laws import laws
-from vision.lenses import board
+from vision.lenses import calibration_board
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +46,17 @@ class Reader:
 
 def readers(folder: Path) -> list[Reader]:
     """All of them. folder : where what they read beside their input is kept"""
-    text = layout.layout(0.3, cameras=2, width=640, height=480, cubes=2)
+    text = hexapod_layout.layout(0.3, cameras=2, width=640, height=480, cubes=2)
     (folder / "rig.toml").write_text(text)
     design = design_file.load(folder / "rig.toml")
     rng = np.random.default_rng(1)
-    done = simulation.simulate(world.draw(design, rng, 1.0, (parse("backlash:strut2:gap=4e-5"),)), plan.build(design, "sobol:3"), rng)
-    simulation.write(done, folder, text, rng, 0.04)
+    done = recording_simulation.simulate(
+        secret_machine.draw(design, rng, 1.0, (parse("backlash:strut2:gap=4e-5"),)), plan.build(design, "sobol:3"), rng
+    )
+    recording_simulation.write(done, folder, text, rng, 0.04)
     for name, keep in (("corners.csv", 9), ("sensors.csv", 99), ("commands.csv", 99)):
         (folder / name).write_text("\n".join((folder / name).read_text().splitlines()[:keep]) + "\n")
-    held = recording.load(folder)
+    held = recording_folder.load(folder)
     known = [*_files(folder, design, held), *_json(folder, design, done), *_texts(design), *_foreign(folder, design)]
     return known + [Reader(*law) for law in laws((folder / "calibration.json").read_bytes())]
 
@@ -60,12 +66,12 @@ def _files(folder, design, held):
         return ((folder / name).read_bytes(),)
 
     def frames(path):
-        rows = table.read(path, ("frame", "t", "camera", "image"))
-        return load_exposures(folder, design, rows, recording._origin(rows))
+        rows = csv_table.read(path, ("frame", "t", "camera", "image"))
+        return load_exposures(folder, design, rows, recording_folder._origin(rows))
 
     def commands(path):
-        rows = recording._command_rows(path, design)
-        return recording._commands(rows, design, held.exposures, recording._origin(rows))
+        rows = recording_folder._command_rows(path, design)
+        return recording_folder._commands(rows, design, held.exposures, recording_folder._origin(rows))
 
     poses = ",".join(["frame", "x", "y", "z", "rx", "ry", "rz", *COVARIANCE_COLUMNS])
     row = ",".join(map(str, ["0", 0.1, 0.2, 0.3, 0.1, 0.0, 0.2, *np.eye(6)[TRIANGLE] * 1e-8]))
@@ -74,7 +80,7 @@ def _files(folder, design, held):
            b'[instrument]\nbase = "free"\ntool = "rig"\nposition_sigma = 1e-5\n')
     return [Reader("rig.toml", (*seed("rig.toml"), arm), design_file.load), Reader("frames.csv", seed("frames.csv"), frames),
             Reader("commands.csv", seed("commands.csv"), commands),
-            Reader("sensors.csv", seed("sensors.csv"), lambda path: recording._sensors(path, held.origin, held.exposures)),
+            Reader("sensors.csv", seed("sensors.csv"), lambda path: recording_folder._sensors(path, held.origin, held.exposures)),
             Reader("corners.csv", seed("corners.csv"), lambda path: load_corners(path, design, held.exposures)),
             Reader("poses.csv", (f"{poses}\n{row}\n".encode(),), load_poses), Reader("image", pictures, check_image)]
 
@@ -82,10 +88,10 @@ def _files(folder, design, held):
 def _json(folder, design, done):
     m = design.mechanism
     figures = Figures(9, (1e-3,) * 3, (1e-3,) * 3, (0.0,) * 6, (1e-3, 1e-3))
-    store.save(folder / "calibration.json", Calibration(Correction(m, m, (None,) * 6), np.eye(42) * 1e-8, np.zeros(6), (0, 1), (2,),
+    calibration_file.save(folder / "calibration.json", Calibration(Correction(m, m, (None,) * 6), np.eye(42) * 1e-8, np.zeros(6), (0, 1), (2,),
                                                                HeldOut(figures, figures, (1e-5, 1e-5), (2.0, 1.0, 3.0), 9), {"seed": 0}))
     Online(m).save(folder / "state.json")
-    world.write_truth(folder / "truth.json", done.world, done.run.T_base_platform, kind="one", disturbance=None, strengths=[9.0])
+    secret_machine.write_truth(folder / "truth.json", done.world, done.run.T_base_platform, kind="one", disturbance=None, strengths=[9.0])
     finding = {"effect": "backlash", "place": "strut 2", "parameters": {"gap": {"value": 4e-5, "unit": "m", "ci95": [3e-5, 5e-5]}},
                "cannot_be_told_from": [{"effect": "creep", "place": "rig"}]}
     diagnosis = {"findings": [finding], "unexplained": None, "fit": {"heldout_after": 1.0, "noise_floor": 0.9}}
@@ -95,17 +101,17 @@ def _json(folder, design, done):
         return ((folder / name).read_bytes(),)
 
     def judged(case):
-        return score.figures([case]), score.medians([case])
+        return diagnosis_score.figures([case]), diagnosis_score.medians([case])
 
     def record(path):
         (folder / "diagnoses" / "0001.json").write_bytes(path.read_bytes())
         with contextlib.redirect_stderr(io.StringIO()):
             return blind._record(folder, 1)
 
-    return [Reader("calibration.json", seed("calibration.json"), store.load), Reader("state.json", seed("state.json"), Online.load),
-            Reader("truth.json", seed("truth.json"), lambda path: world.from_truth(path, design)),
-            Reader("sealed truth", seed("truth.json"), lambda path: judged(score.case(1, path, None))),
-            Reader("diagnosis.json", (json.dumps(diagnosis).encode(),), lambda path: judged(score.case(1, folder / "truth.json", path))),
+    return [Reader("calibration.json", seed("calibration.json"), calibration_file.load), Reader("state.json", seed("state.json"), Online.load),
+            Reader("truth.json", seed("truth.json"), lambda path: secret_machine.from_truth(path, design)),
+            Reader("sealed truth", seed("truth.json"), lambda path: judged(diagnosis_score.case(1, path, None))),
+            Reader("diagnosis.json", (json.dumps(diagnosis).encode(),), lambda path: judged(diagnosis_score.case(1, folder / "truth.json", path))),
             Reader("record", (b'{"seconds": 1.5, "failed": null}\n', b'{"seconds": 1.5, "failed": "no"}\n'), record),
             Reader("effect as JSON", tuple(json.dumps({"effect": e.name, "place": "rig", "parameters": {p.name: 0 for p in e.parameters}}).encode()
                                            for e in ALL), lambda path: placed(from_dict(_loaded(path)), design))]
@@ -128,7 +134,7 @@ def _texts(design):
     return [Reader("effect", effects, of(lambda text: placed(parse(text), design))), Reader("plan", plans, of(lambda text: plan.build(design, text))),
             Reader("place", (b"backlash strut 2", b"camera_bump camera cam0", b"marker_swap", b"cube_misplacement target P1"),
                    of(lambda text: asked(text, design))),
-            Reader("board", (b"charuco:8x6:0.03:0.022:DICT_5X5_100", b"aruco:8x6:0.03:0.01:DICT_5X5_100"), of(board.parse)),
+            Reader("board", (b"charuco:8x6:0.03:0.022:DICT_5X5_100", b"aruco:8x6:0.03:0.01:DICT_5X5_100"), of(calibration_board.parse)),
             Reader("trials", (b"3,7-9", b"1"), of(lambda text: blind._indices(text, 100)))]
 
 
@@ -144,7 +150,7 @@ def _foreign(folder, design):
     log = b"t [s];Ambient temp [K]\n0,5;293,15\n1,5;293,25\n"
     recipe = (b'schema = "import/1"\nrig = "rig.toml"\n[images]\nfolders = ["in"]\ntolerance = 0.01\n[images.cameras]\nleft = "cam0"\n'
               b'[commands]\nfile = "c.csv"\nunit = "mm"\nshift = 1.5\n[commands.columns]\nl1 = "Bein 1"\n')
-    Images = importing.recipe.Images
+    Images = importers.import_recipe.Images
 
     def names(path):
         lines = path.read_bytes().decode("utf-8", "replace").splitlines()[:50]
@@ -153,10 +159,10 @@ def _foreign(folder, design):
         found = frames.of_folder(files, Path("in"), {name: name for name in cameras}, None, cameras)
         return frames.exposed(found, Images((Path("in"),)), lambda t: True) if found else None
 
-    return [Reader("foreign commands", (german, plain), lambda path: importing.commands.commands(ForeignTable(path), design)),
-            Reader("foreign poses", (turns, angles), lambda path: importing.poses.poses(
+    return [Reader("foreign commands", (german, plain), lambda path: importers.command_table.commands(ForeignTable(path), design)),
+            Reader("foreign poses", (turns, angles), lambda path: importers.pose_table.poses(
                 ForeignTable(path, rotation_unit="deg", rotation="zyx") if b"roll" in
                 path.read_bytes() else ForeignTable(path), design, lambda *_: None, lambda t: True)),
-            Reader("foreign sensors", (log,), lambda path: importing.sensors.sensors(ForeignTable(path), lambda t: True)),
-            Reader("recipe", (recipe,), importing.load),
+            Reader("foreign sensors", (log,), lambda path: importers.sensor_table.sensors(ForeignTable(path), lambda t: True)),
+            Reader("recipe", (recipe,), importers.load),
             Reader("names of images", (b"cam0_1763800000123.png\ncam1_1763800000125.png\ncam0_1763800001123.png", b"cam0/1.png\ncam1/1.png"), names)]

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.controller import PROTOCOLS, Controller
-from rig.emulator.build import home_lengths
-from rig.recording import Commands, Sensors
+from rig.model.controller_settings import PROTOCOLS, Controller
+from rig.driving.emulators.emulator_construction import home_lengths
+from rig.recording.recording_folder import Commands, Sensors
 from tests.rig.judge import bench
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.emulator.faults import Order
+from rig.driving.emulators.controller_faults import Order
 
 STEP = np.array([1, -1, 1, 0.5, 0.25, -1]) * 1e-3
 

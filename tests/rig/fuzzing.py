@@ -5,18 +5,18 @@ from contextlib import suppress
 
 import numpy as np
 
-from rig.clock import SimulatedClock
-from rig.emulator.axes import Axes
-from rig.emulator.faults import Faults
-from rig.emulator.machine import Machine
-from rig.emulator.struts import Struts as EmulatedStruts
+from rig.driving.clock import SimulatedClock
+from rig.driving.emulators.moving_axes import Axes
+from rig.driving.emulators.controller_faults import Faults
+from rig.driving.emulators.emulated_machine import Machine
+from rig.driving.emulators.own_strut_protocol import Struts as EmulatedStruts
 from rig.errors import MotionError
-from rig.link import Link
-from rig.protocols.base import Segment
-from rig.protocols.gcs import GCS
-from rig.protocols.grblhal import GrblHAL
-from rig.protocols.linuxcnc import LinuxCNC
-from rig.protocols.struts import Struts
+from rig.driving.controller_link import Link
+from rig.driving.protocols.protocol_interface import Segment
+from rig.driving.protocols.gcs import GCS
+from rig.driving.protocols.grblhal import GrblHAL
+from rig.driving.protocols.linuxcnc import LinuxCNC
+from rig.driving.protocols.own_strut_protocol import Struts
 
 MAKE = {"grblhal": lambda: GrblHAL("XYZABC"), "gcs": lambda: GCS((), 6), "struts": lambda: Struts(6, 1.0),
         "linuxcnc": lambda: LinuxCNC("XYZABC", "joint", "EMC", "EMCTOO")}
@@ -28,7 +28,7 @@ TELLING = 3  # the dialogue among them that moves, once
 
 
 class Noise:
-    """See rig.link.Port: answers each write with the next piece of some bytes, then with silence."""
+    """See rig.driving.controller_link.Port: answers each write with the next piece of some bytes, then with silence."""
 
     def __init__(self, data, clock):
         self.pieces = [data[i:i + 64] for i in range(0, len(data), 64)]

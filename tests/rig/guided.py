@@ -4,7 +4,14 @@ import sys
 
 import atheris
 
-with atheris.instrument_imports(include=["rig.protocols", "rig.link", "rig.emulator.struts", "rig.emulator.emulator"]):
+with atheris.instrument_imports(
+    include=[
+        "rig.driving.protocols",
+        "rig.driving.controller_link",
+        "rig.driving.emulators.own_strut_protocol",
+        "rig.driving.emulators.controller_emulator",
+    ]
+):
     from tests.rig.fuzzing import answers, requests
 
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rig import emulator as emulators
-from rig.clock import SimulatedClock
-from rig.driver import Driver
-from rig.emulator.build import home_lengths
-from rig.emulator.faults import Faults, parse
-from rig.emulator.port import EmulatorPort
+from rig.driving import emulators
+from rig.driving.clock import SimulatedClock
+from rig.driving.driver import Driver
+from rig.driving.emulators.emulator_construction import home_lengths
+from rig.driving.emulators.controller_faults import Faults, parse
+from rig.driving.emulators.in_process_port import EmulatorPort
 from rig.errors import MotionError, PositionLost
 
 ARRIVED = 2e-6  # m of the true struts; the wires' resolution

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.cameras.settled import settling
-from rig.cameras.source import CameraError, Frame
-from rig.cameras.together import Shutter
-from rig.clock import SimulatedClock
-from rig.journal import Arrival, Began, Journal
-from rig.operate import Bench, Operator
-from rig.plan import build
-from rig.steps import steps
-from rig.way import trapezoid
+from rig.driving.cameras.settling_check import settling
+from rig.driving.cameras.camera_interface import CameraError, Frame
+from rig.driving.cameras.camera_synchronisation import Shutter
+from rig.driving.clock import SimulatedClock
+from rig.driving.run_journal import Arrival, Began, Journal
+from rig.driving.operator_loop import Bench, Operator
+from rig.planning.plan import build
+from rig.driving.run_steps import steps
+from rig.driving.trapezoidal_profile import trapezoid
 
 SPEED, RAMP = 0.05, 0.2  # m/s, s
 AXES = tuple(f"l{i}" for i in range(1, 7))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.controller import PROTOCOLS, Controller
-from rig.design import Camera, SensorPort
+from rig.model.controller_settings import PROTOCOLS, Controller
+from rig.model.design import Camera, SensorPort
 
 DOCS = Path(__file__).parents[2] / "docs"
 

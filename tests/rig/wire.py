@@ -4,7 +4,7 @@ from rig.errors import LinkLost
 
 
 class ScriptedPort:
-    """See rig.link.Port. script : pairs of bytes, sent and answered; None for an answer: the connection is lost."""
+    """See rig.driving.controller_link.Port. script : pairs of bytes, sent and answered; None for an answer: the connection is lost."""
 
     def __init__(self, script, clock):
         self.script, self.clock = list(script), clock

@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identify.geometry import pose_jacobian
-from rig import machine, plan
-from rig.effects import BY_NAME
-from rig.effects.parse import parse
-from rig.pose import exp
-from synthetic import simulation, world
+from calib.models.platform.identification import pose_jacobian
+from rig.model import motion_simulation
+from rig.planning import plan
+from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.texts.effect_text import parse
+from rig.model.pose import exp
+from synthetic import recording_simulation, secret_machine
 from vision import lens
 from vision.predict import State, facing, inside, see
 from vision.targets import marker_map
@@ -43,7 +44,7 @@ SWALLOWED = {"refraction cam1", "lens_distortion cam1"}  # a lens swallows a win
 def signatures(design):
     rng = np.random.default_rng(0)
     route = plan.build(design, "standard", 1)
-    s = simulation.simulate(world.draw(design, rng, 0.0), route, rng)
+    s = recording_simulation.simulate(secret_machine.draw(design, rng, 0.0), route, rng)
     markers, T = marker_map(design), s.run.T_base_platform
     found = facing(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
     found = found.take(inside(found, see(found, State(design.cameras, T, {}), markers), design.cameras))
@@ -63,7 +64,7 @@ def signatures(design):
     for text in EFFECTS:
         effect = parse(text)
         rolls = effect.name == "rolling_shutter"
-        run = machine.run(design, route.commands, route.t, [effect], s.sensors, rates=rolls)
+        run = motion_simulation.run(design, route.commands, route.t, [effect], s.sensors, rates=rolls)
         seen = see(found, State(design.cameras, run.T_base_platform, {}), markers, route.t, [effect], s.sensors, run if rolls else None)
         raw = seen.ravel() - clean
         rest = raw - Q @ (Q.T @ raw)

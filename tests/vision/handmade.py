@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.design import FACES, Actuator, Camera, Design, Free, Marker, Platform, Target
-from rig.pose import exp, pose
-from rig.recording import Corners
+from rig.model.design import FACES, Actuator, Camera, Design, Free, Marker, Platform, Target
+from rig.model.pose import exp, pose
+from rig.recording.recording_folder import Corners
 from vision.predict import State, facing, see
 from vision.targets import face_pose, marker_map
 

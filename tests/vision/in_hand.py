@@ -3,15 +3,15 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig import layout
-from rig.layout_parts import camera, cube_lines
+from rig.planning.layout import hexapod_layout
+from rig.planning.layout.layout_elements import camera, cube_lines
 
 WIDE, SIZE, EDGE = 0.62, (640, 512), 0.075  # rad to either side; px; m
 
 
 def text():
     """Its rig.toml."""
-    whole = layout.layout(0.3)
+    whole = hexapod_layout.layout(0.3)
     looks = RigidTransform.from_components([0.0, 0.0, -0.04], Rotation.from_rotvec([np.pi, 0, 0]))
     lines = camera("cam0", looks, WIDE, SIZE, "hand")
     for i in range(6):

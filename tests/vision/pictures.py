@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from rig.design import Camera
-from rig.pose import pose
+from rig.model.design import Camera
+from rig.model.pose import pose
 from vision.targets import marker_cells
 
 SIZE = 180

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from rig.pose import log
+from rig.model.pose import log
 from tests.vision.handmade import Handmade, handmade
-from vision.bundle.places import doubtful, moves
-from vision.bundle.motions import aligned
-from vision.measure import Measurement
-from vision.observations import from_corners
-from vision.recorded import solve
+from vision.bundle.marker_displacements import doubtful, moves
+from vision.bundle.estimate_update import aligned
+from vision.recording_adjustment import Measurement
+from vision.corner_observations import from_corners
+from vision.recording_measurement import solve
 from vision.targets import marker_map
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.design import DISTORTION_TERMS
+from rig.model.design import DISTORTION_TERMS
 from vision import lens
 
 TERMS = np.array([-0.12, 0.09, 4e-4, -3e-4, 0.02, 0.05, 0.01, 0.003, 1e-3, 2e-3, -1e-3, 5e-4, 0.01, -0.02])

@@ -3,15 +3,18 @@
 import numpy as np
 import pytest
 
-from rig import design_file, layout, plan, recording
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.planning import plan
+from rig.recording import recording_folder
 from rig.errors import NotEnoughData
-from rig.mechanisms import hexapod
-from rig.pose import difference
-from synthetic import simulation, world
-from vision.bundle import adjust as adjusting
-from vision.bundle.crossvalidate import crossvalidate
-from vision.bundle.determined import determined
-from vision.recorded import measure_recording
+from rig.model.mechanisms import hexapod
+from rig.model.pose import difference
+from synthetic import recording_simulation, secret_machine
+from vision.bundle import bundle_adjustment as adjusting
+from vision.bundle.held_out_frames import crossvalidate
+from vision.bundle.observability import determined
+from vision.recording_measurement import measure_recording
 
 
 def seen(design, text, folder, seed, count, home, noise=0.04):
@@ -21,9 +24,9 @@ def seen(design, text, folder, seed, count, home, noise=0.04):
     commands = plan.low_discrepancy(strokes, max(count, 2), seed=seed)[:count]
     if home:
         commands[0] = hexapod.inverse(design.mechanism.home, design.mechanism)
-    done = simulation.simulate(world.draw(design, rng), plan.settled(commands, strokes.mean(axis=1), plan.speed_of(design)), rng)
-    simulation.write(done, folder, text, rng, noise)
-    return recording.load(folder), done.run.T_base_platform
+    done = recording_simulation.simulate(secret_machine.draw(design, rng), plan.settled(commands, strokes.mean(axis=1), plan.speed_of(design)), rng)
+    recording_simulation.write(done, folder, text, rng, noise)
+    return recording_folder.load(folder), done.run.T_base_platform
 
 
 def agrees(design, text, folder, seed, count, home, noise):
@@ -65,7 +68,7 @@ def test_an_optimum_is_found_although_its_cost_is_rounded(design, rig_text, tmp_
 def test_a_camera_that_shows_no_base_stands_where_it_is_stated(tmp_path):
     """Two cubes hide each other from some camera; its stated pose is then worth 10 mm, and what it alone sees is no better. What others see as well
     says where it stands."""
-    text = layout.layout(0.3, cameras=3, cubes=2)
+    text = hexapod_layout.layout(0.3, cameras=3, cubes=2)
     (tmp_path / "rig.toml").write_text(text)
     design = design_file.load(tmp_path / "rig.toml")
     read, true = seen(design, text, tmp_path / "rec", 6, 1, True)
@@ -81,7 +84,7 @@ def test_a_camera_that_shows_no_base_stands_where_it_is_stated(tmp_path):
 
 def test_what_nothing_determines_is_named(tmp_path):
     """Without targets on the base two cameras that never see the platform together are not tied to each other."""
-    text = layout.layout(0.3, cameras=3, cubes=2)
+    text = hexapod_layout.layout(0.3, cameras=3, cubes=2)
     head, *targets = text.split("[[target]]")
     text = "[[target]]".join([head, *(t for t in targets if 'body = "platform"' in t)])
     (tmp_path / "rig.toml").write_text(text)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import FACES
-from rig.pose import transform_points
+from rig.model.design import FACES
+from rig.model.pose import transform_points
 from vision.targets import face_pose, marker_map
 
 HALF, EDGE = 0.5, 2.0

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.design import Actuator, Camera, Design, Free, Marker, Platform, Target
-from rig.pose import exp, pose
-from rig.recording import Corners
-from vision.observations import from_corners
+from rig.model.design import Actuator, Camera, Design, Free, Marker, Platform, Target
+from rig.model.pose import exp, pose
+from rig.recording.recording_folder import Corners
+from vision.corner_observations import from_corners
 from vision.predict import State, facing, inside, see
 from vision.targets import face_pose, marker_map
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from vision.corners.jit import kernel
+from vision.corners.numba_compilation import kernel
 
 
 @kernel

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.design import Camera
+from rig.model.design import Camera
 from vision import lens
-from vision.corners.jit import kernel
+from vision.corners.numba_compilation import kernel
 
 SPACING = 32.0  # px between the table's nodes; four of them to each side interpolate a lens of photographs to 1e-5 px
 BEYOND = 4  # nodes outside the image

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.engine.chance import davies, dispersion
-from calib.diagnose.engine.linear import LinearModel
-from calib.diagnose.engine.products import SWALLOWED, FrameProducts, Normal, framewise, solve, solve_with_prior
+from calib.diagnose.engine.chance_probability import davies, dispersion
+from calib.diagnose.engine.linear_model import LinearModel
+from calib.diagnose.engine.frame_inner_products import SWALLOWED, FrameProducts, Normal, framewise, solve, solve_with_prior
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from rig.recording import Sensors
+from rig.recording.recording_folder import Sensors
 
 DEGREES = (1, 2)  # of the plainest courses: a temperature has at least a slope, and a log too short to show it still bounds it
 KNOTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)  # stretches of a cubic spline that are tried beyond these

@@ -5,13 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.certify.certificate import certify, promised
-from calib.certify.held_out import errors_of
-from calib.pipeline import sample_recording
-from calib.samples import Samples
-from rig import design_file, plan, recording
-from rig.effects.parse import parse, placed, sized
-from synthetic import simulation, world
+from calib.certify.platform_certification import certify, promised
+from calib.certify.held_out_errors import errors_of
+from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import Samples
+from rig.formats.rig_toml import design_file
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.effects.texts.effect_text import parse, placed, sized
+from synthetic import recording_simulation, secret_machine
 from tests.conftest import BENCH
 
 INSTRUMENT = '\n[instrument]\nkind = "pose"\nbase = "rig"\ntool = "rig"\nposition_sigma = 5e-6\nrotation_sigma = 2e-5\n'
@@ -23,13 +25,13 @@ def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) ->
     (tmp_path / "rig.toml").write_text(text)
     design = design_file.load(tmp_path / "rig.toml")
     gaps = np.random.default_rng(seed).uniform(20e-6, 80e-6, 6)
-    secret = world.draw(design, np.random.default_rng(100 + seed), 1.0,
+    secret = secret_machine.draw(design, np.random.default_rng(100 + seed), 1.0,
                         [sized(placed(parse(f"backlash:strut{i + 1}:gap={gap}"), design)) for i, gap in enumerate(gaps)])
 
     def recorded(route: plan.Plan, name: str) -> Samples:
         rng = np.random.default_rng(seed)
-        simulation.write(simulation.simulate(secret, route, rng), tmp_path / name, text, rng)
-        return sample_recording(recording.load(tmp_path / name)).samples
+        recording_simulation.write(recording_simulation.simulate(secret, route, rng), tmp_path / name, text, rng)
+        return sample_recording(recording_folder.load(tmp_path / name)).samples
 
     done = certify(fitted := recorded(plan.build(design, "sobol:40", seed), "fit"), design.mechanism, np.random.default_rng(0))
     other = recorded(plan.build(design, "sobol:60", 900 + seed), "other")

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.held_poses import held_poses
+from calib.certify.held_out_poses import held_poses
 from calib.certify.iso9283 import Duty, iso9283
 from calib.correct.correction import calibrate
-from calib.samples import Samples
-from rig import machine, plan
+from calib.samples.pose_samples import Samples
+from rig.model import motion_simulation
+from rig.planning import plan
 
 FULL = Duty(0.05, 0.05, (10.0, 10.0), 10.0)
 
@@ -18,7 +19,7 @@ FULL = Duty(0.05, 0.05, (10.0, 10.0), 10.0)
 def standard(design, cycles=30):
     """HeldPoses of the plan of the standard's five poses."""
     done = plan.build(design, f"iso9283:{cycles}", 0)
-    T = machine.run(design, done.commands, done.t).T_base_platform
+    T = motion_simulation.run(design, done.commands, done.t).T_base_platform
     n = len(done.t)
     samples = Samples(np.arange(n), done.t, done.commands.at(done.t), T, np.tile(np.eye(6) * 1e-12, (n, 1, 1)), np.zeros((n, 6, 1)))
     errors = 1e-6 * np.random.default_rng(0).normal(size=(n, 6))

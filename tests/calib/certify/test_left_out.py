@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.certificate import certify, model_covariance, promised
-from calib.certify.component_sizes import Closures, sizes
-from calib.certify.deviations import CONDITION, PLACE, SAMPLE, components
-from calib.certify.configurations import labels, ranges
-from calib.kept import kept
-from calib.pipeline import sample_recording
-from rig import recording
-from rig.pose import difference
+from calib.certify.platform_certification import certify, model_covariance, promised
+from calib.certify.deviation_component_sizes import Closures, sizes
+from calib.certify.strut_deviation_kernels import CONDITION, PLACE, SAMPLE, components
+from calib.certify.distinct_configurations import labels, ranges
+from calib.files.calibration_from_recording import kept
+from calib.samples.recording_samples import sample_recording
+from rig.recording import recording_folder
+from rig.model.pose import difference
 from tests import truth
 from tests.calib.worlds import rms, sampled
 
@@ -20,7 +20,7 @@ def calibrated(folder, *case, **more):
     """(Case, Calibration, Claim, Recording) of a case of the independent truth, by its own recording."""
     of = truth.draw(*case, **more)
     truth.record(of, folder)
-    rec = recording.load(folder)
+    rec = recording_folder.load(folder)
     measured = sample_recording(rec)
     rng = np.random.default_rng(0)
     done = certify(measured.samples, rec.design.mechanism, rng)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from calib.certify import tolerance_limits, true_errors
+from calib.certify import tolerance_limits, noise_free_errors
 from rig.errors import NotEnoughData
 
 
@@ -38,7 +38,7 @@ def test_limits_are_kept_as_often_as_promised_whatever_the_distribution(n):
 
 def test_without_noise_true_errors_are_those_measured():
     lengths = np.random.default_rng(1).exponential(1e-5, 120)
-    found = true_errors.limits(lengths, np.full(120, 1e-9))
+    found = noise_free_errors.limits(lengths, np.full(120, 1e-9))
     assert found.upper == tolerance_limits.upper(lengths) and found.lower == tolerance_limits.lower(lengths)
 
 
@@ -49,7 +49,7 @@ def _trials(n, noise, count, seed):
     truth = np.linalg.norm(rng.normal(size=(300_000, 3)) * rng.choice([1.0, 3.0], size=(300_000, 1), p=[0.8, 0.2]), axis=1)
     goal = np.quantile(truth, 0.95)
     measured = [np.linalg.norm(rng.normal(size=(n, 3)) * w + noise * rng.normal(size=(n, 3)), axis=1) for w in wide[:count]]
-    limits = np.array([true_errors.limits(lengths, np.full(n, noise)).upper for lengths in measured])
+    limits = np.array([noise_free_errors.limits(lengths, np.full(n, noise)).upper for lengths in measured])
     plain = np.array([tolerance_limits.upper(lengths) for lengths in measured])
     return np.mean(limits >= goal), limits.mean() / goal, plain.mean() / goal
 
@@ -69,7 +69,7 @@ def test_noise_is_taken_off_and_the_promise_kept_many_times(noise):
 def test_errors_smaller_than_their_stated_noise_promise_no_nothing():
     """Who states too much noise is not rewarded: what is taken off is never more than there is."""
     lengths = np.linalg.norm(np.random.default_rng(4).normal(size=(100, 3)), axis=1)
-    stated, twice = (true_errors.limits(lengths, np.full(100, sigma)).upper for sigma in (1.0, 2.0))
+    stated, twice = (noise_free_errors.limits(lengths, np.full(100, sigma)).upper for sigma in (1.0, 2.0))
     assert twice == pytest.approx(stated, rel=0.1) and twice > 0
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from calib.correct.correction import Correction, calibrate, reachable
-from calib.correct.interpolate import radial
-from rig.design import Free
+from calib.correct.interpolation import gaussian_process
+from rig.model.design import Free
 from rig.errors import RigError, Unreachable
-from rig.mechanisms import hexapod
-from rig.pose import difference
+from rig.model.mechanisms import hexapod
+from rig.model.pose import difference
 from tests.calib.worlds import real, rms, sampled, workspace
 
 
@@ -70,7 +70,7 @@ def test_the_remainder_fades_beyond_the_samples(design):
     rng = np.random.default_rng(0)
     strokes = np.tile([0.4, 0.5], (6, 1))
     x = rng.uniform(0.43, 0.47, (200, 6))
-    part = radial.fit(x, 4e-5 * np.sin(x[:, 2] / 0.004), np.full(200, 1e-12), 2, strokes)
+    part = gaussian_process.fit(x, 4e-5 * np.sin(x[:, 2] / 0.004), np.full(200, 1e-12), 2, strokes)
     inside = rng.uniform(0.435, 0.465, (50, 6))
     np.testing.assert_allclose(part(inside), 4e-5 * np.sin(inside[:, 2] / 0.004), atol=4e-6)
     assert np.abs(part(np.full(6, 0.53))) < 1e-7 and part(np.zeros((2, 3, 6))).shape == (2, 3)

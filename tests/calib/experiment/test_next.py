@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from rig.cli import main
-from rig.plan import build
-from rig.plan_table import write
+from rig.cli.command_line import main
+from rig.planning.plan import build
+from rig.planning.plan_table import write
 
 
 def test_a_plan_in_time_comes_back_with_its_payload(design, tmp_path):

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from calib.identify.geometry import identify, parameters, pose_jacobian
+from calib.models.platform.identification import identify, parameters, pose_jacobian
 from calib.online import learner_file
 from calib.online.learners import Drifting, FirstOrder, Forgetting
 from rig.errors import FileError, RigError
-from rig.mechanisms import hexapod
-from rig.pose import difference, exp
+from rig.model.mechanisms import hexapod
+from rig.model.pose import difference, exp
 from tests.calib.streams import COVARIANCE, learnt, stream
 from tests.calib.worlds import OWN, rms, sampled, workspace
 

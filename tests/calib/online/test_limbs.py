@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.certify import insitu, limb_steps
-from calib.certify.limbs import Limbs
-from calib.identify.geometry import pose_jacobian
-from calib.online import limb_source, limbs_file
-from calib.online.filter import Online
-from calib.online.limb_check import IN_A_ROW, LimbCheck
-from calib.online.limb_live import LimbLive
-from calib.pipeline import sample_recording
-from rig import recording
+from calib.certify import measuring_limbs, measuring_limb_steps
+from calib.certify.fitted_limbs import Limbs
+from calib.models.platform.identification import pose_jacobian
+from calib.online import recorded_limb_poses, measuring_limbs_file
+from calib.online.information_filter import Online
+from calib.online.limb_vision_agreement import IN_A_ROW, LimbCheck
+from calib.online.live_limb_poses import LimbLive
+from calib.samples.recording_samples import sample_recording
+from rig.recording import recording_folder
 from rig.errors import FileError, RigError
-from rig.mechanisms import hexapod
-from rig.pose import difference, exp
-from rig.plan import low_discrepancy
-from rig.recording import Sensors
+from rig.model.mechanisms import hexapod
+from rig.model.pose import difference, exp
+from rig.planning.plan import low_discrepancy
+from rig.recording.recording_folder import Sensors
 
 
 @pytest.fixture(scope="module")
@@ -33,17 +33,17 @@ def by_vision(limbed):
 def accepted(limbed, by_vision):
     """Accepted limbs of the first recording."""
     design, read, _ = limbed
-    frames, lengths = insitu.readings(read)
-    samples, nominal = insitu.read(by_vision, frames, lengths), insitu.stated(design)
-    T, expected = insitu.held_out(samples, nominal, 1e-6)
-    found = insitu.agreement(samples.T_base_platform, T, expected, (5e-5, 3e-4))
-    return limbs_file.Accepted(insitu.calibrated(samples, nominal, 1e-6)[0], nominal, found, None, {"data": ["a"]})
+    frames, lengths = measuring_limbs.readings(read)
+    samples, nominal = measuring_limbs.read(by_vision, frames, lengths), measuring_limbs.stated(design)
+    T, expected = measuring_limbs.held_out(samples, nominal, 1e-6)
+    found = measuring_limbs.agreement(samples.T_base_platform, T, expected, (5e-5, 3e-4))
+    return measuring_limbs_file.Accepted(measuring_limbs.calibrated(samples, nominal, 1e-6)[0], nominal, found, None, {"data": ["a"]})
 
 
 @pytest.fixture(scope="module")
 def again(limbed):
     """The same machine another day."""
-    return recording.load(limbed[1].folder.parent / "again")
+    return recording_folder.load(limbed[1].folder.parent / "again")
 
 
 def slipped(read, limb, by, at):
@@ -56,15 +56,15 @@ def slipped(read, limb, by, at):
 
 def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
     path = tmp_path / "limbs.json"
-    limbs_file.save(path, accepted)
-    back = limbs_file.in_force(path, limbed[0])
+    measuring_limbs_file.save(path, accepted)
+    back = measuring_limbs_file.in_force(path, limbed[0])
     np.testing.assert_array_equal(back.limbs.covariance, accepted.limbs.covariance)
     np.testing.assert_array_equal(back.limbs.hexapod.base_joints, accepted.limbs.hexapod.base_joints)
     np.testing.assert_array_equal(back.agreement.limits, accepted.agreement.limits)
     assert back.verdict == "accepted" and back.provenance == {"data": ["a"]}
-    limbs_file.save(path, limbs_file.withdrawn(back, "rec", 7, "it slipped"))
+    measuring_limbs_file.save(path, measuring_limbs_file.withdrawn(back, "rec", 7, "it slipped"))
     with pytest.raises(RigError, match="withdrawn at frame 7 of rec: it slipped"):
-        limbs_file.in_force(path, limbed[0])
+        measuring_limbs_file.in_force(path, limbed[0])
 
 
 @pytest.mark.parametrize("spoil, says", [
@@ -78,34 +78,34 @@ def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
 ])
 def test_a_spoilt_file_names_file_and_value(accepted, tmp_path, spoil, says):
     path = tmp_path / "limbs.json"
-    limbs_file.save(path, accepted)
+    measuring_limbs_file.save(path, accepted)
     tree = json.loads(path.read_text())
     spoil(tree)
     path.write_text(json.dumps(tree))
     with pytest.raises(FileError, match=says) as error:
-        limbs_file.load(path)
+        measuring_limbs_file.load(path)
     assert str(path) in str(error.value)
     path.write_text(json.dumps(tree)[:200])
     with pytest.raises(FileError, match="cut off"):
-        limbs_file.load(path)
+        measuring_limbs_file.load(path)
 
 
 def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path):
     path, design = tmp_path / "limbs.json", limbed[0]
-    limbs_file.save(path, accepted)
+    measuring_limbs_file.save(path, accepted)
     moved = design.insitu.base_joints + 1e-4 * np.eye(6)[:, :1] * np.eye(3)[0]
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: base_joints of limb 1 differs by 0.1 mm"):
-        limbs_file.in_force(path, replace(design, insitu=replace(design.insitu, base_joints=moved)))
+        measuring_limbs_file.in_force(path, replace(design, insitu=replace(design.insitu, base_joints=moved)))
     refused = replace(accepted.agreement, tolerance=np.full(6, 1e-9))
-    limbs_file.save(path, replace(accepted, agreement=refused))
+    measuring_limbs_file.save(path, replace(accepted, agreement=refused))
     with pytest.raises(RigError, match="did not pass"):
-        limbs_file.in_force(path, design)
+        measuring_limbs_file.in_force(path, design)
 
 
 @pytest.mark.slow
 def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(accepted, again, limbed):
     nominal = limbed[0].mechanism
-    by_limbs = limb_source.sampled(again, limb_source.read(again, accepted)).samples
+    by_limbs = recorded_limb_poses.sampled(again, recorded_limb_poses.read(again, accepted)).samples
     learners = [Online(nominal, samples.common.shape[2]) for samples in (by_limbs, sample_recording(again).samples)]
     for learner, samples in zip(learners, (by_limbs, sample_recording(again).samples)):
         for pose in zip(samples.commanded, samples.T_base_platform, samples.covariance, samples.common):
@@ -125,7 +125,7 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
 def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, limb, every):
     at = 22
     read = slipped(again, limb, 3e-5, at)
-    found = limb_source.check(read, accepted, limb_source.read(read, accepted), every)
+    found = recorded_limb_poses.check(read, accepted, recorded_limb_poses.read(read, accepted), every)
     assert found.disagreement is not None and found.disagreement.limb == limb and at <= found.frame < at + 5
     assert abs(float(found.disagreement.reason.split("by ")[1].split(" ")[0]) - 30) < 10
 
@@ -135,18 +135,18 @@ def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, l
 def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(limbed, by_vision, limb, at):
     design, read, _ = limbed
     for by in (0.0, 3e-5):
-        samples = insitu.read(by_vision, *insitu.readings(slipped(read, limb, by, at)))
-        limbs, _ = insitu.calibrated(samples, insitu.stated(design), 1e-6)
-        found = limb_steps.slip(samples, limbs, 1e-6)
+        samples = measuring_limbs.read(by_vision, *measuring_limbs.readings(slipped(read, limb, by, at)))
+        limbs, _ = measuring_limbs.calibrated(samples, measuring_limbs.stated(design), 1e-6)
+        found = measuring_limb_steps.slip(samples, limbs, 1e-6)
         assert (found is None) == (by == 0)
         assert found is None or (found.limb == limb and abs(found.frame - at) <= 2 and abs(found.size - by) < 4 * found.sigma < 2e-5)
 
 
 def test_limbs_that_stay_agree_and_few_poses_are_looked_at(accepted, again):
-    found = limb_source.check(again, accepted, limb_source.read(again, accepted), 5)
-    assert found == limb_source.Checked(8, None, None)
+    found = recorded_limb_poses.check(again, accepted, recorded_limb_poses.read(again, accepted), 5)
+    assert found == recorded_limb_poses.Checked(8, None, None)
     unseen = replace(again, corners=None)
-    assert limb_source.check(unseen, accepted, limb_source.read(again, accepted), 5).count == 0
+    assert recorded_limb_poses.check(unseen, accepted, recorded_limb_poses.read(again, accepted), 5).count == 0
 
 
 def told(accepted, count, slip=0.0, at=10**9, wrong=()):

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import cv2
 
-from rig.design import Marker, Target
-from rig.pose import pose
+from rig.model.design import Marker, Target
+from rig.model.pose import pose
 from vision.targets import marker_map
 
 NAME = "DICT_5X5_100"

@@ -8,8 +8,8 @@ from scipy.ndimage import map_coordinates
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import SIZE, camera, picture, quad
 from vision import lens
-from vision.corners.detect import detect, place
-from vision.corners.read import Read
+from vision.corners.marker_detection import detect, place
+from vision.corners.marker_reader import Read
 
 
 def test_noise_free_corners_are_exact(design):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vision.corners.edges import MEETS, NONE, NOWHERE, VIEWS, outlook
-from vision.corners.ranked import ranked
+from vision.corners.edge_pixels import MEETS, NONE, NOWHERE, VIEWS, outlook
+from vision.corners.order_statistics import ranked
 from vision.targets import marker_cells
 
 LEFT, RIGHT, TOP, BOTTOM = 1, 2, 4, 8

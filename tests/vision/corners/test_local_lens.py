@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rig.design import Camera
-from rig.pose import pose
+from rig.model.design import Camera
+from rig.model.pose import pose
 from vision import lens
 from vision.corners import local_lens
 

@@ -3,10 +3,10 @@
 import numpy as np
 
 from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
-from calib.diagnose.problems.arm.fit import Fit
-from calib.diagnose.problems.arm.poses import Arms
-from calib.diagnose.problems.arm.search import joint_products
-from rig.effects.compliance import distinct
+from calib.diagnose.problems.arm.pose_fit import Fit
+from calib.diagnose.problems.arm.linearised_poses import Arms
+from calib.diagnose.problems.arm.candidate_search import joint_products
+from rig.effects.catalogue.compliance import distinct
 
 KNOTS = 8  # of a smooth function of time
 PRIOR = 1e-3  # rad; size of a coefficient

@@ -6,19 +6,19 @@ from functools import partial
 import numpy as np
 import scipy
 
-from calib.diagnose.engine.chance import davies
+from calib.diagnose.engine.chance_probability import davies
 from calib.diagnose.engine.lack_of_fit import ALPHA, LIKELY, LackOfFit, Test, convincing, tested
-from calib.diagnose.engine.products import FrameProducts, solve
-from calib.diagnose.problems.platform.candidates import context_of, lacking
-from calib.diagnose.problems.platform.corners import MEDIAN
-from calib.diagnose.problems.platform.linearised import LinearisedModel
+from calib.diagnose.engine.frame_inner_products import FrameProducts, solve
+from calib.diagnose.problems.platform.effect_candidates import context_of, lacking
+from calib.diagnose.problems.platform.linearised_corners import MEDIAN
+from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.diagnose.problems.platform.search import axis_products, corner_products, lasting
-from calib.diagnose.problems.platform.smooth import FAST, SLOW, edge_pixels, in_time, one_marker, strut_weights, view_pixels, warp_pixels
-from rig.effects import ALL
-from rig.effects.base import Effect
-from rig.effects.lens_distortion import LensDistortion
-from rig.parallel import parallel_map
+from calib.diagnose.problems.platform.candidate_search import axis_products, corner_products, lasting
+from calib.diagnose.problems.platform.smooth_functions import FAST, SLOW, edge_pixels, in_time, one_marker, strut_weights, view_pixels, warp_pixels
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.framework.effect import Effect
+from rig.effects.catalogue.lens_distortion import LensDistortion
+from rig.compute.parallel_map import parallel_map
 
 MEDIAN_SPREAD = 5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
 FAR = 5.0  # standard deviations; a residual counts for no more where neighbours are compared

@@ -6,24 +6,24 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.diagnose.engine.problem import Progress
+from calib.diagnose.engine.problem_interface import Progress
 from calib.diagnose.problems.temperature_smoothing import smoothed
-from calib.pipeline import Sampled, sample_recording
+from calib.samples.recording_samples import Sampled, sample_recording
 from calib.certify.calibration import Calibration
-from rig import machine, mechanisms
-from rig.design import Camera, Design, Hexapod, Planar2
-from rig.effects.base import Effect, Motion
-from rig.effects.cube_misplacement import CubeMisplacement
-from rig.effects.edge_bias import EdgeBias
+from rig.model import motion_simulation, mechanisms
+from rig.model.design import Camera, Design, Hexapod, Planar2
+from rig.effects.framework.effect import Effect, Motion
+from rig.effects.catalogue.cube_misplacement import CubeMisplacement
+from rig.effects.catalogue.edge_bias import EdgeBias
 from rig.errors import NotEnoughData, RigError
-from rig.kinds import Struts
-from rig.pose import exp
-from rig.recording import Commands, Recording, Sensors
-from vision.in_hand import in_hand
-from vision.measure import Measurement
-from vision.observations import Observations
+from rig.model.mechanism_kinds import Struts
+from rig.model.pose import exp
+from rig.recording.recording_folder import Commands, Recording, Sensors
+from vision.hand_mounted_cameras import in_hand
+from vision.recording_adjustment import Measurement
+from vision.corner_observations import Observations
 from vision.predict import Sightings, State, see
-from vision.recorded import measure_recording
+from vision.recording_measurement import measure_recording
 from vision.targets import MarkerMap, marker_map
 
 KINDS = ("hexapod", "planar2", "free")  # of mechanisms
@@ -124,29 +124,31 @@ class OperatingPoint:
 
     def motion(self, effects: Iterable[Effect]) -> Motion:
         """Motion at the exposures under effects, at the measured poses."""
-        return replace(machine.motion(self.design, self.commanded, self.t, effects, self.sensors), T=self.T)
+        return replace(motion_simulation.motion(self.design, self.commanded, self.t, effects, self.sensors), T=self.T)
 
     def effective(self, effects: tuple[Effect, ...] | None = None) -> np.ndarray:
         """(F, axes) m that commands become under effects (those admitted, by default), sway counted as struts' length."""
         effects = self.effects if effects is None else effects
-        return machine.effective(self.design, self.commanded, self.t, self.T, effects, self.sensors)
+        return motion_simulation.effective(self.design, self.commanded, self.t, self.T, effects, self.sensors)
 
     def swayed(self, sway: np.ndarray) -> np.ndarray:
         """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
-        return machine.swayed(self.design, self.T, sway)
+        return motion_simulation.swayed(self.design, self.T, sway)
 
     def closures(self) -> np.ndarray:
         """(F, axes) m by which measured poses ask for longer struts than commands and effects give them."""
         m = self.design.mechanism
         return mechanisms.of(m).inverse(self.T, m) - self.effective()
 
-    def run(self, effects: tuple[Effect, ...]) -> machine.Run | None:
+    def run(self, effects: tuple[Effect, ...]) -> motion_simulation.Run | None:
         """machine.Run with rates where some camera exposes row by row, else None."""
         rolls = any(c.shutter == "rolling" for c in self.design.cameras) or any(e.rolls for e in effects)
-        return machine.run(self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True) \
+        return motion_simulation.run(self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True) \
             if rolls and self.commands is not None else None
 
-    def pixels(self, effects: tuple[Effect, ...] | None = None, rows: np.ndarray | None = None, run: machine.Run | None = None) -> np.ndarray:
+    def pixels(
+        self, effects: tuple[Effect, ...] | None = None, rows: np.ndarray | None = None, run: motion_simulation.Run | None = None
+    ) -> np.ndarray:
         """(n, 2) px where the observed corners should be under effects (those admitted, by default).
 
         rows : indices of sightings to which it is confined, then (k, 4, 2) px of those
@@ -169,7 +171,7 @@ def of_recording(recording: Recording, progress: Progress | None = None, calibra
     """(OperatingPoint, source in words, Measurement or None) of a recording with nothing admitted: calibrated, and all corners back in.
 
     calibration : of another recording of the same hexapod, whose joints are then known beforehand, or None
-    places : whether a free body's markers are taken as adjusted, see vision.recorded; where something was commanded they are as stated
+    places : whether a free body's markers are taken as adjusted, see vision.recording_measurement; where something was commanded they are as stated
     sampled : Sampled of this commanded recording where it was measured before, or None
     Raises NotEnoughData where nothing was measured, RigError for a mechanism that is no platform, and what measuring raises
     """

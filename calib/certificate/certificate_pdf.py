@@ -1,0 +1,156 @@
+"""A certificate on paper: A4 pages with the same sentences, figures and tables as the page."""
+
+import io
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
+
+from calib.report.calibration_page import flat
+from calib.certificate import certificate_sentences
+from calib.certificate.certificate import Certificate
+from rig.formats.output_files import write_bytes
+
+SIZE = (8.27, 11.69)  # inches, A4
+LEFT, TOP, LINE, SMALL = 0.09, 0.94, 0.0165, 0.0125
+BOTTOM = 0.06
+WIDE = 96  # characters of a line
+
+
+class _Paper:
+    """Pages being written from the top down."""
+
+    def __init__(self, pages: PdfPages, title: str) -> None:
+        self.pages, self.title, self.number, self.y = pages, title, 0, 0.0
+        self.figure: Figure | None = None
+        self.turn()
+
+    def turn(self) -> None:
+        """Finish this page and begin the next."""
+        self.close()
+        self.number += 1
+        self.figure, self.y = Figure(figsize=SIZE), TOP
+        self.figure.text(LEFT, 0.03, f"{self.title}, page {self.number}", fontsize=7, color="grey")
+
+    def close(self) -> None:
+        """Finish the last page."""
+        if self.figure is not None:
+            self.pages.savefig(self.figure)
+
+    def line(self, said: str, size: float = 9.5, bold: bool = False, mono: bool = False) -> None:
+        """Write a paragraph, on the next page where it does not fit."""
+        for row in textwrap.wrap(said, int(WIDE * 9.5 / size)) if not mono else [said]:
+            if self.y < BOTTOM:
+                self.turn()
+            assert self.figure is not None  # from the first turn on
+            self.figure.text(LEFT, self.y, row, fontsize=size, fontweight="bold" if bold else "normal", family="monospace" if mono else None)
+            self.y -= (SMALL if mono else LINE) * size / (7 if mono else 9.5)
+        if not mono:
+            self.y -= 0.004
+
+    def head(self, said: str) -> None:
+        """Write a heading."""
+        self.y -= 0.01
+        self.line(said, 12, bold=True)
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+        """Write rows in columns as wide as what they hold."""
+        cells = [[str(cell) for cell in row] for row in (header, *rows)]
+        widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
+        for row in cells:
+            self.line("  ".join(cell.ljust(wide) if k == 0 else cell.rjust(wide) for k, (cell, wide) in enumerate(zip(row, widths))), 7, mono=True)
+        self.y -= 0.008
+
+    def drawn(self, high: float) -> tuple[Figure, tuple[float, float, float, float]]:
+        """(figure, rectangle) for axes, so high in parts of the page."""
+        if self.y - high < BOTTOM:
+            self.turn()
+        assert self.figure is not None
+        self.y -= high
+        return self.figure, (LEFT + 0.06, self.y + 0.05, 0.72, high - 0.07)
+
+
+def save(path: Path, c: Certificate) -> None:
+    """Write certificate.pdf, whole or not at all."""
+    buffer = io.BytesIO()
+    title = f"Certificate of {c.machine} {c.provenance['id']}"
+    with PdfPages(buffer, metadata={"Title": title, "CreationDate": None}) as pages:
+        paper = _Paper(pages, title)
+        _promise(paper, c, title)
+        _standards(paper, c)
+        _rest(paper, c)
+        paper.close()
+    write_bytes(path, buffer.getvalue())
+
+
+def _promise(paper: _Paper, c: Certificate, title: str) -> None:
+    paper.line(title, 15, bold=True)
+    paper.line(certificate_sentences.scale_line(c))
+    paper.line(certificate_sentences.promise_line(c), 11, bold=True)
+    for said in (certificate_sentences.volume_line(c), *certificate_sentences.rest_lines(c)):
+        paper.line(said)
+    for said in certificate_sentences.conformity_lines(c):
+        paper.line(said, bold=True)
+    figure, place = paper.drawn(0.2)
+    axes = figure.add_axes(place)
+    lengths = np.sort(np.linalg.norm(c.errors[:, :3], axis=1)) * 1e6
+    axes.step(lengths, np.arange(1, len(lengths) + 1) / len(lengths), where="post")
+    axes.axvline(c.promise.position.upper * 1e6, color="crimson", ls="--", label="promise")
+    for k in c.conformity:
+        if k.quantity == "position":
+            axes.axvline(k.tolerance * 1e6, color="grey", ls=":", label="tolerance")
+    axes.set(xlabel="position error as measured, um", ylabel="share of poses nearer", xlim=(0, None))
+    axes.legend(fontsize=8)
+    if c.cells:
+        paper.head("Part by part")
+        paper.table(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"),
+                    [(*(f"{low * 1e3:.0f} to {high * 1e3:.0f}" for low, high in zip(cell.low, cell.high)), f"{cell.promise.position.upper * 1e6:.1f}",
+                      "" if cell.promise.rotation is None else f"{cell.promise.rotation.upper * 1e6:.1f}", cell.promise.n) for cell in c.cells])
+
+
+def _standards(paper: _Paper, c: Certificate) -> None:
+    paper.head("ISO 9283")
+    paper.line(certificate_sentences.iso9283_line(c))
+    if c.iso9283.repeated:
+        paper.table(("pose at, mm", "visits", "AP, um", "RP, um"),
+                    [(" ".join(f"{value * 1e3:.1f}" for value in row.place), row.visits, f"{row.AP * 1e6:.1f}", f"{row.RP * 1e6:.1f}")
+                     for row in c.iso9283.repeated])
+    if c.iso230:
+        unit = "um" if c.iso230[0].unit == "m" else "urad"
+        paper.head(f"ISO 230-2, {unit}")
+        paper.table(("axis", *(name for name, _ in certificate_sentences.iso230_figures(c.iso230[0])), "u", "positions", "cycles"),
+                    [(a.axis, *("" if value is None else f"{value * 1e6:.1f}" for _, value in certificate_sentences.iso230_figures(a)),
+                      f"{a.u * 1e6:.1f}", a.positions, a.cycles) for a in c.iso230])
+
+
+def _rest(paper: _Paper, c: Certificate) -> None:
+    paper.head("Where it comes from (U, coverage 95 %)")
+    paper.table(
+        ("contribution", "to", "position, um", "rotation, urad", "k", "kind"),
+        [
+            (
+                row.name,
+                row.of,
+                "not known" if row.position is None else f"{row.position * 1e6:.2f}",
+                "" if row.rotation is None else f"{row.rotation * 1e6:.2f}",
+                certificate_sentences.factors(row),
+                row.kind,
+            )
+            for row in c.budget.rows
+        ],
+    )
+    for row in c.budget.rows:
+        paper.line(f"{row.name}: {row.source}.", 7.5)
+    paper.head("Conditions")
+    k = c.conditions
+    load = "not logged" if k.payload is None else f"{k.payload[0]:g} to {k.payload[1]:g} kg"
+    paper.line(f"Recordings: {', '.join(name for name, _ in k.recordings)}. {k.poses} poses at rest, {k.moving} exposures left out since the "
+               f"machine moved; approach {k.approach}; payload {load}; warm-up "
+               f"{k.warm_up / 60:.1f} min; duration {k.duration / 60:.1f} min; measured by {k.instrument}; frame and scale held by {k.frame}.")
+    paper.table(("logged", "least", "greatest"), [(name, f"{low:.2f}", f"{high:.2f}") for name, low, high in k.channels])
+    paper.head("Where this came from")
+    for name, value in flat(c.provenance):
+        paper.line(f"{name}: {value}", 6.5)

@@ -1,0 +1,122 @@
+"""One more pass of the method on a machine that is corrected already: maps in the configuration space, in pose space or in both, in parts of either.
+
+Source: configuration-space patent, [0035]
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.certify.calibration import Calibration
+from calib.certify.platform_certification import Certified, Progress, model_covariance, silent
+from calib.certify.workspace_claim import DRAWS, extension_scatter, workspace_of
+from calib.certify.distinct_configurations import labels, ranges
+from calib.certify.extension_certification import Stand, Tried, extended_on, said_by_struts
+from calib.correct.correction import Correction
+from calib.correct.summand_extension import coordinates, extend, geometry_of, home_of, left_by, left_in_poses, with_map, with_pass
+from calib.correct.interpolation.field import Field
+from calib.correct.interpolation.partial_map import Part, Within
+from calib.correct.interpolation.repeated_passes import Passes
+from calib.correct.pose_space_map import PoseMap, places
+from calib.models.platform.identification import to_pose
+from calib.samples.pose_samples import Samples
+from rig.errors import NotEnoughData
+from rig.model.pose import difference
+
+CONFIGURATION, POSE, BOTH = "configuration", "pose", "both"
+SPACES = (CONFIGURATION, POSE, BOTH)
+
+
+class Pass(NamedTuple):
+    """What is asked of a pass. kind : one of `kinds.ALL`, or AUTO; space : of SPACES; configurations : Part of the configuration space in which it
+    holds, poses : Part of pose space, in the coordinates of `extend.coordinates`; None for all of it."""
+
+    kind: str
+    space: str = CONFIGURATION
+    configurations: Part | None = None
+    poses: Part | None = None
+
+
+def certify_onto(samples: Samples, before: Calibration, asked: Pass, rng: np.random.Generator,
+                 progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...], int]:
+    """(Certified, what was tried, samples that took part): a pass by samples measured anew. In both spaces the pose map is of what the other leaves.
+
+    Raises NotEnoughData where a part holds no samples; the rest as `certify_extended`
+    """
+    correction, said = before.correction, progress or silent
+    some = samples.take(_within(samples, correction, asked))
+    found = geometry_of(samples, correction.nominal, True)
+    if asked.configurations is not None or asked.poses is not None:  # beyond the part the machine is known as it was before
+        found = replace(found, covariance=before.covariance, scatter=before.scatter)
+    basis = correction.nominal, labels(some.commanded, ranges(correction.nominal)), replace(found, mechanism=correction.fitted)
+
+    def struts(of: Samples) -> Stand:
+        return Stand(left_by(of, correction), lambda field: with_pass(correction, _part(field, asked.configurations)),
+                     lambda field, at: said_by_struts(field, at, correction.nominal))
+
+    done, tried = extended_on(some, basis, struts if asked.space != POSE else _posed(lambda of: correction, asked.poses), asked.kind, rng, said)
+    if asked.space == BOTH:
+        done, more = extended_on(some, basis, _posed(_again(done.correction, correction, asked), asked.poses), asked.kind, rng, said)
+        tried = (*tried, *more)
+    found = replace(found, mechanism=correction.fitted, residuals=left_by(samples, done.correction).values)
+    done = replace(done, label=labels(samples.commanded, ranges(correction.nominal)), found=found)
+    return _with_covariance(done, before, rng), tried, len(some)
+
+
+def _with_covariance(done: Certified, before: Calibration, rng: np.random.Generator) -> Certified:
+    """The Certified with the covariance of the calibration before it, as great as configurations held out show errors to be now: a pass takes away
+    no more than it moves, and nothing that those do not tell from noise."""
+    if done.left is None:
+        return done
+    commands, T = workspace_of(done.correction)
+    was = float(np.trace(model_covariance(before, T)[:, :3, :3], axis1=1, axis2=2).mean())
+    stated = float(extension_scatter(done.correction, commands, to_pose(T, done.correction.fitted))[0])
+    moved = difference(before.correction.predict(commands), T)[:, :3]
+    held = float(done.left.own_draws(stated, DRAWS, rng)[:, 0].mean())
+    now = max(held, was - float((moved**2).sum(axis=1).mean()), min(was, done.left.unnoticed()))
+    struts = np.diag(before.scatter**2) if before.strut_covariance is None else before.strut_covariance
+    scale = now / was if was else 0.0
+    return replace(done, covariance=scale * before.covariance, strut_covariance=scale * struts)
+
+
+def _posed(base: Callable[[Samples], Correction], part: Part | None) -> Callable[[Samples], Stand]:
+    """The stand of a map in pose space on a Correction by some samples."""
+    def stand(of: Samples) -> Stand:
+        on = base(of)
+        return Stand(left_in_poses(of, on), lambda field: with_map(on, _part(field, part)), lambda field, at: _said(field, at, on))
+
+    return stand
+
+
+def _again(done: Correction, before: Correction, asked: Pass) -> Callable[[Samples], Correction]:
+    """By some samples alone, the Correction with the map in the configuration space that all of them chose."""
+    extension = done.extension
+    field = extension.fields[-1] if isinstance(extension, Passes) else extension
+    if extension is before.extension or field is None:
+        return lambda of: before
+    own = field.field if isinstance(field, Within) else field
+    return lambda of: with_pass(before, _part(extend(left_by(of, before), own.kind, own), asked.configurations))
+
+
+def _said(field: Field, at: Samples, on: Correction) -> float:
+    one = PoseMap(home_of(on.nominal), coordinates(on.nominal), field)
+    return float((one.error(on.predict(at.commanded))[:, :3] ** 2).sum(axis=1).mean())
+
+
+def _part(field: Field | None, part: Part | None) -> Field | None:
+    return field if field is None or part is None else Within(field, part)
+
+
+def _within(samples: Samples, correction: Correction, asked: Pass) -> np.ndarray:
+    """(n,) bool, the samples in the parts asked for."""
+    keep = np.ones(len(samples), bool)
+    if asked.configurations is not None:
+        keep &= asked.configurations.holds(samples.commanded)
+    if asked.poses is not None:
+        at = places(correction.predict(samples.commanded), home_of(correction.nominal))
+        keep &= asked.poses.holds(at[:, list(coordinates(correction.nominal))])
+    if not keep.any():
+        raise NotEnoughData(f"none of {len(samples)} samples lies in the part that is asked for")
+    return keep

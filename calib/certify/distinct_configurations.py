@@ -1,0 +1,64 @@
+"""Distinct configurations among samples: repeats of one, from whichever side it was approached, are one witness of the geometry."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.samples.pose_samples import Samples, blocks, precision
+from rig.model import mechanisms
+from rig.model.design import Arm, Chain
+from rig.model.mechanism_kinds import Struts
+from rig.model.pose import difference, exp
+
+SAME = 1e-3  # of an axis' range, within which commands are one configuration
+LEAST = 8  # distinct configurations from which a factor is claimed, or has an interval; fewer cannot say whether the model holds elsewhere
+
+
+def labels(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """(n,) number of each command's configuration, counted in the order of their first visits.
+
+    commanded : (n, axes) m or rad; ranges : (axes, 2) of the axes
+    """
+    scaled = np.asarray(commanded, float) / (SAME * np.ptp(ranges, axis=1))
+    out, first = np.empty(len(scaled), int), np.empty_like(scaled)
+    count = 0
+    for k, row in enumerate(scaled):
+        near = np.flatnonzero((np.abs(first[:count] - row) <= 1).all(axis=1))
+        if not len(near):
+            first[count], near, count = row, np.array([count]), count + 1
+        out[k] = near[0]
+    return out
+
+
+def ranges(mechanism: Struts | Arm | Chain) -> np.ndarray:
+    """(axes, 2) m or rad, from where to where each axis of a mechanism goes."""
+    return mechanisms.of(mechanism).travel(mechanism)
+
+
+def folds(label: np.ndarray, count: int) -> np.ndarray:
+    """(n,) fold of each sample: whole stretches in time of the configurations (n,), none of which is in two folds."""
+    return blocks(label.max() + 1, count)[label]
+
+
+def witnesses(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Samples:
+    """Samples with one row for each configuration: the mean of its repeats, weighted by their covariance, at the mean of their commands.
+
+    samples : Samples; label : (n,) from `labels`; to_pose : (n, 6, axes) change of each pose's tangent with the commands
+    """
+    count = label.max() + 1
+    if count == len(samples):
+        return samples
+    first, size = np.unique(label, return_index=True)[1], np.bincount(label)
+    commanded, effective = (np.stack([np.bincount(label, weights=column) for column in values.T], axis=1) / size[:, None]
+                            for values in (samples.commanded, samples.effective))
+    moved = samples.T_base_platform * exp(np.einsum("nij,nj->ni", to_pose, effective[label] - samples.effective))
+    apart = difference(RigidTransform.from_matrix(moved.as_matrix()[first][label]), moved)
+    unseen = np.isinf(samples.covariance)  # rotations that nothing measured
+    weight = precision(np.where(unseen, 1.0, samples.covariance))
+    total, mean, common = (np.zeros((count, *part.shape[1:])) for part in (weight, apart, samples.common))
+    np.add.at(total, label, weight)
+    np.add.at(mean, label, (weight @ apart[..., None])[..., 0])
+    np.add.at(common, label, weight @ samples.common)
+    covariance = precision(total)
+    poses = moved[first] * exp((covariance @ mean[..., None])[..., 0])
+    return Samples(samples.frame[first], samples.t[first], commanded, poses, np.where(unseen[first], np.inf, covariance), covariance @ common,
+                   effective - commanded)

@@ -1,0 +1,158 @@
+"""Measuring limbs beside the struts: the platform's pose from six lengths, held against vision before it is believed; more limbs check it.
+
+The limbs' own joints and zeros are found as the struts' are, from poses that vision measured. Agreement is judged on poses that were
+not used for that: bias, scatter, and limits of agreement, axis by axis, against a tolerance that is stated. Sources: the
+on-line learning patent for Stewart platforms, [0016]-[0021]; Bland and Altman, Lancet 327, 1986 (limits of agreement).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from scipy.spatial.transform import RigidTransform
+
+from calib.certify import redundant_limb_checks
+from calib.certify.fitted_limbs import Limbs
+from calib.models.platform.identification import Identified, identify
+from calib.samples.pose_samples import Samples, blocks
+from rig.model.design import Design, Hexapod, MeasuringLimbs
+from rig.errors import NotEnoughData, RigError
+from rig.model.mechanism_kinds import hexapod_of
+from rig.model.mechanisms import hexapod as mechanism
+from rig.model.pose import difference, vector
+from rig.recording.recording_folder import Recording
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+LONGEST_GAP = 0.5  # s; readings further apart about an exposure say nothing of it
+FOLDS = 4  # stretches in time, each judged by limbs that were fitted to the others
+COVERAGE = 1.96  # standard deviations: the limits that 95 % of differences keep
+MOVES = 20.0  # tolerances over which each axis must move for its agreement to be shown
+FEWEST = 20  # poses from which limits of agreement mean anything
+TRUST = 1e-6  # share of honest checks that fail
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agreement:
+    """Limbs less vision on n poses, by axis (x y z rx ry rz, m and rad, in the platform's frame).
+
+    bias, scatter : (6,); limits : (2, 6) lower and upper limit of agreement; surely : (6,) what these stay within, with 97.5 %
+    expected : (6,) scatter that vision's and the limbs' own covariances account for; moved : (6,) range over which each axis went
+    tolerance : (6,); passed : (6,) bool
+    """
+
+    n: int
+    bias: np.ndarray
+    scatter: np.ndarray
+    limits: np.ndarray
+    surely: np.ndarray
+    expected: np.ndarray
+    moved: np.ndarray
+    tolerance: np.ndarray
+
+    @property
+    def passed(self) -> np.ndarray:
+        """(6,) bool, whether each axis agrees within its tolerance, shown over a range that says so."""
+        return (self.surely <= self.tolerance) & (self.moved >= MOVES * self.tolerance)
+
+
+def measuring(design: Design) -> MeasuringLimbs:
+    """The measuring limbs as rig.toml has them. Raises RigError for a rig without [insitu]."""
+    if design.insitu is None:
+        raise RigError("rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma")
+    return design.insitu
+
+
+def stated(design: Design, chosen: np.ndarray | None = None) -> Hexapod:
+    """Hexapod of six of the limbs as rig.toml has them. chosen : (6,) their numbers, from 0, the first six by default
+
+    Raises RigError for a rig without [insitu], with fewer than six limbs, or that is no hexapod
+    """
+    limbs = measuring(design)
+    if not isinstance(design.mechanism, Hexapod):
+        raise RigError(f"measuring limbs are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
+    return redundant_limb_checks.legs(limbs, design.mechanism.home).six(np.arange(6) if chosen is None else chosen)
+
+
+def readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """(frames (f,), lengths (f, limbs) m): what the limbs read at the exposures that have readings about them.
+
+    Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
+    """
+    sensors, channels = recording.sensors, measuring(recording.design).channels
+    told = f"{recording.folder}: measuring limbs are read from sensors.csv, columns {channels[0]}..{channels[-1]} (m); "
+    if sensors is None:
+        raise RigError(told + "there is no sensors.csv")
+    missing = [name for name in channels if name not in sensors.channels]
+    if missing:
+        raise RigError(told + f"{missing[0]!r} is missing")
+    frames, t = recording.exposures.times()
+    after = np.clip(np.searchsorted(sensors.t, t), 1, len(sensors.t) - 1)
+    exact = np.isclose(sensors.t[after], t, atol=1e-6) | np.isclose(sensors.t[after - 1], t, atol=1e-6)
+    good = exact | ((sensors.t[after] - sensors.t[after - 1] <= LONGEST_GAP) & (sensors.t[0] <= t) & (t <= sensors.t[-1]))
+    if not good.any():
+        raise NotEnoughData(f"{recording.folder}: none of {len(t)} exposures has readings of the limbs within {LONGEST_GAP:g} s before and after it")
+    return frames[good], np.stack([np.interp(t[good], sensors.t, sensors.channels[name]) for name in channels], axis=1)
+
+
+def read(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
+    """Samples whose commands are the limbs' readings. samples : Samples by vision; frames (f,), lengths (f, 6) m : as `readings` gives them, of six.
+
+    Raises NotEnoughData where no frame has both
+    """
+    both = np.isin(samples.frame, frames)
+    if not both.any():
+        raise NotEnoughData("no frame has both a pose by vision and readings of the limbs")
+    kept = samples.take(both)
+    return replace(kept, commanded=lengths[np.searchsorted(frames, kept.frame)])
+
+
+def calibrated(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
+    """(Limbs, Identified) from Samples as `read` makes them. nominal : Hexapod as stated; sigma : m of one reading"""
+    found: Identified = identify(with_readings(samples, nominal, sigma), nominal)
+    return Limbs(hexapod_of(found.mechanism), found.covariance, np.hypot(found.scatter, sigma)), found
+
+
+def with_readings(samples: Samples, nominal: Hexapod, sigma: float) -> Samples:
+    """The Samples with what the readings' own noise (m) does to a pose added to vision's covariance."""
+    back = np.linalg.inv(mechanism.jacobian(samples.T_base_platform, nominal))
+    return replace(samples, covariance=samples.covariance + sigma**2 * back @ np.swapaxes(back, 1, 2))
+
+
+def held_out(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, np.ndarray]:
+    """(T_limbs RigidTransform (n,), expected (n, 6, 6) covariance of the difference): every pose by limbs fitted to other stretches.
+
+    The expectation holds what the limbs' fit to the same cameras shares with vision once only: vision's shared errors go into the
+    limbs, so that they do not show in the difference. Raises NotEnoughData for fewer than FEWEST poses
+    """
+    if len(samples) < FEWEST:
+        raise NotEnoughData(f"{len(samples)} poses by vision with readings; limits of agreement take at least {FEWEST}")
+    fold = blocks(len(samples), FOLDS)
+    matrices, expected = np.empty((len(samples), 4, 4)), np.empty((len(samples), 6, 6))
+    alone = replace(samples, common=samples.common[:, :, :0])
+    for k in np.unique(fold):
+        limbs, _ = calibrated(samples.take(fold != k), nominal, sigma)
+        part = samples.take(fold == k)
+        T = limbs.pose(part.commanded)
+        apart, _ = calibrated(alone.take(fold != k), nominal, sigma)  # what the fit's own noise adds, vision's shared errors aside
+        own, common = apart.uncertainty(T)
+        matrices[fold == k] = T.as_matrix()
+        expected[fold == k] = own + part.covariance + common @ np.swapaxes(common, 1, 2)
+    return type(samples.T_base_platform).from_matrix(matrices), expected
+
+
+def agreement(T_vision: RigidTransform, T_limbs: RigidTransform, expected: np.ndarray, tolerance: tuple[float, float]) -> Agreement:
+    """Agreement of two measurements of the same poses (n,). expected : (n, 6, 6) covariance of their difference
+    tolerance : (m, rad) for position and rotation, each axis"""
+    d, n = difference(T_vision, T_limbs), len(T_vision)
+    bias, scatter = d.mean(axis=0), d.std(axis=0, ddof=1)
+    limits = np.stack([bias - COVERAGE * scatter, bias + COVERAGE * scatter])
+    unsure = COVERAGE * scatter * np.sqrt(1 / n + COVERAGE**2 / (2 * (n - 1)))  # Bland and Altman: of the limits themselves
+    motion = vector(T_vision[0].inv() * T_vision)
+    return Agreement(n, bias, scatter, limits, np.abs(limits).max(axis=0) + unsure, np.sqrt(np.einsum("nii->ni", expected).mean(axis=0)),
+                     np.ptp(motion, axis=0), np.repeat(tolerance, 3))
+
+
+def still_agrees(T_vision: RigidTransform, covariance: np.ndarray, T_limbs: RigidTransform, own: np.ndarray, common: np.ndarray) -> bool:
+    """Whether vision (pose (), covariance (6, 6)) still agrees with the limbs (own (6, 6), common (6, k)), as an occasional check."""
+    d = difference(T_vision, T_limbs)
+    return bool(d @ np.linalg.solve(covariance + own + common @ common.T, d) < scipy.special.chdtri(6, TRUST))

@@ -1,0 +1,158 @@
+"""A correction summand known with noise at scattered configurations -> over the whole configuration space (Gaussian process).
+
+The summand of a strut is the sum of a function of that strut's own command (screw, encoder, scale) and a function of the
+whole configuration; how large and how smooth either is, is found by maximum likelihood. Far from any sample it fades to
+zero, which leaves the fitted geometry alone. Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006,
+eqs 2.25, 2.30, 5.9.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+import scipy
+from scipy.linalg import cho_factor, cho_solve
+
+from calib.correct.interpolation.field import Known, merged
+from calib.correct.interpolation.gaussian_process_likelihood import Likelihood, noise_only
+
+LARGEST = 400  # samples on which size and smoothness are found; more are thinned out for that
+STARTS = ((0.1, 1.5), (0.6, 1.5))  # smoothness to start from, in half strokes: along the strut, over the configuration
+OWN, WHOLE = np.log([0.02, 10.0]), np.log([0.7, 10.0])  # in six dimensions hundreds of samples resolve nothing finer
+BOUNDS = ((-12, 5), OWN, (-12, 5), WHOLE, (-12, 5))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Radial:
+    """centre, half : (axes,) scale of the configuration space; axis : the strut's index; inputs : (n, axes) scaled;
+    weights : (n,) m; sizes : (2,) m and lengths : (2,) half strokes of the two functions; noise : m beyond what was stated
+    variances : (n,) m^2 of the samples as stated, None in files of before they were kept."""
+
+    centre: np.ndarray
+    half: np.ndarray
+    axis: int
+    inputs: np.ndarray
+    weights: np.ndarray
+    sizes: np.ndarray
+    lengths: np.ndarray
+    noise: float
+    variances: np.ndarray | None = None
+
+    def __call__(self, configurations: np.ndarray) -> np.ndarray:
+        """(...,) m, the summand at configurations (..., axes)."""
+        scaled = (np.asarray(configurations, float) - self.centre) / self.half
+        flat = scaled.reshape(-1, scaled.shape[-1])
+        own, whole = _kernels(flat, self.inputs, self.axis, self.lengths)
+        values = (self.sizes[0] ** 2 * own + self.sizes[1] ** 2 * whole) @ self.weights
+        return values.reshape(scaled.shape[:-1])
+
+    def gradient(self, configurations: np.ndarray) -> np.ndarray:
+        """(..., axes) change of the summand with configurations (..., axes)."""
+        scaled = (np.asarray(configurations, float) - self.centre) / self.half
+        flat = scaled.reshape(-1, scaled.shape[-1])
+        own, whole = (size**2 * kernel * self.weights for size, kernel in zip(self.sizes, _kernels(flat, self.inputs, self.axis, self.lengths)))
+        out = (whole @ self.inputs - whole.sum(axis=1)[:, None] * flat) / self.lengths[1] ** 2
+        out[:, self.axis] += (own @ self.inputs[:, self.axis] - own.sum(axis=1) * flat[:, self.axis]) / self.lengths[0] ** 2
+        return (out / self.half).reshape(scaled.shape)
+
+    def error(self, configurations: np.ndarray) -> np.ndarray:
+        """(...,) m, standard error at configurations (..., axes): Rasmussen and Williams, eq. 2.26; the sizes alone where no variances are kept."""
+        scaled = (np.asarray(configurations, float) - self.centre) / self.half
+        square = np.full(scaled.shape[:-1], (self.sizes**2).sum())
+        if self.variances is not None:
+            flat = scaled.reshape(-1, scaled.shape[-1])
+            k = self._covariance(flat)
+            K = self._covariance(self.inputs) + np.diag(self.variances + self.noise**2)
+            told = np.einsum("ni,in->n", k, cho_solve(cho_factor(K, lower=True), k.T))
+            square = np.maximum(square - told.reshape(square.shape), 0)
+        return np.sqrt(square)
+
+    def _covariance(self, scaled: np.ndarray) -> np.ndarray:
+        own, whole = _kernels(scaled, self.inputs, self.axis, self.lengths)
+        return self.sizes[0] ** 2 * own + self.sizes[1] ** 2 * whole
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadialMap:
+    """A Radial for each output, None for one that noise alone explains; low, high : (axes,), the box of the samples.
+
+    inflation : times its own standard error that it was found to be off at samples held out, where that is more
+    """
+
+    parts: tuple[Radial | None, ...]
+    low: np.ndarray
+    high: np.ndarray
+    inflation: float = 1.0
+    kind: ClassVar[str] = "radial"
+    exact: ClassVar[bool] = False
+
+    @classmethod
+    def fit(cls, known: Known, like: "RadialMap | None" = None) -> Self:
+        """The field through samples anywhere; output i may have a function of its own along axis i. Raises ValueError for more outputs than axes.
+
+        like : a RadialMap whose sizes and smoothness are taken over, or None
+        """
+        each = merged(known)
+        x, axes = each.configurations, each.configurations.shape[1]
+        if each.values.shape[1] > axes:
+            raise ValueError(f"radial takes no more outputs than axes, got {each.values.shape[1]} and {axes}")
+        parts = tuple(None if like is not None and like.parts[i] is None else
+                      fit(x, each.values[:, i], each.variances[:, i], i, each.strokes, None if like is None else like.parts[i])
+                      for i in range(each.values.shape[1]))
+        return cls(parts, x.min(axis=0), x.max(axis=0))
+
+    def value(self, x: np.ndarray) -> np.ndarray:
+        x = np.asarray(x, float)
+        return np.stack([np.zeros(x.shape[:-1]) if part is None else part(x) for part in self.parts], axis=-1)
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        x = np.asarray(x, float)
+        return np.stack([np.zeros(x.shape) if part is None else part.gradient(x) for part in self.parts], axis=-2)
+
+    def error(self, x: np.ndarray) -> np.ndarray:
+        x = np.asarray(x, float)
+        return self.inflation * np.stack([np.zeros(x.shape[:-1]) if part is None else part.error(x) for part in self.parts], axis=-1)
+
+    def inside(self, x: np.ndarray) -> np.ndarray:
+        return np.asarray(((x >= self.low) & (x <= self.high)).all(axis=-1))
+
+
+def fit(configurations: np.ndarray, values: np.ndarray, variances: np.ndarray, axis: int, strokes: np.ndarray,
+        like: Radial | None = None) -> Radial | None:
+    """Radial through noisy summands, or None where noise alone explains them (by the Bayesian information criterion).
+
+    configurations : (n, axes) m; values : (n,) m; variances : (n,) m^2, stated; axis : the strut's index
+    strokes : (axes, 2) m, the configuration space; like : a Radial whose sizes, lengths and noise are taken over, or None
+    """
+    centre, half = strokes.mean(axis=1), np.ptp(strokes, axis=1) / 2
+    scaled = (configurations - centre) / half
+    unit = max(float(np.sqrt(np.mean(variances))), 1e-12)
+    y, v = values / unit, variances / unit**2
+    if like is None:
+        hyper = _hyper(scaled, y, v, axis)
+        if hyper is None:
+            return None
+        sizes, lengths, noise = hyper[[0, 2]], hyper[[1, 3]], hyper[4]
+    else:
+        sizes, lengths, noise = like.sizes / unit, like.lengths, like.noise / unit
+    own, whole = _kernels(scaled, scaled, axis, lengths)
+    K = sizes[0] ** 2 * own + sizes[1] ** 2 * whole + np.diag(v + noise**2)
+    weights = cho_solve(cho_factor(K, lower=True), y)
+    return Radial(centre, half, axis, scaled, weights / unit, sizes * unit, lengths, float(noise * unit), variances)
+
+
+def _hyper(scaled: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> np.ndarray | None:
+    """(5,) size, length, size, length, noise of greatest likelihood, or None where noise alone is likelier for its simplicity."""
+    thin = np.arange(0, len(y), max(1, -(-len(y) // LARGEST)))
+    likelihood = Likelihood(scaled[thin], y[thin], v[thin], axis)
+    fits = [scipy.optimize.minimize(likelihood, np.array([0.0, np.log(own), 0.0, np.log(whole), -2.0]), jac=True,
+                                    method="L-BFGS-B", bounds=BOUNDS, options={"maxiter": 40}) for own, whole in STARTS]
+    best = min(fits, key=lambda fit: fit.fun)
+    null = scipy.optimize.minimize(lambda p: noise_only(p, y[thin], v[thin]), [-2.0], jac=True, method="L-BFGS-B", bounds=BOUNDS[-1:])
+    return None if null.fun - best.fun < 2 * np.log(len(thin)) else np.exp(best.x)  # four more parameters at log(n)/2 each
+
+
+def _kernels(a: np.ndarray, b: np.ndarray, axis: int, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    own = np.exp(-0.5 * ((a[:, None, axis] - b[None, :, axis]) / lengths[0]) ** 2)
+    square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
+    return own, np.exp(-0.5 * np.maximum(square, 0) / lengths[1] ** 2)

@@ -1,0 +1,120 @@
+"""All ways to extend corrections over a space, by name, and how they are kept in files."""
+
+from collections.abc import Callable
+from dataclasses import fields as parts_of
+from typing import Any
+
+import numpy as np
+
+from calib.correct.interpolation.axis_functions import Axes
+from calib.correct.interpolation.delaunay import Delaunay
+from calib.correct.interpolation.field import Field, Known
+from calib.correct.interpolation.multilinear import Linear
+from calib.correct.interpolation.partial_map import Part, Within
+from calib.correct.interpolation.repeated_passes import Passes
+from calib.correct.interpolation.polynomial import Polynomial
+from calib.correct.interpolation.gaussian_process import Radial, RadialMap
+from calib.correct.interpolation.simplex import Simplex
+from rig.formats.checked_entries import Entries
+from rig.errors import RigError
+
+SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
+    **dict.fromkeys(("linear", "simplex"), {"levels": "ragged", "values": "nm", "variances": "nm", "misfit": "m"}),
+    "delaunay": {"centre": "a", "half": "a", "samples": "na", "values": "nm", "variances": "nm", "misfit": "m"},
+    "axes": {"knots": "ac", "coefficients": "fm", "root": "fk", "noise": "m", "misfit": "m"},
+    "polynomial": {"low": "a", "high": "a", "powers": "fa", "coefficients": "fm", "root": "fk", "noise": "m", "misfit": "m"},
+}
+ALL = {one.kind: one for one in (Linear, Simplex, Delaunay, Axes, RadialMap, Polynomial)}
+
+
+def fit(kind: str, known: Known) -> Field:
+    """The Field of a kind through samples. Raises RigError for a kind that is not known, and what the kind raises."""
+    if kind not in ALL:
+        raise RigError(f"there is no way {kind!r} to extend corrections; there are {', '.join(ALL)}")
+    return ALL[kind].fit(known)
+
+
+def as_dict(field: Field) -> dict[str, Any]:
+    """dict of a Field, as JSON holds it."""
+    if isinstance(field, Passes):
+        return {"kind": field.kind, "fields": [as_dict(one) for one in field.fields]}
+    if isinstance(field, Within):
+        return {"kind": field.kind, "field": as_dict(field.field), "low": _bounds(field.part.low), "high": _bounds(field.part.high)}
+    return {"kind": field.kind} | {part.name: _plain(getattr(field, part.name)) for part in parts_of(field) if part.init}  # type: ignore[arg-type]
+
+
+def _bounds(values: np.ndarray) -> list[float | None]:
+    """Bounds of a part; null where there is none."""
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def _part(table: Entries, axes: int) -> Part:
+    low, high = (table.array(name, (axes,), nulls=True) for name in ("low", "high"))
+    try:
+        return Part(np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high))
+    except ValueError as error:
+        table.fail(f"{table.name('low')}: {error}", "low")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Radial):
+        return {part.name: _plain(getattr(value, part.name)) for part in parts_of(value)}
+    return [_plain(one) for one in value] if isinstance(value, tuple) else value
+
+
+def from_entries(table: Entries, axes: int) -> Field:
+    """Field over so many axes, of what `as_dict` gave. Raises FileError for anything else."""
+    named = table.text("kind", (*ALL, Passes.kind, Within.kind))
+    if named == Passes.kind:
+        return Passes(tuple(from_entries(one, axes) for one in table.tables("fields")))
+    if named == Within.kind:
+        return Within(from_entries(table.table("field"), axes), _part(table, axes))
+    kind = ALL[table.text("kind", tuple(ALL))]
+    build: Callable[..., Field] = kind
+    if kind is RadialMap:
+        parts = _ragged(table, "parts")
+        found = [None if one is None else radial_from(Entries(one, (*table.path, "parts", i), table.file, table.places), axes)
+                 for i, one in enumerate(parts) if one is None or isinstance(one, dict)]
+        inflation = table.number("inflation") if "inflation" in table.tree else 1.0
+        return RadialMap(tuple(found), table.array("low", (axes,)), table.array("high", (axes,)), inflation)
+    sizes: dict[str, int] = {"a": axes}
+    read = {name: _levels(table, axes) if shape == "ragged" else _array(table, name, shape, sizes) for name, shape in SHAPES[kind.kind].items()}
+    try:
+        return build(**read)
+    except (ValueError, RigError) as error:
+        table.fail(f"{table.name('kind')}: a field of kind {kind.kind!r} cannot be: {error}", "kind")
+
+
+def radial_from(table: Entries, axes: int) -> Radial:
+    """Radial over so many axes, of its parts in a file. Raises FileError where it is none."""
+    inputs = table.array("inputs", (None, axes))
+    half, lengths = table.array("half", (axes,)), table.array("lengths", (2,))
+    for name, values in (("half", half), ("lengths", lengths)):
+        if (values <= 0).any():
+            table.fail(f"{table.name(name)} must be positive, not {values.tolist()}", name)
+    return Radial(table.array("centre", (axes,)), half, table.whole("axis", 0, most=axes - 1), inputs, table.array("weights", (len(inputs),)),
+                  table.array("sizes", (2,)), lengths, table.number("noise"),
+                  table.array("variances", (len(inputs),), None) if "variances" in table.tree else None)
+
+
+def _array(table: Entries, name: str, shape: str, sizes: dict[str, int]) -> np.ndarray:
+    found = table.array(name, tuple(sizes.get(letter) for letter in shape))
+    sizes.update(zip(shape, found.shape))
+    return found
+
+
+def _levels(table: Entries, axes: int) -> tuple[np.ndarray, ...]:
+    listed = _ragged(table, "levels")
+    if len(listed) != axes:
+        table.fail(f"{table.name('levels')} must list {axes} axes, got {len(listed)}", "levels")
+    inner = Entries(dict(enumerate(listed)), (*table.path, "levels"), table.file, table.places)
+    return tuple(inner.array(i, (None,)) for i in range(axes))
+
+
+def _ragged(table: Entries, name: str) -> list[Any]:
+    value = table.get(name)
+    if not isinstance(value, list):
+        table.fail(f"{table.name(name)} must be a list", name)
+    return value

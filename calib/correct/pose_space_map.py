@@ -1,0 +1,70 @@
+"""A map in pose space: where the machine really stands when all corrections so far have it at a pose, and what to ask for instead.
+
+Source: configuration-space patent, [0035] (error maps and compensation in the configuration space, the workspace or both)
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.correct.interpolation.field import Field
+from rig.errors import NotConverged
+from rig.model.pose import exp, log
+
+ITERATIONS = 50
+TOLERANCE = 1e-13  # m and rad, of the error's last change
+NAMES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseMap:
+    """home : T_base_platform whose turn rotations are counted from; coordinates : of NAMES, indices of those that poses differ in
+    field : Field over these, position in the base frame (m) and rotation vector from home (rad), whose values are the tangent on the right
+    (m, rad) from where a pose is asked for to where the machine stands then, in the same coordinates."""
+
+    home: RigidTransform
+    coordinates: tuple[int, ...]
+    field: Field
+
+    def at(self, T: RigidTransform) -> np.ndarray:
+        """(..., k) coordinates of poses (...)."""
+        return places(T, self.home)[..., list(self.coordinates)]
+
+    def error(self, T: RigidTransform) -> np.ndarray:
+        """(..., 6) m and rad, standard error of what the map adds to poses (...)."""
+        return self._whole(self.field.error(self.at(T)))
+
+    def applied(self, T: RigidTransform) -> RigidTransform:
+        """Where the machine stands (...) when it is taken to stand at poses (...)."""
+        return T * exp(self._whole(self.field.value(self.at(T))))
+
+    def undone(self, T: RigidTransform) -> RigidTransform:
+        """The poses (...) at which the machine is to be taken to stand for it to stand at T (...): the fixed point of T' = T exp(-error(T')).
+
+        Raises NotConverged with index, poses and residual (m, rad) where it is not found
+        """
+        found, before = T, np.zeros((*T.shape, 6))
+        for _ in range(ITERATIONS):
+            now = self._whole(self.field.value(self.at(found)))
+            found, change, before = T * exp(-now), np.abs(now - before).max(axis=-1), now
+            if change.max(initial=0) < TOLERANCE:
+                return found
+        failed = np.flatnonzero(~(np.ravel(change) < TOLERANCE))
+        raise NotConverged(f"where to stand for {len(failed)} poses was not found by a map in pose space", failed,
+                           places(T, self.home).reshape(-1, 6)[failed], np.ravel(change)[failed])
+
+    def _whole(self, values: np.ndarray) -> np.ndarray:
+        out = np.zeros((*values.shape[:-1], 6))
+        out[..., list(self.coordinates)] = values
+        return out
+
+
+def places(T: RigidTransform, home: RigidTransform) -> np.ndarray:
+    """(..., 6) of poses (...): position in the base frame (m), rotation vector from home's turn (rad)."""
+    return np.concatenate([T.translation, (home.rotation.inv() * T.rotation).as_rotvec()], axis=-1)
+
+
+def errors(T_taken: RigidTransform, T_measured: RigidTransform) -> np.ndarray:
+    """(n, 6) tangents on the right, m and rad, from where a machine is taken to stand (n,) to where it was measured (n,)."""
+    return log(T_taken.inv() * T_measured)

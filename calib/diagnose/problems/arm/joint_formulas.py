@@ -1,0 +1,104 @@
+"""A formula for what an arm's joints do and nobody named."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.diagnose.engine.chance_probability import Z95
+from calib.diagnose.engine.cross_validation import FOLDS, STRETCHES, signed_rank_gain, stretches
+from calib.diagnose.engine.formula_search import Formula, Search
+from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.engine.formula_library import Library
+from calib.diagnose.engine.selection_policy import ARM
+from calib.diagnose.engine.reduced_least_squares import Reduced
+from calib.diagnose.problems.arm.joint_candidates import joint_candidate
+from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit
+from calib.diagnose.problems.arm.nonlinear_parameters import joint_covariance, sought
+from calib.diagnose.problems.arm.candidate_search import joint_products
+from calib.diagnose.problems.arm.term_simplification import bettered
+from calib.diagnose.problems.formula_suggestion import AGREE, NAME, Suggestion, library_of, looked_at, written
+from rig.effects.texts.formula_effect_file import Written
+
+SHOWN = 2  # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """joint : index; library : Library of what a formula may look at there; formula : of all poses."""
+
+    joint: int
+    library: Library
+    formula: Formula
+
+
+def suggestions(now: Fit, left: list[LackOfFit]) -> list[Suggestion]:
+    """[Suggestion] for the joints that something is left of, the largest first, each beside those before it: axes that stand alike shadow each
+    other. At most SHOWN."""
+    motion, places = now.arms.context.moved(), {u.place for u in left if u.depends_on}
+    open_, out = [j for j, place in enumerate(motion.places) if place in places], []
+    for _ in range(SHOWN):
+        tried = [found for j in open_ if (found := _found(now, j)) is not None]
+        if not tried:
+            break
+        largest = max(tried, key=lambda found: found.formula.length)
+        suggested = _suggested(now, largest)
+        open_ = [found.joint for found in tried if found is not largest]
+        if suggested is not None:
+            out.append(suggested[0])
+            now = suggested[1]
+    return out
+
+
+def _found(now: Fit, joint: int) -> Found | None:
+    library = library_of(now.arms.context.moved(), joint)
+    formula = _best(now, joint, library)
+    return None if formula is None else Found(joint, library, formula)
+
+
+def _best(now: Fit, joint: int, library: Library) -> Formula | None:
+    """The Formula of what a Fit leaves of a joint on the poses that it used."""
+    own = float(np.einsum("nkk->nk", now.arms.own)[now.used, :3].mean())
+    floor = own / (own + float(np.mean(now.scatter[:3] ** 2)))
+    return Search(library, Reduced.of(joint_products(now, joint), np.flatnonzero(now.used)), floor).best()
+
+
+def _written(now: Fit, found: Found, formula: Formula) -> Written:
+    """Written of a Formula at a joint."""
+    return written(formula, found.library, now.arms.context.moved().kind.AXIS, False)
+
+
+def _term(now: Fit, found: Found, formula: Formula) -> Term:
+    """The Term of a Formula at a joint, as its own file makes it."""
+    form = _written(now, found, formula)
+    (spec,) = form.kind(NAME).candidates(now.arms.context.moved().places[found.joint], now.arms.context)
+    return Term.at(joint_candidate((spec,), now.arms), {name: form.values[name] for name in form.waves.values()})
+
+
+def _suggested(now: Fit, found: Found) -> tuple[Suggestion, Fit] | None:
+    """(Suggestion of what was found, the Fit with it); None where poses held out do not gain by such."""
+    arms, fold = now.arms, stretches(len(now.arms), STRETCHES) % FOLDS
+    without = [fit(arms, now.terms, now.used & (fold != h), now.weighing, rounds=1) for h in range(FOLDS)]
+    chosen = [_best(part, found.joint, found.library) for part in without]
+    before, after = np.empty(arms.left.shape), np.empty(arms.left.shape)
+    fall = np.zeros(len(arms))
+    for h, (part, one) in enumerate(zip(without, chosen)):
+        rows, more = fold == h, part if one is None else part.with_terms([_term(part, found, one)])
+        before[rows], after[rows] = part.left[rows], more.left[rows]
+        fall[rows] = ((part.y**2).sum(axis=1) - (more.y**2).sum(axis=1))[rows]
+    gain = signed_rank_gain(fall[now.used])
+    if gain < (ARM.final_gain or 0.0) or sum(one is not None for one in chosen) < AGREE * len(chosen):
+        return None
+    last = fit(arms, [*now.terms, _term(now, found, found.formula)], now.used)
+    last = bettered(last, [last.terms[-1]]) if sought(last.terms[-1]) else last
+    number = len(last.terms) - 1
+    term, theta, joint = last.terms[-1], last.theta[last.slices[-1]], joint_covariance(last, number)
+    spec, sigma = term.candidate.specs[0], Z95 * np.sqrt(np.diag(joint.covariance))
+    values = [*theta.tolist(), *(float(term.node[name]) for name in joint.names)]
+    names = [*(column.name for column in spec.linear), *joint.names]
+    lengths = [float(np.sqrt(np.mean(np.sum(part[now.used, :3] ** 2, axis=1)))) for part in (before, after)]
+    noise = float(np.sqrt(np.einsum("nkk->nk", arms.own)[now.used, :3].sum(axis=1).mean()))
+    place = arms.context.moved().places[found.joint]
+    intervals = {name: (v, v - s, v + s) for name, v, s in zip(names, values, sigma.tolist())}
+    parts = tuple(looked_at(one, found.library) for one in chosen)
+    form, effect = _written(now, found, found.formula), term.candidate.effect(term.node, theta)
+    return Suggestion(place, form, effect, intervals, lengths[0], lengths[1], noise, "m", gain, parts, found.formula.length), last

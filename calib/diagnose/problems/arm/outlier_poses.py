@@ -1,0 +1,74 @@
+"""Wild poses of an arm, left out before anything is searched: far off all that geometry, moves and time may do smoothly, and off their neighbours."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.models.arm.excess_scatter import MIDDLE
+from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
+from calib.diagnose.problems.arm.linearised_poses import Arms
+from calib.diagnose.problems.remainder_covariates import cosines, speed
+from calib.identify.robust_fit import MOST, robust_fit, wild_rows
+
+GROSS, GATE = 20.0, 7.0  # times the scatter of the others, from which a pose may be wild before anything is admitted, and after
+SLOW = 4  # cosines of time that are free at each joint
+ROWS = 4  # numbers measured for each that is free
+REASON = "what was measured and the command agree with no other pose, neither those before and after it nor those at joint angles near it"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WildPoses:
+    """frames : numbers of poses left out; left_out : (LeftOut, ..) of them; crowd : Crowd of poses that are far off in too many, or None."""
+
+    frames: frozenset[int] = frozenset()
+    left_out: tuple[LeftOut, ...] = ()
+    crowd: Crowd | None = None
+
+    def with_more(self, more: "WildPoses", count: int) -> "WildPoses":
+        """Both together, of so many poses; where these are too many, the first alone and the crowd that they are."""
+        frames = self.frames | more.frames
+        if len(frames) > MOST * count:
+            return WildPoses(self.frames, self.left_out, Crowd("poses", len(frames), count))
+        return WildPoses(frames, tuple(sorted(self.left_out + more.left_out, key=lambda one: one.frame)), more.crowd or self.crowd)
+
+
+def wild_poses(arms: Arms, left: np.ndarray, gate: float) -> WildPoses:
+    """WildPoses by residuals left (n, k), m and rad, beyond a gate."""
+    W = np.linalg.inv(np.linalg.cholesky(arms.own))
+    columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : left.size // ROWS]
+    found = robust_fit([((W @ left[..., None])[..., 0], W @ columns)])
+    all_off = _relative(found.residual)
+    far = wild_rows(all_off, arms.t, arms.q, gate)
+    if far.sum() > MOST * len(arms):
+        return WildPoses(crowd=Crowd("poses", int(far.sum()), len(arms)))
+    residual = np.linalg.solve(W[far], found.residual[far, :, None])[..., 0]
+    told = []
+    for frame, off, relative in zip(arms.frame[far].tolist(), residual, np.abs(all_off[far])):
+        turned = int(relative.argmax()) >= 3
+        size = float(np.linalg.norm(off[3:] if turned else off[:3]))
+        told.append(LeftOut(frame, "pose", "rig", size, "rad" if turned else "m", float(relative.max()), REASON))
+    return WildPoses(frozenset(arms.frame[far].tolist()), tuple(told))
+
+
+def _relative(residual: np.ndarray) -> np.ndarray:
+    """(n, k) whitened residuals over one scatter of positions and one of rotations, by their middle length: what a joint does shows along
+    other axes in every pose."""
+    out = np.empty_like(residual)
+    for part in (slice(0, 3), slice(3, 6)):
+        if residual[:, part].size:
+            out[:, part] = residual[:, part] / max(float(np.median(np.linalg.norm(residual[:, part], axis=1))) / np.sqrt(MIDDLE), 1e-300)
+    return out
+
+
+def _smooth(arms: Arms) -> np.ndarray:
+    """(n, k, q) what joints may do besides their geometry to what is measured, the plainest first."""
+    path = arms.context.moved().path
+    functions = [path.direction, speed(arms.commands, arms.t), path.last_step]
+    functions += [np.broadcast_to(c[:, None], arms.q.shape) for c in (*cosines(arms.t, SLOW).T, *_varying(arms))]
+    scaled = [values / np.abs(values).max() for values in functions if np.any(values)]
+    return np.concatenate([arms.joints * values[:, None, :] for values in scaled], axis=2)
+
+
+def _varying(arms: Arms) -> list[np.ndarray]:
+    """[(n,)] of the log's channels that vary, about their means."""
+    return [values - values.mean() for values in arms.channels.values() if np.ptp(values) > 0]

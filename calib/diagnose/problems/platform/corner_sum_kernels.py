@@ -1,0 +1,28 @@
+"""Sums over observed corners, compiled: of rows that lie scattered in what all corners have, without gathering them first."""
+
+import numpy as np
+
+from rig.compute.numba_kernels import njit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def onto(table: np.ndarray, rows: np.ndarray, V: np.ndarray, out: np.ndarray) -> None:
+    """Into out (q, p) V^T times the rows (h,) of a table (n, p); V : (h, q)."""
+    out[:] = 0.0
+    for h in range(len(rows)):
+        part = table[rows[h]]
+        for i in range(V.shape[1]):
+            v = V[h, i]
+            for j in range(len(part)):
+                out[i, j] += v * part[j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def by_frame(local: np.ndarray, rows: np.ndarray, frame: np.ndarray, V: np.ndarray, out: np.ndarray) -> None:
+    """Into out (F, L, q), frame by frame, the rows (h,) of local (n, L) transposed times V (h, q); frame : (h,)"""
+    out[:] = 0.0
+    for h in range(len(rows)):
+        for k in range(local.shape[1]):
+            v = local[rows[h], k]
+            for i in range(V.shape[1]):
+                out[frame[h], k, i] += v * V[h, i]

@@ -1,0 +1,57 @@
+"""What a machine's remainder may go with: every channel of its log, known or not, time, order, step, direction, speed, dwell, way travelled."""
+
+import numpy as np
+
+from rig.effects.framework.machine_motion import Path
+from rig.model.motion_simulation import ABOUT
+from rig.recording.recording_folder import Commands, Sensors
+
+COURSE = 4  # cosines of a covariate that goes on and on
+AT_ONCE = 1e-3  # s; a shorter wait counts as so long
+
+
+def courses(t: np.ndarray, sensors: Sensors | None) -> dict[str, np.ndarray]:
+    """{covariate: (F, 1, q) functions of it} at times (F,) s that are the same for all axes and cameras."""
+    order = np.argsort(np.argsort(t)).astype(float)
+    out = {"time": cosines(t, COURSE), "order": cosines(order, COURSE)}
+    if sensors is not None:
+        logged = {name: np.interp(t, sensors.t, values) for name, values in sensors.channels.items()}
+        out |= {name: powers(series, 2) for name, series in logged.items() if np.ptp(series) > 0}
+    return {name: functions[:, None, :] for name, functions in out.items()}
+
+
+def moves(path: Path, commands: Commands, t: np.ndarray) -> dict[str, np.ndarray]:
+    """{covariate: (F, axes or 1, q) functions of it} of how the axes came to where they were at times (F,) s."""
+    wait = np.log(np.maximum(path.dwell, AT_ONCE))
+    own = {"step": path.last_step, "speed": speed(commands, t), "way travelled": path.way}
+    out = {name: np.stack([powers(column, 2) for column in values.T], axis=1) for name, values in own.items() if np.ptp(values) > 0}
+    out["direction"] = path.direction[..., None]
+    return {**out, "dwell": powers(wait, 2)[:, None, :]} if np.ptp(wait) > 0 else out
+
+
+def each_apart(functions: np.ndarray, count: int) -> np.ndarray:
+    """(F, count, count q) weights: functions (F, count or 1, q) at each of so many directions, each of its own size."""
+    wide = np.broadcast_to(functions, (len(functions), count, functions.shape[2]))
+    return np.einsum("faq,ab->fabq", wide, np.eye(count)).reshape(len(functions), count, -1)
+
+
+def unit(x: np.ndarray) -> np.ndarray:
+    """x (F,) about its mean, within -1 .. 1."""
+    return (x - x.mean()) / max(np.abs(x - x.mean()).max(), 1e-300)
+
+
+def powers(x: np.ndarray, most: int) -> np.ndarray:
+    """(F, most) powers of a covariate (F,), from the first on, scaled to within -1 .. 1."""
+    return np.stack([unit(x) ** n for n in range(1, most + 1)], axis=1)
+
+
+def cosines(t: np.ndarray, count: int) -> np.ndarray:
+    """(F, q) so many cosines of time, slowest first."""
+    s = (t - t[0]) / max(np.ptp(t), 1e-300)
+    return np.cos(np.pi * s[:, None] * np.arange(1, count + 1))
+
+
+def speed(commands: Commands, t: np.ndarray) -> np.ndarray:
+    """(F, axes) m/s or rad/s of the axes at times (F,) s."""
+    ends = [np.stack([np.interp(t + s * ABOUT, commands.t, column) for column in commands.values.T], axis=1) for s in (1, -1)]
+    return (ends[0] - ends[1]) / (2 * ABOUT)

@@ -1,0 +1,128 @@
+"""What an arm's page draws: the arm, each finding turned back into its joint, held-out errors pose by pose."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
+from calib.diagnose.report import finding_contributions
+from calib.diagnose.report.arm_report import SAME_ANGLE, figures
+from calib.diagnose.report.arm_outline import picture
+from calib.diagnose.report.residual_figures import scatter
+from calib.diagnose.report.diagnosis_json import FindingEntry
+from calib.samples.effect_playback import FACTORS
+from calib.report.scene_3d import stage_alone
+from rig.model import mechanisms
+from rig.report.pages.plots import Series, panel
+from rig.report.pages.html_elements import heading, note, paragraph, table
+from rig.report.pages.view_3d import Effect, view
+
+PLAYED = 4  # findings that are shown in three dimensions
+ROWS = ("geometry alone", "with effects", "of these, every joint near angles it was fitted at", "of these, a joint at angles never fitted")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmView:
+    """diagnosis : ArmDiagnosis; entries : its findings as reported, in the diagnosis' order"""
+
+    diagnosis: ArmDiagnosis
+    entries: list[FindingEntry]
+
+    @property
+    def asked(self) -> int:
+        """How many hypotheses were held against the recording."""
+        return self.diagnosis.asked
+
+    def where(self, places: list[str]) -> str:
+        """The arm in outline, joints marked."""
+        d = self.diagnosis
+        moved: dict[int, dict[str, float]] = {}
+        for number, term in enumerate(d.fit.terms):
+            if term.candidate.joint is not None:
+                here = moved.setdefault(term.candidate.joint, {})
+                here[term.candidate.name] = float(np.hypot(here.get(term.candidate.name, 0.0), d.fit.part(number).std()))
+        return picture(d.arm, d.arms.q, moved)
+
+    def plot(self, finding: FindingEntry) -> str | None:
+        """Residuals of all poses turned back into the joint against what gives the finding away; None where it acts on the whole arm."""
+        d = self.diagnosis
+        number = d.findings[next(i for i, entry in enumerate(self.entries) if entry is finding)].number
+        term, fit = d.fit.terms[number], d.fit
+        joint = term.candidate.joint
+        if joint is None:
+            return None
+        a = (fit.W @ d.arms.directions(joint))[..., 0]
+        rest = (a * fit.y).sum(axis=1) / np.maximum((a * a).sum(axis=1), 1e-300)
+        moved = fit.part(number) - fit.part(number)[fit.used].mean()
+        covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(d.arms.context.moved())
+        x = covariate.values if covariate.values.ndim == 1 else covariate.values[:, joint]
+        both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
+        return scatter(x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{mechanisms.units(d.arm)[joint]}")
+
+    def in_space(self) -> list[str]:
+        """The arm's poses, with what each finding at a joint does, linear in its size."""
+        d, effects = self.diagnosis, list[Effect]()
+        J = np.zeros((len(d.arms), 6, d.arms.q.shape[1]))
+        J[:, : d.arms.joints.shape[1]] = d.arms.joints  # of positions alone, no rotation is known
+        for finding in d.findings[:PLAYED]:
+            candidate = d.fit.terms[finding.number].candidate
+            if candidate.joint is not None:
+                once = J[:, :, candidate.joint] * d.fit.part(finding.number)[:, None]
+                sizes = tuple(f"{factor:g} times as found" for factor in FACTORS)
+                effects.append(Effect(f"{candidate.name.replace('_', ' ')} at {candidate.place}", sizes, np.multiply.outer(FACTORS, once)))
+        return view(stage_alone(d.arm, d.arms.frame, d.arms.q, tuple(effects)))
+
+    def remaining(self, unknown: list[FindingEntry]) -> list[str]:
+        """Held-out errors, before and after, pose by pose and in a table."""
+        d, rows = self.diagnosis, []
+        for h in d.held:
+            near = h.far <= SAME_ANGLE
+            for label, left in zip(ROWS, (h.before, h.after, h.after[near], h.after[~near])):
+                if len(left):
+                    f = figures(left)
+                    rows.append([f"{label}, {h.stretches} stretches", *(f"{f[key] * 1e6:.1f}" for key in ("mean_m", "rms_m", "p95_m", "max_m")),
+                                 f"{f['mean_rad'] * 1e6:.1f}" if "mean_rad" in f else "", f["n"]])
+        parts: list[str] = [self._errors(), table(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows)]
+        if d.findings:
+            parts += [heading("What each finding brings on poses held out", 3), self._proofs(), heading("What single poses suffer from", 3),
+                      paragraph("The poses that all findings together displace most, for each finding a bar, the biggest first. "
+                                "contributions.csv has them for every pose."), finding_contributions.picture(d)]
+        aside = d.arms.frame[d.fit.aside]
+        if len(aside):
+            parts.append(paragraph(f"{len(aside)} poses agree with no model and count for next to nothing: frames {', '.join(map(str, aside))}."))
+        if d.repeats is not None and any(u.depends_on == ("configuration",) for u in d.left):
+            parts.append(paragraph(f"The same command brings {d.repeats.again:.0%} of what remains again: that is no noise, and of no form that was "
+                                   "tried."))
+        return parts
+
+    def measurement(self) -> list[tuple[str, Any]]:
+        """Where poses came from, and how well they repeat."""
+        d = self.diagnosis
+        again: list[tuple[str, Any]] = [] if d.repeats is None else [("the same command given again comes back within",
+                                               f"{d.repeats.mean * 1e6:.1f} µm ({d.repeats.pairs} pairs)")]
+        if d.fit.scatter[0] > 0:
+            again.append(("beyond what the instrument states, poses scatter by", f"{np.sqrt(3) * d.fit.scatter[0] * 1e6:.1f} µm"))
+        return [("poses from", d.source), ("poses", len(d.arms)), ("time", f"{np.ptp(d.arms.t) / 60:.1f} min"),
+                ("sensors", ", ".join(d.arms.channels) or "none"), *again]
+
+    def _proofs(self) -> str:
+        """Table of the fall of the held-out misfit by each finding, with stretches of time and regions of each joint's travel held out."""
+        d, rows = self.diagnosis, []
+        for i, finding in enumerate(d.findings):
+            candidate = d.fit.terms[finding.number].candidate
+            found = [d.cross_validations[i], *(row[i] for row in d.regions)]
+            rows.append([f"{candidate.name.replace('_', ' ')} at {candidate.place}", *(f"{(v.before - v.after) * 1e6:+.1f}" for v in found)])
+        joints = mechanisms.places(d.arm)[: len(d.regions)]
+        said = note("µm, RMS of a position per axis, by which poses are predicted better with it than without. A curve of a joint's own angle is "
+                    "not told where that joint never stood: there, what it brings by that joint's own regions may be a loss.")
+        return table(("finding", "held out: time", *joints), rows) + said
+
+    def _errors(self) -> str:
+        d = self.diagnosis
+        series = [Series(np.arange(len(left)), np.linalg.norm(left[:, :3], axis=1) * 1e6, label, colour=colour) for left, label, colour in
+                  ((d.held[0].before, "geometry alone", 1), (d.held[0].after, "with effects", 0))]
+        if d.repeats is not None:
+            ends = np.array([0.0, len(d.held[0].after) - 1.0])
+            series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command again", "line", -1))
+        return panel("held-out errors", ("pose", "position error, µm"), series, log=True)

@@ -1,0 +1,192 @@
+"""An arm's diagnosis as a Report, with intervals that allow for how residuals scatter, and what it takes to draw the recording anew."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+from calib.models.arm.certification import UNSTATED
+from calib.diagnose.engine.chance_probability import Z95
+from calib.diagnose.engine.cross_validation import CrossValidation
+from calib.diagnose.engine.term_selection import Finding
+from calib.diagnose.problems.arm.joint_candidates import SPAN, Form
+from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis, HeldOutPoses
+from calib.diagnose.problems.arm.pose_fit import Term
+from calib.diagnose.problems.arm.nonlinear_parameters import joint_covariance, moments
+from calib.diagnose.report import finding_contributions
+from calib.diagnose.report.platform_report import copy_recording, experiment, moment, unexplained, unknown, unusual
+from calib.diagnose.report.diagnosis_verdict import write
+from calib.diagnose.report.diagnosis_report import Report
+from calib.diagnose.report.diagnosis_json import (
+    ASSUMED_NOISE, STATED, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Unexplained, Value, bounded, covariate_entries,
+    recording_entries, effects_files, said_of, suggestion_entries,
+)
+from rig.formats import machine_json
+from rig.model import mechanisms
+from rig.formats.output_files import write_text
+from rig.recording.recording_folder import Recording
+
+SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
+SMALL = 1e-4  # step of an order, for its derivative
+
+
+def report(d: ArmDiagnosis) -> Report:
+    """Report of an ArmDiagnosis."""
+    found = [_finding(d, f, proof) for f, proof in zip(d.findings, d.cross_validations)]
+    fit = FitEntry(mean(d.held[0].before), mean(d.held[0].after), floor(d), "m")
+    held = [{"stretches": h.stretches, "before": figures(h.before), "after": figures(h.after), **reach(h), "chosen": [list(n) for n in h.names]}
+            for h in d.held]
+    again = None if d.repeats is None else {"pairs": d.repeats.pairs, "mean_m": d.repeats.mean, "rms_m": d.repeats.rms,
+                                            "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again}
+    return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left) or scattered(d), {"poses": fit}, fit,
+                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), covariates=covariate_entries(d.covariates), said=d.said,
+                  recordings=recording_entries(d.parts),
+                  own_effects=effects_files(d.own), suggestions=suggestion_entries(d.suggestions),
+                  more={"scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]), "held_out": held, "held_out_by_region": regions(d),
+                        "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()}, confounds=d.confounds,
+                  noise_from=ASSUMED_NOISE if d.arms.assumed else STATED, left_out=d.left_out, crowd=d.crowd)
+
+
+def scattered(d: ArmDiagnosis) -> Unexplained | None:
+    """What positions scatter beyond what is stated for them, by length, where that and what is stated exceed the stated UNSTATED times."""
+    beyond, stated = float(np.sqrt(3) * d.fit.scatter[0]), _by_length(d.arms.own, slice(0, 3))
+    return Unexplained("rig", beyond, "m", ()) if np.hypot(beyond, stated) > UNSTATED * stated else None
+
+
+def regions(d: ArmDiagnosis) -> list[dict[str, Any]]:
+    """For each joint, what each finding brings where whole regions of its travel are held out: misfit before and after, m, and standard errors."""
+    places = mechanisms.places(d.arm)
+    return [{"joint": j + 1, "place": places[j],
+             "findings": [{"heldout_before": v.before, "heldout_after": v.after, "gain_sigma": v.gain} for v in row]}
+            for j, row in enumerate(d.regions)]
+
+
+def floor(d: ArmDiagnosis) -> float:
+    """m, mean position error that no model can be below: that of commands given twice or, without any, the instrument's own."""
+    return _by_length(d.arms.own, slice(0, 3)) if d.repeats is None else d.repeats.mean
+
+
+def mean(left: np.ndarray) -> float:
+    """m, mean position error of residuals (n, k)."""
+    return float(np.linalg.norm(left[:, :3], axis=1).mean())
+
+
+def figures(left: np.ndarray) -> dict[str, float]:
+    """{mean_m, rms_m, p95_m, max_m, n} of position errors and, where they were measured, the mean rotation error in rad."""
+    size = np.linalg.norm(left[:, :3], axis=1)
+    out = {"mean_m": float(size.mean()), "rms_m": float(np.sqrt((size**2).mean())), "p95_m": float(np.quantile(size, 0.95)),
+           "max_m": float(size.max()), "n": len(size)}
+    return out | ({"mean_rad": float(np.linalg.norm(left[:, 3:], axis=1).mean())} if left.shape[1] == 6 else {})
+
+
+def reach(held: HeldOutPoses) -> dict[str, Any]:
+    """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within SAME_ANGLE of an angle that they were
+    fitted at, and of the rest; None where there are none. No data tell a profile where its joint never stood."""
+    near = held.far <= SAME_ANGLE
+    return {name: figures(held.after[rows]) if rows.any() else None for name, rows in (("after_at_fitted_angles", near), ("after_beyond", ~near))}
+
+
+def noise(d: ArmDiagnosis) -> dict[str, float | None]:
+    """{corner_px, pose_m, pose_rad, strut_m}: the instrument's own standard uncertainty of a position and rotation, by length."""
+    own = d.arms.own
+    return {"corner_px": None, "pose_m": _by_length(own, slice(0, 3)), "pose_rad": _by_length(own, slice(3, 6)) or None, "strut_m": None}
+
+
+def _by_length(own: np.ndarray, part: slice) -> float:
+    """Standard uncertainty by length, of part of what was measured with covariances (n, k, k)."""
+    return float(np.sqrt(np.trace(own[:, part, part], axis1=1, axis2=2).mean()))
+
+
+def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
+    """{name: Value} of a finding; intervals allow for the dispersion seen."""
+    fit, number = d.fit, finding.number
+    one, theta = fit.terms[number], fit.theta[fit.slices[number]]
+    candidate = one.candidate
+    if candidate.form is Form.SINUSOID:
+        return _cycle(d, finding, theta)
+    joint = joint_covariance(fit, number)
+    covariance = joint.covariance[: len(theta), : len(theta)] * finding.score.dispersion
+    bounds = {p.name: p.bounds for p in candidate.kind.parameters_at(candidate.place)}
+    units = {p.name: p.unit for p in candidate.kind.parameters_at(candidate.place)}
+    sigma = Z95 * np.sqrt(np.diag(covariance))
+    effect = candidate.effect(one.node, theta)
+    spec = next(s for s in candidate.specs if len(s.linear) == len(theta) or not s.linear)
+    unit = unit_at(d, candidate.joint)
+    if len(theta) > 1:  # a curve, or a load's moments: what it comes to first, then the numbers
+        name = spec.linear[0].name
+        level = theta - theta.mean() if candidate.form is Form.PROFILE else theta
+        out = {"rms": _scaled(fit.part(number), theta, covariance, one, unit),
+               name: Value(level.tolist(), units[name].split(", ")[0], [(level - sigma).tolist(), (level + sigma).tolist()])}
+        return out | ({SPAN: Value(list(one.node[SPAN]), unit)} if SPAN in one.node else {})
+    name = spec.linear[0].name if spec.linear else candidate.sought
+    roles = {p.name: p.role for p in effect.parameters}
+    value, low, high = (1 / c if c > 0 else np.inf for c in (theta[0], theta[0] + sigma[0], theta[0] - sigma[0])) if roles[name] == "inverse" else (
+        theta[0], theta[0] - sigma[0], theta[0] + sigma[0])
+    out = {name: bounded(float(value), units[name], (float(low), float(high)), bounds[name])}
+    spreads = Z95 * np.sqrt(np.diag(joint.covariance)[len(theta) :] * finding.score.dispersion)
+    spread = {n: float(s) for n, s in zip(joint.names, spreads)}
+    return out | {key: moment(d.arms.t, v, d.origin, moments(fit, number, finding.score.dispersion)) if roles[key] == "moment"
+                  else bounded(v, units[key], (v - spread[key], v + spread[key]), bounds[key]) if key in spread else Value(v, units[key])
+                  for key, v in one.node.items() if key in units and key != name}
+
+
+def unit_at(d: ArmDiagnosis, joint: int | None) -> str:
+    """Unit, "m" or "rad", of the travel of a joint, by its index; of no one joint's "rad"."""
+    return "rad" if joint is None else mechanisms.units(d.arm)[joint]
+
+
+def _scaled(moved: np.ndarray, theta: np.ndarray, covariance: np.ndarray, one: Term, unit: str) -> Value:
+    """The RMS, about its mean, of what a term does to its joint, with an interval to first order."""
+    w = one.weights[:, 0] - one.weights[:, 0].mean(axis=0)
+    value = float((moved - moved.mean()).std())
+    slope = w.T @ (w @ theta) / len(w) / max(value, 1e-300)
+    sigma = float(np.sqrt(max(slope @ covariance @ slope, 0)))
+    return Value(value, unit, [max(value - Z95 * sigma, 0.0), value + Z95 * sigma])
+
+
+def _cycle(d: ArmDiagnosis, finding: Finding, theta: np.ndarray) -> dict[str, Value]:
+    """amplitude, phase and order of a sinusoid, their joint covariance with all else free."""
+    fit, number = d.fit, finding.number
+    one = fit.terms[number]
+    candidate, name = one.candidate, one.candidate.sought
+    order = one.node[name]
+    slope = (candidate.weights({name: order + SMALL}) - candidate.weights({name: order - SMALL})) @ theta / (2 * SMALL)
+    used = fit.used
+    u = (fit.W @ d.arms.directions(candidate.joint) @ slope[..., None])[..., 0][used]
+    leaning = cho_solve((fit.half, False), fit.X.onto(u[..., None])[:, 0])
+    rest = u - fit.X.at(leaning[:, None])[..., 0]
+    variance = finding.score.dispersion / max((rest**2).sum(), 1e-300)
+    inverse = leaning[fit.slices[number]]  # how the sizes lean with the order
+    covariance = fit.covariance(number) * finding.score.dispersion + variance * np.outer(inverse, inverse)
+    amplitude = float(np.hypot(*theta))
+    along = theta / max(amplitude, 1e-300)
+    across = np.array([-along[1], along[0]])
+    sigma = np.sqrt([along @ covariance @ along, across @ covariance @ across / amplitude**2, variance])
+    values = (amplitude, float(np.arctan2(theta[1], theta[0])), order)
+    return {key: Value(float(v), unit, [float(v - Z95 * s), float(v + Z95 * s)])
+            for key, v, s, unit in zip(("amplitude", "phase", name), values, sigma, (unit_at(d, candidate.joint), "rad", ""))}
+
+
+def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> FindingEntry:
+    candidate, score = d.fit.terms[finding.number].candidate, finding.score
+    others = tuple(AlternativeEntry(other.name, other.place, a.behind, a.cosine,
+                                    experiment((candidate.kind, candidate.place), (other.kind, other.place)), a.score.node.get("order"))
+                   for a, other in ((a, a.score.candidate) for a in finding.alternatives))
+    evidence = Evidence(score.delta_bic(d.fit.size), min(1.0, score.p_value * d.asked), proof.before, proof.after, proof.unit, proof.gain)
+    found = parameters(d, finding)
+    return FindingEntry(candidate.name, candidate.place, found, evidence, others, candidate.kind.action_at(candidate.place),
+                        said_of(d.given, candidate.name, candidate.place), unusual(candidate.kind, candidate.place, found))
+
+
+def save(folder: Path, d: ArmDiagnosis, recording: Recording, report: Report) -> None:
+    """Write diagnosis.json into a folder, and what it takes to simulate the arm as found: machine.json and the recording's own rig.toml,
+    commands, frames and sensors.
+    report : Report of d"""
+    write(folder, report)
+    found = replace(recording.design, mechanism=d.arm)
+    write_text(folder / "machine.json", json.dumps(machine_json.tree(found, d.effects)) + "\n")
+    copy_recording(folder, recording)
+    finding_contributions.write(folder / "contributions.csv", d)

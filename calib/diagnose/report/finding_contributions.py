@@ -1,0 +1,62 @@
+"""What each finding does in each pose: a file with all of them, and a picture of the poses that suffer most."""
+
+from pathlib import Path
+
+import numpy as np
+
+from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
+from rig.report.pages.plots import COLOURS
+from rig.report.pages.svg_elements import hover, svg, text
+from rig.recording.recording_tables import write_table
+
+WORST = 24  # poses that are drawn
+LEFT = "what remains"
+ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars begin and end
+
+
+def contributions(d: ArmDiagnosis) -> tuple[list[str], np.ndarray]:
+    """("effect place" .., "what remains"; (n, findings + 1) m) by how much each finding displaces the target in each pose, alone, and what
+    they leave; in the order of the diagnosis."""
+    names, sizes = [], []
+    for finding in d.findings:
+        term = d.fit.terms[finding.number]
+        moved = d.fit.part(finding.number)
+        if term.candidate.joint is not None:
+            moved = np.linalg.norm(d.arms.joints[:, :3, term.candidate.joint], axis=1) * np.abs(moved)
+        names.append(f"{term.candidate.name} {term.candidate.place}")
+        sizes.append(moved)
+    return [*names, LEFT], np.stack([*sizes, np.linalg.norm(d.fit.left[:, :3], axis=1)], axis=1)
+
+
+def write(path: Path, d: ArmDiagnosis) -> None:
+    """Write a table with a row for each pose and a column, m, for each finding and for what remains."""
+    names, sizes = contributions(d)
+    columns = [name.replace(" ", "_") for name in names]
+    columns = [f"{name}_{columns[:i].count(name) + 1}" if name in columns[:i] else name for i, name in enumerate(columns)]
+    write_table(path, ("frame", *columns), [",".join([str(frame), *(f"{v:.9f}" for v in row)]) for frame, row in zip(d.arms.frame, sizes)])
+
+
+def picture(d: ArmDiagnosis) -> str:
+    """Figure of the poses that suffer most: for each a bar, made of one for each finding, the biggest first, and of what remains."""
+    names, sizes = contributions(d)
+    worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]
+    scale = (END - START) / float(sizes[worst].sum(axis=1).max())
+    parts = [text(4, 14, "by frame, µm one beside the other", style="name")]
+    for row, pose in enumerate(worst):
+        at, y = START, 22 + ROW * row
+        parts.append(text(START - 6, y + 12, str(d.arms.frame[pose]), "end"))
+        for which in [*np.argsort(-sizes[pose, :-1]).tolist(), len(names) - 1]:
+            wide = float(sizes[pose, which]) * scale
+            said = f"{names[which].replace('_', ' ')}: {sizes[pose, which] * 1e6:.1f} µm"
+            parts.append(f'<rect class="fill {_colour(which, len(names))}" x="{at:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{ROW - 3:g}">'
+                         f"{hover(said)}</rect>")
+            at += wide
+    for k, name in enumerate(names):
+        y = 30 + ROW * (len(worst) + k)
+        parts += [f'<rect class="fill {_colour(k, len(names))}" x="{START:g}" y="{y:.1f}" width="10" height="10"/>',
+                  text(START + 16, y + 10, name.replace("_", " "))]
+    return svg(int(40 + ROW * (len(worst) + len(names))), "what each finding does to the poses that suffer most", parts)
+
+
+def _colour(which: int, count: int) -> str:
+    return "grey" if which == count - 1 else f"c{which % COLOURS}"

@@ -1,0 +1,121 @@
+"""What a platform's page draws: the rig, each finding against what gives it away, what is left of struts and cameras."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
+from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
+from calib.diagnose.report.residual_figures import over_time
+from calib.diagnose.report.residual_plots import diagnostic_plot, model_residuals, residual_map, residuals
+from calib.diagnose.report.diagnosis_json import FindingEntry
+from calib.diagnose.report.rig_outline import schematic
+from calib.samples.effect_playback import played
+from calib.report.scene_3d import stage
+from rig.effects.framework.effect import Effect
+from rig.model.mechanism_geometry import Free
+from rig.recording.time_origin import Origin
+from rig.report.pages.plots import bars, panels
+from rig.report.pages.view_3d import Effect as Shown
+from rig.report.pages.view_3d import view
+from rig.recording.recording_folder import Recording
+
+FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
+PICTURED = 3  # of what is unknown
+PLAYED = 4  # findings that are shown in three dimensions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformView:
+    """recording : Recording; diagnosis : its PlatformDiagnosis"""
+
+    recording: Recording
+    diagnosis: PlatformDiagnosis
+
+    @property
+    def asked(self) -> int:
+        """How many hypotheses were held against the recording."""
+        return self.diagnosis.selection.asked
+
+    def where(self, places: list[str]) -> str:
+        """The rig in outline, places marked."""
+        return schematic(self.diagnosis.selection.fit.refined.point, places)
+
+    def plot(self, finding: FindingEntry) -> str | None:
+        """Of an admitted effect; None for what was found before all else: faces exchanged or moved."""
+        d = self.diagnosis
+        if finding.evidence.delta_bic is None:
+            return None
+        number = next(f.number for f, e in zip(d.selection.findings, d.effects) if _same(finding, e, d.origin))
+        return diagnostic_plot(d.selection.fit.refined, number)
+
+    def in_space(self) -> list[str]:
+        """The rig's poses, with what each finding that moves the platform does at sizes of it."""
+        k = self.diagnosis.selection.fit.refined.point
+        effects, values = tuple[Shown, ...](), None
+        if k.commands is not None and not isinstance(k.design.mechanism, Free):
+            tried = [played(k.design, k.commands, k.t, k.effects, which, k.sensors) for which in range(min(len(k.effects), PLAYED))]
+            effects, values = tuple(one for one in tried if one is not None), k.motion(()).lengths
+        return view(stage(k.design, k.frames, k.T, values, effects=effects))
+
+    def remaining(self, unknown: list[FindingEntry]) -> list[str]:
+        """Figure of the levels, then of what is unknown."""
+        refined = self.diagnosis.selection.fit.refined
+        k = refined.point
+        struts, corners = residuals(refined)
+        parts: list[str] = [_levels(self.diagnosis, struts)]
+        for f in unknown[:PICTURED]:
+            kind, _, name = f.place.partition(" ")
+            if kind == "strut":
+                parts.append(over_time(f.place, k.t, struts[:, int(name) - 1] * 1e6, "strut, µm"))
+            elif kind == "camera":
+                own = np.flatnonzero(k.observed.observations.camera == [c.name for c in k.design.cameras].index(name))
+                parts.append(residual_map(k, own, (corners,), ("what is left",)))
+        return parts
+
+    def measurement(self) -> list[tuple[str, Any]]:
+        """Where poses came from, and how much there is."""
+        k, rec = self.diagnosis.selection.fit.refined.point, self.recording
+        return [("poses from", self.diagnosis.source), ("frames", f"{len(k.t)} of {len(rec.exposures.times()[0])}"),
+                ("time", f"{np.ptp(k.t) / 60:.1f} min"), ("corners", len(k.observed.observations) if k.seen is not None else "none"),
+                ("sensors", ", ".join(rec.sensors.channels) if rec.sensors is not None else "none")]
+
+
+def _same(finding: FindingEntry, effect: Effect, origin: Origin) -> bool:
+    """Whether a finding is of an effect with its values; moments are reported by the owner's clock, of an origin."""
+    if (finding.effect, finding.place) != (effect.name, effect.place):
+        return False
+    values: dict[str, Any] = effect.values()
+    moments = [p.name for p in effect.parameters if p.role == "moment" and p.name in finding.parameters]
+    if any(finding.parameters[name].value != origin.shown(values[name]) for name in moments):
+        return False
+    return all(np.allclose(p.value, values[n]) for n, p in finding.parameters.items()
+               if n in values and n not in moments and np.size(p.value) == np.size(values[n]))
+
+
+def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> str:
+    """Figures of what is left of each strut and camera, with nothing admitted, with all, and the noise."""
+    refined, before = d.selection.fit.refined, d.selection.before.refined
+    k, rows = refined.point, []
+    if k.axes:
+        noise = np.sqrt(refined.model.strut_noise().mean(axis=0)) * 1e6
+        bare, _ = model_residuals(before.model)
+        rows.append(([f"strut {i + 1}" for i in range(k.axes)], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, "µm"))
+    if k.seen is not None:
+        rows.append(_camera_levels(refined.model, before.model))
+    return panels(*(bars("what is left, RMS", labels, [("nothing admitted", first.tolist(), 3), ("as diagnosed", last.tolist(), 0),
+                                                       ("noise", noise.tolist(), -1)], unit) for labels, first, last, noise, unit in rows))
+
+
+def _camera_levels(model: LinearisedModel, before: LinearisedModel) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray, str]:
+    k = model.point
+    o, sigma = k.observed.observations, model.corner_noise()
+    present = np.unique(o.camera)
+    off = [np.clip(o.uv - at.pixels(), -FAR * sigma, FAR * sigma) for at in (before.point, k)]
+    first, last = (np.array([np.sqrt(np.mean(v[o.camera == i] ** 2)) for i in present]) for v in off)
+    return [k.design.cameras[i].name for i in present], first, last, np.full(len(present), sigma), "px"
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt((values**2).mean(axis=0))

@@ -1,0 +1,138 @@
+"""Has something changed, since when, and what: the Shiryaev-Roberts procedure over all hypotheses and onsets.
+
+The likelihood of all visits with a change since visit k, over that without, averaged over what may change and how much, is summed over k > 1.
+While nothing changes the sum grows by one a visit in expectation, so that an alarm at A comes after A quiet visits or more on average.
+The first visit has none before it and is held against the calibration alone, all its numbers together.
+A change that nobody names is bet on by each visit's own p-value: p^-1/2 / 2, whose mean is one while nothing changes.
+Source: Pollak, Optimal detection of a change in distribution, Annals of Statistics 1985; Vovk and Wang, E-values, ibid. 2021
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import logsumexp
+
+from calib.drift.change_hypotheses import SIZES, SOMETHING, Hypothesis
+from calib.drift.visit_equations import Equations
+
+ALARM = 1000.0  # visits, the least average run without a false alarm
+FIRST = 1e-4  # chance below which a first visit does not agree with its calibration
+UNSAID = 1e-6  # chance beyond which what the likeliest change leaves is no noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspect:
+    """A change that is thought of. kind, name as in Hypothesis; since : index of the first visit with it, 0 the first of all
+    odds : its probability, were there a change; value, sigma : (q,) in own units, none of what has no name."""
+
+    kind: str
+    name: str
+    since: int
+    odds: float
+    value: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """What visits so far say. square, count : innovation of the last, squared and whitened, and how many numbers it has
+    log_sum : logarithm of the Shiryaev-Roberts sum, 0 of a first visit; suspects : by falling odds, one of each name; left : chance of what
+    the first of them leaves; chance : that noise makes a first visit agree no better with the calibration, None of later ones."""
+
+    square: float
+    count: int
+    log_sum: float
+    suspects: tuple[Suspect, ...]
+    left: float
+    chance: float | None = None
+
+    @property
+    def alarm(self) -> bool:
+        """Whether the calibration, or what measures, is no longer what it was."""
+        return bool(self.log_sum >= np.log(ALARM)) if self.chance is None else self.chance < FIRST
+
+    @property
+    def named(self) -> Suspect | None:
+        """The likeliest change, None where it has no name or leaves what is no noise."""
+        first = self.suspects[0]
+        return None if first.kind == SOMETHING or self.left < UNSAID else first
+
+
+def unexplained(visits: Sequence[Equations], prior: np.ndarray) -> float:
+    """Whitened squares of visits that constants with a prior information (p, p) do not explain."""
+    total = np.sum([v.information for v in visits], axis=0) + prior
+    right = np.sum([v.right for v in visits], axis=0)
+    return sum(v.square for v in visits) - float(right @ cho_solve(cho_factor(total), right))
+
+
+def judge(visits: Sequence[Equations], squares: Sequence[tuple[float, int]], scale: float, prior: np.ndarray, known: Sequence[Hypothesis],
+          first: int) -> Verdict:
+    """Verdict of visits in order, the first of which may stand for several older ones.
+
+    squares : innovation and count of each visit, the last's included; scale : by which squares exceed what covariances say, from quiet visits
+    prior : (p, p) information in the constants; first : how many visits the first stands for
+    """
+    n, factor = len(visits), cho_factor(np.sum([v.information for v in visits], axis=0) / scale + prior)
+    constants = cho_solve(factor, np.sum([v.right for v in visits], axis=0) / scale)
+    onset, alone = [0, *range(first, first + n - 1)], n == 1
+    found: list[tuple[float, Suspect]] = []
+    drop: dict[tuple[str, int], float] = {}
+    bets = [np.log(0.5) - 0.5 * _log_chance(square / scale, count) for square, count in squares]
+    none = np.zeros(0)
+    for k in range(0 if alone else 1, n):
+        N = np.sum([v.information for v in visits[k:]], axis=0) / scale
+        b = np.sum([v.right for v in visits[k:]], axis=0) / scale
+        solved = cho_solve(factor, N)
+        for h in known:
+            S = N[np.ix_(h.columns, h.columns)] - N[:, h.columns].T @ solved[:, h.columns]
+            r = b[h.columns] - N[:, h.columns].T @ constants
+            weight, gain, value, covariance = _bayes(S, r, h)
+            drop[h.name, onset[k]] = gain
+            found.append((np.log(h.prior) + weight, Suspect(h.kind, h.name, onset[k], 0.0, value * h.unit,
+                                                            np.sqrt(np.diag(covariance)) * h.unit)))
+        found.append((np.log(known[0].prior * sum(h.kind == known[0].kind for h in known)) + sum(bets[k:]),
+                      Suspect(SOMETHING, SOMETHING, onset[k], 0.0, none, none)))
+    log_sum = float(logsumexp([weight for weight, _ in found]))
+    suspects = _ranked(found, log_sum)
+    best = suspects[0]
+    square = sum(a for a, _ in squares) / scale - drop.get((best.name, best.since), 0.0)
+    left = float(scipy.special.chdtrc(sum(count for _, count in squares), square))
+    if alone:
+        return Verdict(*squares[0], 0.0, suspects, left, float(scipy.special.chdtrc(squares[0][1], squares[0][0])))
+    return Verdict(*squares[-1], log_sum, suspects, left)
+
+
+def _log_chance(square: float, count: int) -> float:
+    """Logarithm of the chance that noise comes to such a square or more, at the most (Chernoff's bound, which never underflows)."""
+    return 0.0 if square <= count else -(square - count) / 2 + count / 2 * float(np.log(square / count))
+
+
+def _bayes(S: np.ndarray, r: np.ndarray, h: Hypothesis) -> tuple[float, float, np.ndarray, np.ndarray]:
+    """(log of the likelihood ratio over all sizes, by how much the squares fall at the best, that best (q,), its covariance (q, q)), of
+    information S (q, q) and right side r (q,)."""
+    weights, best = [], None
+    for share in SIZES:
+        inverse = np.diag(1 / (share * h.size) ** 2)
+        M = S + inverse
+        value = np.linalg.solve(M, r)
+        weight = 0.5 * float(r @ value) - 0.5 * float(np.linalg.slogdet(M)[1] - np.linalg.slogdet(inverse)[1])
+        weights.append(weight)
+        if best is None or weight > best[0]:
+            best = weight, float(2 * r @ value - value @ S @ value), value, np.linalg.inv(M)
+    assert best is not None
+    return float(logsumexp(weights)) - float(np.log(len(SIZES))), *best[1:]
+
+
+def _ranked(found: list[tuple[float, Suspect]], log_sum: float) -> tuple[Suspect, ...]:
+    """One Suspect of each name, its likeliest onset, with the odds of all its onsets together, likeliest first."""
+    best: dict[str, tuple[float, Suspect]] = {}
+    odds: dict[str, float] = {}
+    for weight, suspect in found:
+        odds[suspect.name] = odds.get(suspect.name, 0.0) + float(np.exp(weight - log_sum))
+        if suspect.name not in best or weight > best[suspect.name][0]:
+            best[suspect.name] = weight, suspect
+    out = [Suspect(o.kind, o.name, o.since, odds[o.name], o.value, o.sigma) for _, o in best.values()]
+    return tuple(sorted(out, key=lambda one: -one.odds))

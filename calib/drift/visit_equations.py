@@ -1,0 +1,172 @@
+"""A visit -> what it says of places, geometry and wear: the normal equations of one linear model about what the history refers to.
+
+Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of calib.drift.machine_changes.
+Poses and lenses, which every visit has for itself, are eliminated.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.transform import RigidTransform
+
+from calib.certify.calibration import Calibration
+from calib.drift.machine_changes import columns, expected, hexapod_in
+from calib.drift.first_visit_reference import Reference
+from calib.models.platform.identification import pose_jacobian, to_pose
+from calib.samples.recording_samples import sample_recording
+from calib.samples.pose_samples import Samples
+from rig.errors import RigError
+from rig.model.pose import log, skew
+from rig.recording.recording_folder import Recording
+from vision.bundle.normal_equations import linearise, normal_equations
+from vision.bundle.unknown_priors import POSE_SCALE, unknowns
+from vision.lens import terms
+from vision.recording_adjustment import Measurement
+from vision.corner_observations import whitener
+
+GEOMETRY = 42
+REPEATS = 1e-6  # m, to which struts repeat at the best, where the calibration found no scatter
+SEEN = 1e-10  # of the best determined direction's information; a frame that nothing holds has less
+FREE = ("poses", "lenses", "targets")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Equations:
+    """information : (p, p) and right : (p,) of the unknowns, scaled; square : what the visit's whitened numbers come to; count : how many
+    these are."""
+
+    information: np.ndarray
+    right: np.ndarray
+    square: float
+    count: int
+
+    def __add__(self, other: "Equations") -> "Equations":
+        return Equations(self.information + other.information, self.right + other.right, self.square + other.square, self.count + other.count)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Normal equations of poses (6 f, first) and places (s), scaled by POSE_SCALE, about what was expected; samples : Samples."""
+
+    information: np.ndarray
+    right: np.ndarray
+    samples: Samples
+
+
+def read(recording: Recording, calibration: Calibration, reference: Reference | None) -> tuple[Equations, Reference]:
+    """(Equations of a visit, the Reference about which they stand: the visit itself where none is given).
+
+    Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and what measuring raises
+    """
+    mechanism = hexapod_in(calibration)
+    if recording.design.mechanism.kind != mechanism.kind:
+        raise RigError(f"{recording.folder} is of a mechanism of kind {recording.design.mechanism.kind!r}, the calibration of one of kind "
+                       f"{mechanism.kind!r}")
+    sampled = sample_recording(recording, FREE)
+    reference = reference or Reference.of(recording.design, sampled.measurement)
+    reference.refuse(recording, sampled.measurement is not None)
+    samples = calibration.told(recording, sampled.samples)
+    T = expected(calibration, samples)
+    seen = _by_instrument(samples, T) if sampled.measurement is None else _by_cameras(sampled.measurement, samples, T, reference)
+    return _of_machine(seen, T, recording, calibration), reference
+
+
+def _by_instrument(samples: Samples, T: RigidTransform) -> _Seen:
+    """What an outside instrument's poses say: T (n,) expected; its one place is its frame's motion in the base."""
+    n = len(samples)
+    own = np.linalg.inv(samples.covariance)
+    D = np.zeros((6 * n, 6 * n))
+    for f in range(n):
+        D[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] = own[f]
+    K = samples.common.reshape(6 * n, -1)
+    if K.shape[1]:
+        D -= D @ K @ np.linalg.solve(np.eye(K.shape[1]) + K.T @ D @ K, K.T @ D)
+    J = np.concatenate([np.eye(6 * n), of_base(samples.T_base_platform).reshape(6 * n, 6)], axis=1)
+    y = log(T.inv() * samples.T_base_platform).ravel()
+    return _Seen(J.T @ D @ J * POSE_SCALE**2, J.T @ D @ y * POSE_SCALE, samples)
+
+
+def of_base(T: RigidTransform) -> np.ndarray:
+    """(n, 6, 6) tangents on the right of poses T (n,) per motion of the base (m, rad, along its axes about its origin)."""
+    matrix = T.as_matrix()
+    back = np.swapaxes(matrix[:, :3, :3], 1, 2)
+    out = np.zeros((len(matrix), 6, 6))
+    out[:, :3, :3] = out[:, 3:, 3:] = back
+    out[:, :3, 3:] = -back @ skew(matrix[:, :3, 3])
+    return out
+
+
+def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, reference: Reference) -> _Seen:
+    """What corners say, linearised where they fit best. T : (n,) expected; lenses are each visit's own, as good as stated."""
+    a, kept = measured.adjustment, measured.used()
+    u, estimate = unknowns(kept, a.state, a.stated, FREE)
+    _, derivatives = linearise(kept, estimate, u, whitener(kept))
+    blocks = normal_equations(kept, derivatives, u, np.zeros(u.shared))
+    frames, at = 6 * len(samples), {f"target {name}": s for name, s in u.targets.items()}
+    at |= {f"camera {a.state.cameras[i].name}": s for i, s in u.poses.items()}
+    away = np.concatenate([log(T.inv() * a.state.platform).ravel() / POSE_SCALE, np.zeros(u.shared)])
+    N = np.zeros((len(away), len(away)))
+    for f in range(len(samples)):
+        rows = slice(6 * f, 6 * f + 6)
+        N[rows, rows] = blocks.local[f, :6, :6]
+        N[rows, frames:] = blocks.cross[f, :6]
+        N[frames:, rows] = blocks.cross[f, :6].T
+    N[frames:, frames:] = blocks.shared - np.diag(u.prior)
+    lenses = np.zeros(u.shared, bool)
+    for i, camera in enumerate(a.state.cameras):
+        was = reference.camera(camera.name)
+        if i in u.poses:
+            away[frames:][u.poses[i]] = log(was.pose.inv() * camera.pose) / u.scale[u.poses[i]]
+        if i in u.lenses:
+            lenses[u.lenses[i]] = True
+            now = np.r_[camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]] - was.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.distortion - was.distortion]
+            away[frames:][u.lenses[i]] = now[: len(terms(camera.distortion))] / u.scale[u.lenses[i]]
+    for name, s in u.targets.items():
+        away[frames:][s] = log(estimate.target_moves[name]) / u.scale[s]
+    b = N @ away + np.concatenate([blocks.own[:, :6].ravel(), blocks.common])
+    own = frames + np.flatnonzero(lenses)
+    N[own, own] += 1.0
+    kept_rows = np.setdiff1d(np.arange(len(b)), own)
+    N, b = _without(N, b, own)
+    scale = np.r_[np.ones(frames), POSE_SCALE / u.scale][kept_rows]
+    place = np.zeros((len(kept_rows), frames + 6 * len(reference.places)))
+    place[:frames, :frames] = np.eye(frames)
+    for k, name in enumerate(reference.places):
+        if name in at:
+            of_place = np.searchsorted(kept_rows, frames + np.arange(at[name].start, at[name].stop))
+            place[of_place, frames + 6 * k : frames + 6 * k + 6] = np.diag(scale[of_place])
+    return _Seen(place.T @ N @ place, place.T @ b, samples)
+
+
+def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibration: Calibration) -> Equations:
+    """Equations of a visit in which poses (n,) follow from the machine, each strut to within what it repeats to."""
+    mechanism, samples = hexapod_in(calibration), seen.samples
+    n = 6 * len(samples)
+    values, vectors = np.linalg.eigh(seen.information)
+    held = values > SEEN * values[-1]
+    square = float(((vectors[:, held].T @ seen.right) ** 2 / values[held]).sum())
+    if recording.commands is None:
+        raise RigError(f"{recording.folder}: there is no commands.csv, so nothing was commanded")
+    changed = columns(mechanism, recording.design, recording.commands, samples.t, T) / POSE_SCALE  # its units are its own
+    of_machine = np.concatenate([pose_jacobian(T, mechanism), changed], axis=2).reshape(n, -1)
+    places = len(seen.right) - n
+    M = np.zeros((len(seen.right), n + places + of_machine.shape[1]))
+    M[:, : n + places] = np.eye(n + places)
+    M[:n, n + places :] = of_machine
+    N, b = M.T @ seen.information @ M, M.T @ seen.right
+    spread = to_pose(T, mechanism) * np.sqrt(calibration.scatter**2 + REPEATS**2) / POSE_SCALE
+    tight = np.linalg.inv(spread @ np.swapaxes(spread, 1, 2))
+    for f in range(len(samples)):
+        N[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] += tight[f]
+    own = np.arange(n)
+    square -= float(b[:n] @ cho_solve(cho_factor(N[:n, :n]), b[:n]))
+    return Equations(*_without(N, b, own), square, int(held.sum()))
+
+
+def _without(N: np.ndarray, b: np.ndarray, gone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations N (p, p), b (p,) with the unknowns of an index eliminated."""
+    stay = np.setdiff1d(np.arange(len(b)), gone)
+    solved = cho_solve(cho_factor(N[np.ix_(gone, gone)]), np.column_stack([N[np.ix_(gone, stay)], b[gone]]))
+    left = N[np.ix_(stay, stay)] - N[np.ix_(stay, gone)] @ solved[:, :-1]
+    return (left + left.T) / 2, b[stay] - N[np.ix_(stay, gone)] @ solved[:, -1]

@@ -1,0 +1,131 @@
+"""Questions and what an owner allows -> the plan that answers them best per minute, and the chance that it does."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from calib.experiment.discriminating_configurations import NAME, apart
+from calib.experiment.experiment_question import Question
+from calib.experiment.investigation_folder import SETTING_UP
+from calib.experiment.experiment_information import Worth, worth
+from rig.model.cube_quarter_turns import to_do, turned
+from rig.model.design import Design, Permission
+from rig.errors import RigError
+from rig.planning.plan import Plan, build
+
+PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts stand
+CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `apart`
+MOVING = ("moving:16", "zigzag:16", "zigzag:40")
+WAITING = ("dwell:20", "sobol:8,wait:20,sobol:8", "sobol:8,wait:60,sobol:8")  # where waiting is allowed
+LOADED = ("payload:6", "payload:14")  # where a payload is allowed
+TURNED = ("sobol:12", "sobol:30", "sobol:90")  # with a cube put back turned, where that is allowed
+TURN = "turn:"  # part of a plan
+TURNING = 3.0  # min that an operator takes for it
+PAIRED = 3  # of the best that are tried two by two
+DAYS = (-1.0, 0.0, 1.0)  # K by which the room may be warmer than it was: nobody heats or cools it for an experiment
+HOPELESS = 0.02  # chance to settle; of plans with less than this counts what they tell per minute
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment:
+    """text : of the plan, in which apart:N stands for configurations chosen for these questions; seed : of it; plan; minutes : it takes
+    bits : expected over all questions; settles : chance that all of them are settled; asks : what an operator has to do besides, in words"""
+
+    text: str
+    seed: int
+    plan: Plan
+    minutes: float
+    bits: float
+    settles: float
+    asks: tuple[str, ...] = ()
+
+    @property
+    def rate(self) -> float:
+        """Bits per minute."""
+        return self.bits / self.minutes
+
+
+def kinds(may: Sequence[str], standing: bool, off: Sequence[str] = ()) -> list[str]:
+    """Plans' texts to choose from. may : what an owner allows ("payload", "wait", "turn cube NAME"); standing : whether the struts must stand to be
+    exposed; off : cubes that were turned already"""
+    out = [*PARTS, *(f"{NAME}:{count}" for count in CHOSEN), *(() if standing else MOVING)]
+    if "wait" in may:
+        out += WAITING[1:] if standing else WAITING
+    out += [f"{TURN}{name},{text}" for name in Permission(tuple(may)).cubes if name not in off for text in TURNED]
+    return out + [text for text in LOADED if "payload" in may and not standing]
+
+
+def choose(asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int, most: float = np.inf,
+           progress: Callable[[int, int], None] | None = None) -> tuple[list[Experiment], dict[str, str]]:
+    """([Experiment], the best first; {plan's text: why it is out of the question}).
+
+    texts : plans to choose from, alone and two by two; seed : of them; most : minutes that one may take; progress : called with (done, of)
+    """
+    out: list[Experiment] = []
+    refused: dict[str, str] = {}
+    own: dict[str, np.ndarray] = {}
+    try:
+        own = configurations(asked, design, texts, seed)
+    except RigError as error:
+        refused = {text: str(error) for text in texts if text.startswith(NAME)}
+
+    def tried(text: str) -> None:
+        if progress:
+            progress(len(out) + len(refused), len(texts) + PAIRED)
+        try:
+            found = evaluate(asked, design, text, seed, own)
+        except RigError as error:
+            refused[text] = str(error)
+            return
+        if found.minutes > most:
+            refused[text] = f"it takes {found.minutes:.0f} min, of {most:.0f} that are left"
+        else:
+            out.append(found)
+
+    for text in texts:
+        if text not in refused:
+            tried(text)
+    leading = sorted(out, key=lambda e: -e.rate)[:PAIRED]
+    for a, b in combinations(leading, 2):
+        first, then = (b.text, a.text) if TURN in b.text else (a.text, b.text)  # a cube is turned before all else
+        if TURN not in then:
+            tried(f"{first},{then}")
+    return ranked(out), refused
+
+
+def ranked(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """The best first: those that settle all in the least time, made as often as that is expected to take, then by what they tell per minute."""
+    return sorted(experiments, key=lambda e: (e.minutes / e.settles if e.settles >= HOPELESS else np.inf, -e.rate))
+
+
+def configurations(asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int) -> dict[str, np.ndarray]:
+    """{apart:N: configurations (N, axes)} of those plans' texts that ask for them, the first of one choice. Raises RigError where the rig cannot
+    visit what is to be chosen from, and where no question has two names to come apart"""
+    counts = sorted(int(text.partition(":")[2]) for text in texts if text.startswith(f"{NAME}:"))
+    if not counts:
+        return {}
+    found = apart(asked, design, counts[-1], seed)
+    return {f"{NAME}:{count}": found[:count] for count in counts}
+
+
+def evaluate(asked: Sequence[Question], design: Design, text: str, seed: int, own: Mapping[str, np.ndarray] | None = None) -> Experiment:
+    """Experiment of one plan. own : {apart:N: (N, axes)} of `configurations`. Raises RigError for one that the rig cannot follow."""
+    plan, stands = build(design, text, seed, own=own), turned(design)
+    todo = to_do(dict(plan.turned), stands)
+    plan = replace(plan, turned=tuple({**stands, **dict(plan.turned)}.items()))
+    found = [_worth(question, plan) for question in asked]
+    minutes = float(plan.commands.t[-1]) / 60 + SETTING_UP + TURNING * len(todo)
+    changes = [(t, mass) for (_, before), (t, mass) in zip(plan.payload[:-1], plan.payload[1:]) if mass != before]
+    asks = (*(f"before it begins: {text}" for text in todo),
+            *(f"at t = {t:.0f} s: {f'load {mass:.3g} kg' if mass else 'take the load off'}" for t, mass in changes))
+    settles = float(np.prod([0.0 if question.unasked else one.settles for question, one in zip(asked, found)]))
+    return Experiment(text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
+
+
+def _worth(question: Question, plan: Plan) -> Worth:
+    """Worth of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first recording's and others."""
+    odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "by_data"))
+    found = [worth(odds, question.foretold(plan, warmer), behind) for warmer in (DAYS if question.warm else (0.0,))]
+    return Worth(*(float(np.mean([getattr(one, name) for one in found])) for name in ("bits", "settles", "right")))

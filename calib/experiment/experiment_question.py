@@ -1,0 +1,147 @@
+"""What is asked of an experiment: hypotheses that are still alike, what a plan's recording would say under each, of any kind of machine."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from calib.diagnose.engine.selection_policy import PLATFORM
+from calib.diagnose.engine.candidate_score import Alternative
+from calib.diagnose.engine.term_selection import Finding
+from calib.diagnose.report.diagnosis_json import UNKNOWN
+from rig.planning.plan import Plan
+
+FOREIGN = 0.05  # of all odds, for what is in no catalogue
+F = TypeVar("F")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis(Generic[F]):
+    """One explanation of a finding. name, place; odds : share of all, 0..1; refined : all that is free fitted with it in the finding's place, or None
+    where it cannot be fitted (a temperature that nobody logs); number : of it among the effects of `refined`
+    by_data : how much less likely than the finding the data so far make it, as minus twice a logarithm, whatever either costs in simplicity"""
+
+    name: str
+    place: str
+    odds: float
+    refined: F | None
+    number: int
+    by_data: float = 0.0
+
+    @property
+    def title(self) -> str:
+        """As "creep at strut 3"."""
+        return f"{self.name.replace('_', ' ')} at {self.place}" if self.name != UNKNOWN else "something in no catalogue"
+
+    @property
+    def fitted(self) -> F:
+        """The fit with it. Raises ValueError where there is none."""
+        if self.refined is None:
+            raise ValueError(f"{self.title} cannot be fitted")
+        return self.refined
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foretold:
+    """Of h hypotheses on r directions. means : (h, r); covariances : (h, r, r), the noise's own 1 included
+    cosines : (h, h) between what they do, over all recordings with this one, nuisances taken out"""
+
+    means: np.ndarray
+    covariances: np.ndarray
+    cosines: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PerFrame:
+    """What each of a plan's F exposures tells between two hypotheses, in units of noise. of (F,) : squares of what they do otherwise
+    onto (F, p) : that on what both leave open; open (F, p, p) : squares of what is left open, which is p numbers of variance 1 beforehand
+    by_camera : {name: (F,) squares of how otherwise its image looks, its corners' noise 1}; none where an instrument measures"""
+
+    of: np.ndarray
+    onto: np.ndarray
+    open: np.ndarray
+    by_camera: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Question(ABC, Generic[F]):
+    """Hypotheses of one finding, its own first, something in no catalogue last; what cannot be fitted is left out and named in `unasked`."""
+
+    hypotheses: tuple[Hypothesis[F], ...]
+    unasked: tuple[str, ...] = ()
+
+    @property
+    def named(self) -> tuple[Hypothesis[F], ...]:
+        """Those with a name."""
+        return tuple(h for h in self.hypotheses if h.name != UNKNOWN)
+
+    @property
+    def likeliest(self) -> tuple[Hypothesis[F], ...]:
+        """The two likeliest names. Raises ValueError for a question of one name"""
+        found = tuple(sorted(self.named, key=lambda h: -h.odds)[:2])
+        if len(found) < 2:
+            raise ValueError("a question of one name has nothing to tell apart")
+        return found
+
+    @property
+    @abstractmethod
+    def warm(self) -> bool:
+        """Whether one of the names follows a temperature."""
+
+    @abstractmethod
+    def foretold(self, plan: Plan, warmer: float = 0.0) -> Foretold:
+        """Foretold of the hypotheses under a plan. warmer : K, than it was in the first recording
+        Raises RigError where the machine as found cannot follow it, or nothing would be seen of some of it"""
+
+    @abstractmethod
+    def per_frame(self, plan: Plan) -> PerFrame:
+        """PerFrame of the two likeliest names. Raises what `foretold` raises, and ValueError for a question of one name"""
+
+
+def with_foreign(question: Question[F], found: Foretold, shapes: np.ndarray) -> Foretold:
+    """Foretold with what is in no catalogue, last: as the first name foretells, but for anything as large as what was found, where names differ.
+
+    shapes : (r, h) what each name does
+    """
+    if question.hypotheses[-1].name != UNKNOWN:
+        return found
+    means, covariances = found.means, found.covariances
+    size = float(np.linalg.norm(shapes[:, 0]))
+    axes = np.linalg.svd(np.concatenate([shapes, means.T], axis=1), full_matrices=False)[0]
+    foreign = covariances[0] + size**2 / axes.shape[1] * axes @ axes.T
+    h = len(means)
+    wide = np.zeros((h + 1, h + 1))
+    wide[:h, :h] = found.cosines
+    return Foretold(np.concatenate([means, means[:1]]), np.concatenate([covariances, foreign[None]]), wide)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival(Generic[F]):
+    """A name in the running. behind : how much less likely it is, as minus twice a logarithm; fit : with it; number, by_data : as of Hypothesis"""
+
+    name: str
+    place: str
+    behind: float
+    fit: F
+    number: int
+    by_data: float = 0.0
+
+
+def hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
+    """Hypotheses of rivals, the finding's own first, by their odds; something in no catalogue last."""
+    weights = np.exp(-np.array([rival.behind for rival in rivals]) / 2)
+    shares = (1 - FOREIGN) * weights / weights.sum()
+    named = [Hypothesis(r.name, r.place, float(share), r.fit, r.number, r.by_data) for r, share in zip(rivals, shares)]
+    return (*named, Hypothesis(UNKNOWN, rivals[0].place, FOREIGN, rivals[0].fit, rivals[0].number))
+
+
+def told_apart(finding: Finding, alternative: Alternative, size: int) -> bool:
+    """Whether an alternative is out of the question: too unlikely, and where it does nearly the same, by the data alone, not by what it costs."""
+    same = abs(alternative.cosine) > PLATFORM.cosine
+    return alternative.behind >= PLATFORM.alike and (not same or by_data(finding, alternative, size) >= PLATFORM.alike)
+
+
+def by_data(finding: Finding, alternative: Alternative, size: int) -> float:
+    """How much less likely the data make an alternative than its finding, as minus twice a logarithm, whatever either costs in simplicity."""
+    return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))

@@ -1,0 +1,1 @@
+"""calibration.json and what it holds, read and written."""

@@ -1,0 +1,264 @@
+"""calibration.json <-> Calibration, with where it came from."""
+
+import hashlib
+import json
+import math
+import platform
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from datetime import datetime, UTC
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.error_model import names
+from calib.models.arm.joint_profiles import Profile
+from calib.certify.calibration import Calibration
+from calib.certify.workspace_claim import Claim
+from calib.certify.held_out_errors import Figures, HeldOut
+from calib.models.chain import error_model as chains
+from calib.samples.confounded_conditions import confounds_in
+from calib.correct.correction import Correction
+from calib.correct.interpolation import interpolation_methods as kinds
+from calib.correct.interpolation.gaussian_process import Radial
+from calib.correct.physics_json import physics_in, physics_out
+from calib.correct.pose_space_map_json import map_in, map_out
+from calib.models.platform.identification import parameters
+from calib.workspace.workspace_file import workspace_in, workspace_out
+from calib.files.mechanism_json import mechanism_in, mechanism_out
+from calib.files.calibration_file_checks import require_contents, require_same_ranges, require_text
+from rig.formats import json_file, remote_folders
+from rig.model.design import Arm, Chain
+from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.texts.effect_text import Kinds
+from rig.formats.checked_entries import Entries
+from rig.recording.exposures import LARGEST_IMAGE_FILE
+from rig.formats.output_files import write_text
+from rig.model.mechanism_kinds import Struts, struts_of
+from rig.formats.input_files import read_bytes
+from rig.recording.data_provenance import flat, marks, shared
+from rig.recording.recording_folder import Recording
+
+SCHEMA = "calibration/1"
+WITH_PHYSICS = "calibration/2"  # which a program that knows no physics refuses, as it would leave half of the correction out
+WITH_POSE_MAPS = "calibration/3"  # which one that knows no maps in pose space refuses for the same reason
+UNITS = "m, rad, s; covariances in their products"
+FRAMES = ("T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
+          "tangent x y z rx ry rz on the right, in the platform frame; commanded length = joint distance - strut zero")
+ARM_FRAMES = ("T_base_platform maps the target on the hand to the frame of poses.csv = base A_1(theta_1 + q_1) .. A_n tool, "
+              "A = Rz Tz(d) Tx(a) Rx(alpha) Ry(beta); base and tool of the nominal arm are fitted where [instrument] says free; "
+              "a joint turns to q - remainder(q); a slide's q adds to d, m; tangents x y z rx ry rz on the right")
+ARM_FRAMES_KNOWN = (ARM_FRAMES, ARM_FRAMES.replace("a slide's q adds to d, m; ", ""))  # before arms had slides
+CONTENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # what a schema's files must hold, and what they cannot
+    SCHEMA: ((), ("physics", "pose_maps")), WITH_PHYSICS: (("physics",), ("pose_maps",)), WITH_POSE_MAPS: (("pose_maps",), ())}
+PARAMETERS = {"hexapod": "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6",
+              "planar2": "base joints 1, 2 (x y), strut zeros 1, 2"}
+PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
+
+_NONE = Figures(0, (math.nan,) * 3, (math.nan,) * 3, (math.nan,) * 6, (math.nan,) * 2)
+NOT_HELD_OUT = HeldOut(_NONE, _NONE, (math.nan,) * 2, (math.nan,) * 3, 0)  # keeps the file's shape where nothing was held out
+
+
+def provenance(recording: Recording, arguments: Sequence[str], seed: int, used_images: bool, beside: Iterable[Path] = (),
+               data: Iterable[str] = ()) -> dict[str, Any]:
+    """dict of the inputs' SHA-256, the marks of their data (see rig.recording.data_provenance), versions, arguments and seed.
+
+    recording : Recording; used_images : whether they were read; beside : other files that were read, data : marks of theirs
+    """
+    files: dict[str, str] = {}
+    for k, part in enumerate(recording.apart):
+        own = inputs(part.recording, used_images)
+        files |= {f"{k + 1} {part.recording.name}/{name}": digest for name, digest in own.items()} if recording.parts else own
+    files.update({Path(path).name: _hash([path]) for path in beside})
+    return {"recording": recording.name, "inputs_sha256": files, "data": sorted({*flat(marks(recording)), *data}),
+            "arguments": list(arguments), "seed": seed, "versions": versions(),
+            "created": datetime.now(UTC).isoformat(timespec="seconds")}
+
+
+def inputs(recording: Recording, used_images: bool) -> dict[str, str]:
+    """{file: SHA-256} of a recording's files, its images together. used_images : whether they were read"""
+    folder = recording.folder
+    files = {name: _hash([folder / name]) for name in remote_folders.names(folder) if name.endswith((".toml", ".csv"))}
+    if used_images:
+        names = sorted(name for name in recording.exposures.image if name)
+        files[f"images ({len(names)})"] = _hash([folder / name for name in names])
+    return files
+
+
+def versions() -> dict[str, str]:
+    """{name: version} of what figures depend on."""
+    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+
+
+def after(own: dict[str, Any], before: Calibration, asked: dict[str, Any]) -> dict[str, Any]:
+    """The provenance of a pass: its own and what it is, the passes before it in their order, and the marks of the data of all."""
+    kept = ("recording", "inputs_sha256", "arguments", "created", "pass")
+    first = {name: before.provenance[name] for name in kept if name in before.provenance}
+    passes = [*before.provenance.get("passes", []), first]
+    return {**own, "pass": asked, "data": [*before.provenance.get("data", []), *own["data"]], "passes": passes}
+
+
+def seen_before(calibration: Calibration, recording: Recording) -> list[int]:
+    """The frames of a recording that a calibration was made from, be it by way of what was measured from it, or it from them."""
+    return shared(marks(recording), calibration.provenance.get("data", ()))
+
+
+def _hash(paths: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(read_bytes(Path(path), LARGEST_IMAGE_FILE))
+    return digest.hexdigest()
+
+
+def save(path: Path | str, calibration: Calibration) -> None:
+    """Write a calibration.json, whole or not at all."""
+    correction = calibration.correction
+    arm = isinstance(correction, ArmCorrection)
+    tree = {
+        "schema": WITH_POSE_MAPS if correction.posed else SCHEMA if calibration.physics is None else WITH_PHYSICS,
+        "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
+        "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted), "parameter_order": _order(correction),
+        "parameter_covariance": calibration.covariance.tolist(), _scatter_key(correction.nominal): calibration.scatter.tolist(),
+        **({} if calibration.strut_covariance is None else {"strut_covariance": calibration.strut_covariance.tolist()}),
+        "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
+        **({"extension": kinds.as_dict(correction.extension)} if correction.extension is not None else {}),
+        **({"pose_maps": [map_out(one) for one in correction.posed]} if correction.posed else {}),
+        **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
+        "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
+        "held_out": json_file.nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
+        **({} if calibration.physics is None else {"physics": physics_out(calibration.physics)}),
+        **({} if calibration.workspace is None else {"workspace": workspace_out(calibration.workspace)}),
+        **({} if calibration.confounds is None else {"confounds": calibration.confounds.tree()}), "provenance": calibration.provenance,
+    }
+    write_text(path, json.dumps(tree, indent=1) + "\n")
+
+
+def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
+    """Calibration of a calibration.json, in which no effects stand but those known (kinds). Raises FileError for a file that is missing, cut off,
+    of another schema, or that holds an array of another shape or a number that cannot be."""
+    tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
+    nominal, fitted = mechanism_in(tree.table("nominal"), True), mechanism_in(tree.table("fitted"))
+    require_same_ranges(tree, nominal, fitted)
+    schema = tree.text("schema")
+    require_contents(tree, *CONTENTS[schema])
+    correction = _correction_in(tree, nominal, fitted)
+    nominal = correction.nominal
+    for key, known in (("units", (UNITS,)), ("frames", ARM_FRAMES_KNOWN if isinstance(nominal, Arm) else (FRAMES,)),
+                       ("parameter_order", (_order(correction),))):
+        require_text(tree, key, known)
+    count = len((chains.names if isinstance(nominal, Chain) else names if isinstance(nominal, Arm) else parameters)(nominal))
+    fit = tree.table("fit")
+    return Calibration(correction, covariance_in(tree, count), _spread_in(tree, _scatter_key(nominal), len(nominal.axes)),
+                       fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
+                       _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
+                       physics_in(tree.table("physics"), nominal, count, kinds) if "physics" in tree.tree else None,
+                       workspace_in(tree.table("workspace")) if tree.get("workspace", None) is not None else None,
+                       confounds_in(tree.table("confounds")) if tree.get("confounds", None) is not None else None,
+                       _strut_covariance_in(tree) if "strut_covariance" in tree.tree else None)
+
+
+def _correction_in(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts | Arm | Chain) -> Correction[Any, Any]:
+    axes = len(nominal.axes)
+    extension = kinds.from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
+    if isinstance(nominal, Arm) and isinstance(fitted, Arm):
+        return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)), extension=extension)
+    posed = tuple(map_in(one, struts_of(nominal)) for one in tree.tables("pose_maps"))
+    return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension, posed=posed)
+
+
+def _order(correction: Correction[Any, Any]) -> str:
+    """The names of the parameters, in their order."""
+    nominal = correction.nominal
+    if isinstance(nominal, Chain):
+        return "changes from nominal: " + ", ".join(chains.names(nominal))
+    return ", ".join(names(nominal)) if isinstance(nominal, Arm) else PARAMETERS[nominal.kind]
+
+
+def _scatter_key(nominal: Struts | Arm | Chain) -> str:
+    return "pose_scatter" if isinstance(nominal, Arm | Chain) else "strut_scatter"
+
+
+def _part_out(part: Radial | Profile) -> dict[str, Any]:
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in
+            ((name, getattr(part, name)) for name in type(part).__slots__)}
+
+
+def _parts_in(tree: Entries, axes: int, arm: bool) -> tuple[Any, ...]:
+    """Per axis a Radial, of an arm a Profile, or None."""
+    listed = tree.get("remainder")
+    if not isinstance(listed, list) or len(listed) != axes or not all(part is None or isinstance(part, dict) for part in listed):
+        tree.fail(f"remainder must list {axes} parts, each a table or null", "remainder")
+    tables = [None if part is None else Entries(part, ("remainder", i), tree.file, tree.places) for i, part in enumerate(listed)]
+    return tuple(None if table is None else (_profile_in if arm else kinds.radial_from)(table, axes) for table in tables)
+
+
+def _profile_in(table: Entries, axes: int) -> Profile:
+    orders = table.array("orders", (None,))
+    return Profile(table.whole("axis", 0, most=axes - 1), orders, table.array("own", (2 * len(orders),)), table.array("others", (axes, 2)))
+
+
+def covariance_in(tree: Entries, count: int, key: str = "parameter_covariance") -> np.ndarray:
+    """(count, count) covariance under a key, symmetric to rounding, in the file's units (m, rad). Raises FileError for what is none."""
+    covariance = tree.array(key, (count, count))
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    if (np.diag(covariance) < 0).any() or (np.abs(covariance) > 1.001 * np.outer(scale, scale) + 1e-30).any() or \
+            not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
+        tree.fail(f"{key} is no covariance", key)
+    return covariance
+
+
+def _spread_in(tree: Entries, key: str, axes: int) -> np.ndarray:
+    values = tree.array(key, (None,))
+    counts = (6, 3) if key == "pose_scatter" else (axes,)  # 3: an arm whose rotations were never measured
+    if len(values) not in counts:
+        tree.fail(f"{key} must have {counts[0]} numbers, got {len(values)}", key)
+    if (values < 0).any():
+        tree.fail(f"{key} must not be negative, got {values.tolist()}", key)
+    return values
+
+
+def _strut_covariance_in(tree: Entries) -> np.ndarray:
+    """(axes, axes) m^2, whose diagonal are the squares of strut_scatter; not in files of before it was worked out."""
+    scatter = tree.array("strut_scatter", (None,))
+    covariance = covariance_in(tree, len(scatter), "strut_covariance")
+    if not np.allclose(np.diag(covariance), scatter**2, rtol=1e-6, atol=1e-30):
+        tree.fail("strut_covariance must have the squares of strut_scatter on its diagonal", "strut_covariance")
+    return covariance
+
+
+def _held_out_in(table: Entries) -> HeldOut | None:
+    """HeldOut, or None where nothing was held out."""
+    ratio, after = table.array("ratio", (3,), nulls=True), _figures_in(table.table("after"))
+    configurations = table.whole("configurations", 0) if "configurations" in table.tree else after.n  # not in files of before they were counted
+    return HeldOut(_figures_in(table.table("before")), after, tuple(table.array("floor", (2,), nulls=True).tolist()), tuple(ratio.tolist()),
+                   configurations) if after.n else None
+
+
+def _claim_in(table: Entries) -> Claim:
+    def numbers(name: str, shape: tuple[int, ...]) -> Any:
+        return None if table.get(name) is None else _tuples(table.array(name, shape).tolist())
+
+    return Claim(table.whole("distinct", 0), table.whole("determined", 0), table.whole("better", 0), table.whole("unknowns", 0),
+                 table.text("tolerance"), table.text("workspace"), numbers("before", (2, 3)), numbers("after", (2, 3)), numbers("ratio", (3,)),
+                 numbers("measured", (3,)), None if table.get("reason") is None else table.text("reason"),
+                 table.texts("unexplained") if "unexplained" in table.tree else ())
+
+
+def _tuples(values: Any) -> Any:
+    return tuple(map(_tuples, values)) if isinstance(values, list) else values
+
+
+def _figures_in(table: Entries) -> Figures:
+    return Figures(table.whole("n", 0), *(tuple(table.array(name, (count,), nulls=True).tolist())
+                                          for name, count in (("position", 3), ("rotation", 3), ("bias", 6), ("mean", 2))))
+
+
+def _provenance_in(tree: Entries) -> dict[str, Any]:
+    """The dict that `provenance` made: what is read from it again is checked."""
+    table = tree.table("provenance")
+    if "data" in table.tree:
+        table.texts("data")
+    return table.tree

@@ -1,0 +1,42 @@
+"""What was found of a recording, kept as a calibration: with where it came from and what it does to the workspace."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from calib.files import calibration_file
+from calib.models.arm.certification import Certified as ArmCertified
+from calib.certify.calibration import Calibration
+from calib.certify.platform_certification import Certified
+from calib.certify.workspace_claim import Claim
+from calib.samples.confounded_conditions import confounds
+from calib.models.chain.certification import Certified as ChainCertified
+from calib.correct.physics import Physics
+from calib.samples.recording_samples import Sampled
+from calib.models.corrected_pose_covariance import with_workspace
+from rig.recording.recording_folder import Recording
+
+SEED = 0  # of draws; results are the same from run to run
+
+
+def kept(recording: Recording, sampled: Sampled, done: Certified | ArmCertified | ChainCertified, claim: Claim,
+         arguments: Sequence[str] = (), known: tuple[Physics, np.ndarray] | None = None,
+         before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
+    """Calibration of what was found, with where it came from and what it does to the workspace.
+
+    arguments : of the command; known : (Physics, covariance of the parameters with it, m^2), or None; before : on which this is one more pass
+    """
+    frames, found = sampled.samples.frame, done.found
+    covariance, scatter, together = found.covariance, found.scatter, None
+    if isinstance(done, Certified) and done.covariance is not None and done.strut_covariance is not None:
+        covariance, together = done.covariance, done.strut_covariance  # with all that these samples leave unknown
+        scatter = np.sqrt(np.diag(together))
+    physics, covariance = (None, covariance) if known is None else known
+    source = calibration_file.provenance(recording, arguments, SEED, sampled.source == "images", sampled.files, sampled.data)
+    if before is not None:
+        source = calibration_file.after(source, *before)
+    return with_workspace(Calibration(
+        done.correction, covariance, scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
+        done.held_out, source, claim, physics, confounds=confounds(sampled.samples, recording.design.mechanism),
+        strut_covariance=together))

@@ -1,0 +1,1 @@
+"""What a machine answers when it is calibrated, kind by kind."""

@@ -1,0 +1,78 @@
+"""The page of an arm's calibration: before and after on held-out poses, joint profiles, coverage, parameters, rank."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.models.arm import error_model
+from calib.models.arm.certification import Certified
+from calib.certify.calibration import Calibration
+from calib.certify.held_out_errors import Figures
+from calib.certify.calibration_evidence import judgement
+from calib.certify.held_out_errors import errors_of
+from calib.report.pose_figures import before_after, coverage
+from calib.report.calibration_page import in_space, origin, rests_on
+from calib.samples.pose_samples import Samples
+from calib.workspace.workspace_figures import section
+from rig.model import mechanisms
+from rig.effects.framework.covariate import DRAWN
+from rig.report.pages.page_template import Link, Page, write
+from rig.report.pages.plots import Series, panel, panels
+from rig.report.pages.html_elements import folded, heading, note, paragraph, table
+from rig.report.pages.view_3d import scripts
+from rig.recording.recording_folder import Recording
+
+
+def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified,
+                     links: Sequence[Link] = ()) -> None:
+    """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
+    went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
+    parts = [*rests_on(calibration), *_held(done),
+             heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
+             before_after(*errors_of(calibration.correction, samples), samples.frame), *in_space(recording, calibration, samples),
+             heading("What each joint is corrected by"), note("Beyond its offset, along the configurations visited."),
+             _profiles(calibration, samples), heading("Where the target went"), coverage(went), *section(calibration.workspace, "rad"),
+             heading("Parameters"), *(paragraph(f"{line}.") for line in done.found.rank.report()),
+             folded("Every parameter's change", _parameters(calibration)),
+             heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
+    judged = judgement(calibration)
+    write(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, scripts(parts)))
+
+
+def _held(done: Certified) -> list[str]:
+    held = done.held_out
+    if held is None or done.geometry is None:
+        return []
+    floor = " and ".join(f"{size * 1e3:.4f} {unit}" for size, unit in zip(held.floor, ("mm", "mrad")) if size < 1)
+    floor += "".join(f"; {what} were not measured" for size, what in zip(held.floor, ("positions", "rotations")) if not size < 1)
+    k, unit = (0, "mm") if held.floor[0] < 1 else (1, "mrad")
+    each = [("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after)]
+    each += [("corrected, random rows", done.scattered.after)] if done.scattered is not None else []
+    rows = [(name, *_figures(f)) for name, f in each]
+    return [paragraph(f"Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, {held.configurations} distinct "
+                      f"configurations): the mean error falls from {held.before.mean[k] * 1e3:.3f} {unit} to {held.after.mean[k] * 1e3:.4f} {unit}. "
+                      f"The measured poses themselves are uncertain by {floor}."
+                      + (" Rows drawn at random flatter: their neighbours in time were fitted." if done.scattered is not None else "")),
+            table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows)]
+
+
+def _figures(f: Figures) -> list[str]:
+    return [f"{value * 1e3:.4f}" if value == value else "-" for value in (f.mean[0], *f.position, f.mean[1], *f.rotation)]
+
+
+def _profiles(calibration: Calibration, samples: Samples) -> str:
+    q, nominal = samples.commanded, calibration.correction.nominal
+    rho, places, units = calibration.correction.rho(q), mechanisms.places(nominal), mechanisms.units(nominal)
+    return panels(*(panel(places[i], (f"commanded, {DRAWN[unit][1]}", f"correction, m{unit}"), [Series(q[:, i] * DRAWN[unit][0], rho[:, i] * 1e3)])
+                    for i, unit in enumerate(units)))
+
+
+def _parameters(calibration: Calibration) -> str:
+    fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
+    sigma = np.sqrt(np.diag(calibration.covariance))[6:-6].reshape(-1, 5)
+    change = fitted.rows - nominal.rows
+    rows = [(f"row {i + 1}", *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" if s else "held" for c, s in zip(change[i], sigma[i])))
+            for i in range(len(change))]
+    units = [f"{name}, {'mm' if unit == 'm' else 'mrad'}" for name, unit in zip(error_model.ROW, error_model.units(fitted)[6:11])]
+    return table(("change from nominal (k = 2)", *units), rows)

@@ -1,0 +1,196 @@
+"""The method in its own terms for arms: what a model leaves of each sample's joint values, extended over the joint space, and what that promises.
+
+KSF_PM(x) = x - IK(GDK(x)), IK of the owner's model or of the fitted geometry, as near x as may be; KSF_KR is its Field over the joint space, by
+the same ways as of machines on struts. Source: configuration-space patent, [0026] to [0030], [0130]
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calib.models.arm import error_model
+from calib.models.arm.certification import UNPLACED, Certified, as_held_out, beyond_geometry, by_parameters, calibrate, owners_model, start_of
+from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.identification import Identified, identify, parameters
+from calib.models.arm.instrument_observations import of_samples
+from calib.models.arm.parameter_rank import PLAUSIBLE, Rank
+from calib.certify.platform_certification import FOLDS, Progress, silent
+from calib.certify.workspace_claim import DRAWS, LEAST, Claim, Told, Workspace, claimed, extension_scatter, too_few
+from calib.certify.distinct_configurations import folds, labels, ranges, witnesses
+from calib.certify.extension_certification import NONE, Asked, Stand, Tried, extended_on, none_held_out
+from calib.certify.held_out_error_statistics import shared_squares
+from calib.correct.interpolation.field import Field, Known
+from calib.correct.correction_tables import Summands
+from calib.samples.pose_samples import Samples
+from rig.planning.configuration_sets import FILL, low_discrepancy
+from rig.model.design import Arm, Instrument
+from rig.errors import RigError
+from rig.model.mechanisms import arm as mechanism
+from rig.model.pose import difference
+
+LOOSE = 10.0  # times the typical; a direction of the joints that a pose tells worse than that, as of a wrist near its singularity, keeps none
+STEPS, SETTLED = 20, 1e-13  # of joint values that meet a pose, rad or m
+PLACES = 256  # at which a single step is held against the fixed point, and what is promised is worked out
+
+Geometry = Callable[[Samples], tuple[ArmCorrection, Identified]]  # what an extension stands on, by some samples
+
+
+def left(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
+    """`summands` of samples over the joint space, rad or m. shared : (j,) draw of the poses' common errors, taken out. Raises RigError as they do"""
+    found = summands(samples, arm, shared)
+    return Known(samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel(arm))
+
+
+def owners_summands(samples: Samples, placed: Arm) -> Summands:
+    """Summands by the owner's model, placed where the instrument sees it stand; covariance : what all poses share included. Raises RigError as
+    `summands`"""
+    whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
+    return summands(whole, placed, np.zeros(0))
+
+
+def summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Summands:
+    """KSF_PM of samples: their joint values less those nearest to them at which a model takes the measured pose, rad or m.
+
+    arm : the model; shared : (j,) draw of the poses' common errors, taken out
+    A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or positions alone, leave open takes
+    the least values, by the poses' covariance. Variances of what is not told are those of the worst that is.
+    Raises RigError naming a frame whose pose the model does not come to
+    """
+    o = of_samples(samples)
+    W = np.linalg.inv(np.linalg.cholesky(o.covariance))
+    U, s, Vt = np.linalg.svd(W @ o.joint_jacobian(arm))
+    worst = 1 / np.maximum(s[:, min(U.shape[1], Vt.shape[1]) - 1], 1e-300)
+    limit = min(LOOSE * float(np.median(worst)), PLAUSIBLE["rad"])
+    q, away, V = o.q.copy(), np.einsum("mkj,j->mk", o.common, shared), np.swapaxes(Vt, 1, 2)
+    across, along = np.swapaxes(U[..., : s.shape[1]], 1, 2), V[..., : s.shape[1]]
+    far = np.abs(across @ (W @ (o.residuals(arm) - away)[..., None]))[..., 0]
+    told = (s * limit >= 1) & (far <= s * PLAUSIBLE["rad"])
+    across, along, untold = across * told[..., None], along * told[:, None], np.eye(s.shape[1]) * ~told[:, None]
+    for _ in range(STEPS):  # Newton along the directions that are told
+        now = replace(o, q=q)
+        rest = across @ W @ np.concatenate([now.joint_jacobian(arm) @ along, (now.residuals(arm) - away)[..., None]], axis=2)
+        step = (along @ np.linalg.solve(rest[..., :-1] + untold, rest[..., -1:]))[..., 0]
+        q += step
+        if np.abs(step).max() < SETTLED:
+            break
+    else:
+        worst_of = int(np.abs(step).max(axis=1).argmax())
+        raise RigError(f"frame {samples.frame[worst_of]}: the model takes the measured pose nowhere near its joint values; is it that machine's?")
+    variances = np.full((len(q), Vt.shape[1]), limit**2)
+    variances[:, : s.shape[1]] = np.where(told, 1 / np.maximum(s, 1 / limit) ** 2, limit**2)
+    return Summands(o.q - q, (V * variances[:, None]) @ np.swapaxes(V, 1, 2))
+
+
+def certify_extended(samples: Samples, nominal: Arm, instrument: Instrument | None, asked: Asked, rng: np.random.Generator,
+                     progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...]]:
+    """(Certified, what was tried): an arm calibrated on all samples, and what was left at configurations held out, as for struts.
+
+    Raises RigError where the way asked for does not take these samples, or where too little of their poses was measured; NotEnoughData
+    """
+    if samples.measured in UNPLACED:
+        raise RigError(f"--extend takes an arm's poses, or its positions, as joint values are found from them; here {UNPLACED[samples.measured]}")
+    said = progress or silent
+    label = labels(samples.commanded, ranges(nominal))
+    said("fitting the geometry", 0, 1)
+    start = start_of(of_samples(samples), nominal, instrument)
+
+    def geometry(some: Samples) -> tuple[ArmCorrection, Identified]:
+        return owners(some, nominal, instrument, start) if asked.alone else calibrate(some, nominal, instrument, False, start)
+
+    whole = geometry(samples)
+    correction, found = whole
+    said("fitting the geometry", 1, 1)
+
+    def stand(some: Samples) -> Stand:
+        plain, by = whole if some is samples else geometry(some)
+        return Stand(left(some, plain.fitted, by.shared), lambda field: replace(plain, extension=field),
+                     lambda field, at: _said(field, at, plain.fitted))
+
+    done, tried = extended_on(samples, (correction.nominal, label, found), stand, asked.kind, rng, said)
+    corrected = replace(correction, extension=done.correction.extension)
+    bare = next((one.held_out for one in tried if one.kind == NONE), None)
+    found, held = _without(samples, corrected, found, asked.alone), done.left
+    if held is not None and not asked.alone and len(found.scatter) == 6:
+        agreed, of_agreed = samples.take(found.inliers), label[found.inliers]
+        if corrected.extension is None:  # the geometry as it is, of which more is known
+            held = beyond_geometry(found, corrected, agreed, of_agreed)
+        else:
+            held = replace(held, parameters=by_parameters(found, corrected, agreed, folds(of_agreed, min(FOLDS, len(agreed)))))
+        found = as_held_out(found, held, rng)
+    return Certified(corrected, found, label, done.held_out, None, bare, held), tried
+
+
+def owners(samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm) -> tuple[ArmCorrection, Identified]:
+    """(ArmCorrection, Identified) of the owner's model alone: nothing sought but where the instrument stands, where that is not known."""
+    o = of_samples(samples)
+    arm = owners_model(o, nominal, instrument, start)
+    p, k = 12 + 5 * len(arm.joints), o.common.shape[1]
+    rank = Rank(np.zeros(p, bool), (), 1.0, 0)
+    found = Identified(arm, np.zeros((p, p)), rank.free, rank, np.zeros(o.common.shape[2]), o.residuals(arm), np.zeros(k), np.ones(len(o), bool), 0)
+    return ArmCorrection(arm, arm, (None,) * len(arm.joints), o.q), found
+
+
+def _said(field: Field, samples: Samples, arm: Arm) -> float:
+    """m^2, mean square by which a Field says that positions of samples may be off."""
+    J = error_model.joint_jacobian(samples.commanded, arm)[:, :3]
+    return float((J**2 @ (field.error(samples.commanded) ** 2)[..., None]).sum(axis=1).mean())
+
+
+def _without(samples: Samples, correction: ArmCorrection, found: Identified, alone: bool) -> Identified:
+    """The Identified once the extension is taken off: what that corrects is no scatter and widens no parameter."""
+    o = of_samples(samples)
+    effective = replace(o, q=o.q - correction.rho(o.q))
+    if alone or correction.extension is None:
+        return replace(found, residuals=effective.residuals(correction.fitted) - np.einsum("mkj,j->mk", o.common, found.shared))
+    again = identify(effective, correction.fitted, parameters(correction.nominal, effective.kind))
+    return replace(again, arm=found.arm, rank=found.rank)
+
+
+def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
+    """Claim of a correction that stands on the owner's model alone, for the middle of the angles recorded: by its field's error estimate."""
+    correction = done.correction
+    each = witnesses(samples, done.label, error_model.joint_jacobian(samples.commanded, correction.fitted))
+    way = "nothing at all" if correction.extension is None else correction.extension.kind
+    told = Told(len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}")
+    middle = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
+    if len(each) < LEAST:
+        return too_few(told, middle)
+    q = _places(correction)
+    T = correction.predict(q)
+    if done.left is None:
+        return none_held_out(told, middle)
+    stated = float(extension_scatter(correction, q, error_model.joint_jacobian(q, correction.fitted))[0])
+    own = done.left.own_draws(stated, DRAWS, rng) + shared_squares(samples, DRAWS, rng)
+    offset = difference(error_model.predicted(q, correction.nominal), T)
+    known = done.found.covariance
+    return claimed(
+        Workspace(error_model.parameter_jacobian(q, correction.fitted), offset, own, middle), np.zeros((DRAWS, len(known))), each, told, rng
+    )
+
+
+def single_step_misses(correction: ArmCorrection) -> tuple[float, float]:
+    """(RMS, greatest) rad or m by which X + KSF(X) misses the fixed point's commands, over the middle of the values visited.
+
+    Source: configuration-space patent, [0030], [0091]
+    """
+    q = _places(correction)
+    x = q - _summand(correction, q)
+    near = np.isfinite(x).all(axis=1)
+    off = mechanism.apart(x[near] + _summand(correction, x[near]), q[near], correction.nominal)
+    return float(np.sqrt(np.nanmean(off**2))), float(np.nanmax(np.abs(off)))
+
+
+def _summand(correction: ArmCorrection, q: np.ndarray) -> np.ndarray:
+    """KSF (m, joints) of the correction at commands q (m, joints); NaN where no way from them leads to the pose by the owner's model: of a stretched
+    arm it lies beyond its reach by micrometres, or on another branch."""
+    if correction.deficient:
+        return correction.summand(q)
+    found, rest = mechanism.solve(correction.predict(q), correction.nominal, q, starts=0)
+    return np.where((rest <= mechanism.GOOD)[:, None], mechanism.apart(q, found, correction.nominal), np.nan)
+
+
+def _places(correction: ArmCorrection) -> np.ndarray:
+    """(m, joints) rad or m, evenly over the middle of the values visited."""
+    seen = np.stack([correction.visited.min(axis=0), correction.visited.max(axis=0)], axis=1)
+    return low_discrepancy(seen, PLACES, FILL)

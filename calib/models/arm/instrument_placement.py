@@ -1,0 +1,286 @@
+"""Where an arm stands in an instrument's frame, and where the target sits on its hand, before anything else is known.
+
+For given rotation X of the base, what positions say of the target z on the hand and of the base's place t is linear, and what is then
+left is a quadratic function of X alone: p = X (F z + f) + t, so X'p - f = F z + X't, docs/mathematics.md (8), free of X on the right. It is looked
+at over rotations that cover all of SO(3); measured rotations add how well X F Z = M holds with the best Z. The best few are refined
+with base, tool and the joints' zeros, these held near the maker's; the best of them is the answer. So a hand that turns about one axis
+alone, whose rotations leave a whole family of answers, is placed by its positions, and zeros that are off mislead nobody.
+Source: Shah, J. Mechanisms Robotics 5, 2013 (robot-world and hand-eye); Alexa, Super-Fibonacci spirals, CVPR 2022 (rotations that cover)
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from calib.models.arm import error_model
+from calib.models.arm.instrument_observations import Observations
+from rig.model.design import Arm
+from rig.errors import NotEnoughData, RigError
+from rig.model.mechanisms import arm as mechanism
+from rig.model.pose import log
+
+LEAST = {"pose": 3, "position": 6, "orientation": 4, "distance": 10}
+TELLS = 1e-6  # of the greatest eigenvalue; orientations whose second least is smaller leave a family of answers
+ROTATIONS = 4000  # looked at; none of SO(3) lies farther than some 12 degrees from one
+STARTS, LEADING = 12, 3  # refined roughly on few observations; and of these to the end on more
+APART = np.radians(25)  # between two of them
+LOOKED_AT, ROUGHLY = 150, (40, 8)  # observations that the search uses; and observations and steps of the rough refinement
+HUBER = 3.0  # times the median; an observation farther off counts less
+ZERO = 0.1  # rad, of a slide m; what a joint's zero may be off by
+COARSE = (0.03, 0.05)  # m, rad; what an arm with such zeros leaves, for weighing rotations against positions in the search
+FINE = (1e-3, 2e-3)  # m, rad; the same once zeros are free
+AWAY, REACH = 3.0, 0.3  # m, what bases stand away by and targets on hands reach: what poses leave open goes no farther
+TURN = 3.0  # rad, the same of rotations from where the refinement begins
+STEPS, SETTLED = 60, 1e-7
+FITS = 0.02  # m; a placement that leaves more (median) is none
+TWOFOLD = 1.5  # times what the best leaves, up to which another place fits as well
+SAME = 0.05  # rad between the bases of placements that are one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """arm : Arm with base and tool found and its zeros moved; left : m, the median that it leaves in position."""
+
+    arm: Arm
+    left: float
+
+
+def placed(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
+    """The Arm with base and tool as the observations place them, and zeros moved along; base, tool : whether they are unknown.
+
+    Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in closed form stays
+    as stated. Raises NotEnoughData for too few observations, RigError where no placement fits or two different ones fit alike
+    """
+    if not (base or tool):
+        return arm
+    if len(observations) < LEAST[observations.kind]:
+        raise NotEnoughData(f"{len(observations)} observations of a {observations.kind} cannot place the instrument; "
+                            f"it takes {LEAST[observations.kind]}")
+    if observations.kind == "distance":
+        links = mechanism.forward(observations.q, replace(arm, base=RigidTransform.identity(), tool=arm.tool))
+        return _from_distances(observations.value, links, arm) if base else arm
+    if observations.kind == "orientation":
+        return _from_orientations(observations, arm, base, tool)
+    some, few = _spread(observations, LOOKED_AT), _spread(observations, ROUGHLY[0])
+    rows = arm.rows
+    rough = sorted((_refined(few, start, rows, (base, tool), ROUGHLY[1]) for start in _starts(some, arm, base, tool)), key=lambda p: p.left)
+    found = sorted((_refined(some, one.arm, rows, (base, tool), STEPS) for one in rough[:LEADING]), key=lambda p: p.left)
+    best = found[0]
+    if not best.left < FITS:
+        hint = "" if base and tool else f' Or is [instrument] {"tool" if base else "base"} unknown as well ("free")?'
+        raise RigError(f"no place of {_unknown(base, tool)} fits: the best of {len(rough)} starts still leaves {best.left * 1e3:.0f} mm "
+                       "(median). Are these the joint angles of these poses, in this order, with these senses and zeros (within "
+                       f"{ZERO} rad), and are [mechanism] joints the maker's figures, in metres and radians?{hint}")
+    for other in found[1:]:
+        if other.left < TWOFOLD * best.left + 1e-6 and not _same(other.arm, best.arm):
+            raise RigError(f"{_unknown(base, tool)} can be placed in two ways that fit alike ({best.left * 1e3:.2f} and {other.left * 1e3:.2f} mm, "
+                           "median): the poses differ too little; move every joint, or state one of the two places")
+    return best.arm
+
+
+def _unknown(base: bool, tool: bool) -> str:
+    return "base and tool" if base and tool else "the base" if base else "the tool"
+
+
+def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> list[Arm]:
+    """Arms with different bases, the likeliest first."""
+    links = mechanism.forward(observations.q, replace(arm, base=RigidTransform.identity(), tool=RigidTransform.identity()))
+    F, f = links.rotation.as_matrix(), links.translation
+    value = observations.value
+    p, M = (value.translation, value.rotation.as_matrix()) if isinstance(value, RigidTransform) else (value, None)
+    X = _covering(ROTATIONS) if base else arm.base.rotation.as_matrix()[None]
+    one = np.broadcast_to(np.eye(3), F.shape)
+    known_z = None if tool else arm.tool.translation
+    if known_z is not None:
+        f = f + F @ known_z
+    A = (np.concatenate([F, one], axis=2) if tool else one).reshape(3 * len(F), -1)
+    if not base:
+        A, f = (F if tool else np.zeros((len(F), 3, 0))).reshape(3 * len(F), -1), f + X[0].T @ arm.base.translation
+    orthonormal = _span(A)
+
+    def left(columns: np.ndarray) -> np.ndarray:
+        return columns - orthonormal @ (orthonormal.T @ columns)
+
+    # (X'p) of all observations is linear in X: columns for its nine entries
+    P = left(np.einsum("mi,jk->mkij", p, np.eye(3)).reshape(3 * len(p), 9))
+    right = left(f.reshape(-1, 1))
+    x = X.reshape(-1, 9)
+    square = np.einsum("ri,ij,rj->r", x, P.T @ P, x) - 2 * x @ (P.T @ right)[:, 0] + (right**2).sum()
+    cost = np.maximum(square, 0) / COARSE[0] ** 2
+    if M is not None:
+        K = np.einsum("rkj,jikl->ril", X, np.einsum("mji,mkl->jikl", F, M), optimize=True)  # sum of F'X'M, whose nearest rotation is Z
+        best = np.linalg.svd(K, compute_uv=False)
+        best[:, 2] *= np.sign(np.linalg.det(K))
+        known = np.einsum("ril,il->r", K, arm.tool.rotation.as_matrix())
+        cost += 2 * (3 * len(M) - (best.sum(axis=1) if tool else known)) / (2 * COARSE[1] ** 2)
+    return [_placed_about(X[i], F, f, p, M, A, arm, (base, tool)) for i in _apart(X, cost)]
+
+
+def _placed_about(X: np.ndarray, F: np.ndarray, f: np.ndarray, p: np.ndarray, M: np.ndarray | None, A: np.ndarray, arm: Arm,
+                  unknown: tuple[bool, bool]) -> Arm:
+    """Arm with a rotation of the base (3, 3), and what then follows for the rest."""
+    base, tool = unknown
+    sizes = np.repeat([size for size, free in ((REACH, tool), (AWAY, base)) if free], 3)
+    solution = np.linalg.solve(A.T @ A + np.diag((COARSE[0] / sizes) ** 2), A.T @ (p @ X - f).ravel())
+    z = solution[:3] if tool else arm.tool.translation
+    t = X @ solution[-3:] if base else arm.base.translation
+    Z = arm.tool.rotation.as_matrix()
+    if tool and M is not None:
+        Z = nearest(np.einsum("mji,kj,mkl->il", F, X, M))
+    return replace(arm, base=transform(X, t), tool=transform(Z, z))
+
+
+def _apart(X: np.ndarray, cost: np.ndarray) -> list[int]:
+    """Indices of the rotations of least cost, each APART from those before."""
+    chosen: list[int] = []
+    cosine = 1 + 2 * np.cos(APART)
+    for i in np.argsort(cost):
+        if all(np.einsum("ij,ij->", X[i], X[j]) < cosine for j in chosen):
+            chosen.append(int(i))
+            if len(chosen) == STARTS:
+                break
+    return chosen
+
+
+def _spread(observations: Observations, count: int) -> Observations:
+    """At most so many of the observations, from first to last."""
+    return observations.take(np.unique(np.linspace(0, len(observations) - 1, count).astype(int)))
+
+
+def _refined(observations: Observations, arm: Arm, rows: np.ndarray, unknown: tuple[bool, bool], steps: int) -> Placement:
+    """Placement by damped, robust least squares over base, tool and the joints' zeros, which a prior holds near the maker's rows (n, 5)."""
+    n, posed = len(arm.joints), observations.kind == "pose"
+    free, prior = np.zeros(12 + 5 * n, bool), np.zeros(12 + 5 * n)
+    free[:6], free[-6:] = unknown
+    free[-3:] &= posed
+    zeros = error_model.zero_columns(arm)[1:]  # all but the first, which is the base's
+    prior[:6], prior[-6:] = 1 / np.repeat([AWAY, TURN], 3), 1 / np.repeat([REACH, TURN], 3)
+    free[zeros], prior[zeros] = True, 1 / ZERO
+    start = arm
+    at = _Misfit.of(observations, arm, start, rows, prior, posed)
+    damping = 1e-4
+    for _ in range(steps):
+        J = (observations.jacobian(arm)[..., free] * at.weight[:, None, None] / _sigma(posed)[:, None]).reshape(-1, free.sum())
+        H = J.T @ J + np.diag(prior[free] ** 2)
+        g = J.T @ (at.residual * at.weight[:, None]).ravel() - (prior * at.moved)[free]
+        step = np.zeros(len(free))
+        while damping < 1e8:
+            step[free] = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), g)
+            trial = error_model.moved(arm, step)
+            new = _Misfit.of(observations, trial, start, rows, prior, posed)
+            if new.cost(at.scale) <= at.cost(at.scale):
+                break
+            damping *= 8
+        else:
+            break
+        arm, at, damping = trial, new, max(damping / 8, 1e-10)
+        if np.abs(step).max() < SETTLED:
+            break
+    left = observations.residuals(arm)[:, :3]
+    return Placement(arm, float(np.median(np.linalg.norm(left, axis=1))))
+
+
+def _sigma(posed: bool) -> np.ndarray:
+    return np.repeat(FINE, 3)[: 6 if posed else 3]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Misfit:
+    """residual : (m, k) in FINE; moved : (p,) times prior, zeros from the maker's and base and tool from where they began
+    scale : of the residuals, at least 1; weight : (m,) of each observation."""
+
+    residual: np.ndarray
+    moved: np.ndarray
+    scale: float
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, observations: Observations, arm: Arm, start: Arm, rows: np.ndarray, prior: np.ndarray, posed: bool) -> "_Misfit":
+        r = observations.residuals(arm) / _sigma(posed)
+        size = np.linalg.norm(r, axis=1)
+        scale = max(1.0, float(np.median(size)))  # what is far off at first weighs less against the prior
+        moved = np.concatenate([log(start.base.inv() * arm.base), np.zeros(len(prior) - 12), log(start.tool.inv() * arm.tool)])
+        moved[6:-6] = (arm.rows - rows).ravel()
+        return cls(r, prior * moved, scale, np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12))) / scale)
+
+    def cost(self, scale: float) -> float:
+        """Huber's cost of the residuals over a scale, and the prior's."""
+        size = np.linalg.norm(self.residual, axis=1) / scale
+        return float(np.where(size < HUBER, size**2, HUBER * (2 * size - HUBER)).sum() + (self.moved**2).sum())
+
+
+def _same(a: Arm, b: Arm) -> bool:
+    """Whether two placements that fit are one: the base's rotation given, all else is linear, and what may differ is what poses leave open."""
+    return bool((a.base.inv() * b.base).rotation.magnitude() < SAME)
+
+
+def _covering(count: int) -> np.ndarray:
+    """(count, 3, 3) rotations that cover SO(3) evenly. Source: Alexa, CVPR 2022 (super-Fibonacci spirals)"""
+    phi, psi = np.sqrt(2), 1.533751168755204288118041
+    s = np.arange(count) + 0.5
+    r, R = np.sqrt(s / count), np.sqrt(1 - s / count)
+    a, b = 2 * np.pi * s / phi, 2 * np.pi * s / psi
+    return Rotation.from_quat(np.stack([r * np.sin(a), r * np.cos(a), R * np.sin(b), R * np.cos(b)], axis=1)).as_matrix()
+
+
+def _span(A: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that span what A tells of sizes up to AWAY."""
+    if not A.shape[1]:
+        return A
+    U, s, _ = np.linalg.svd(A, full_matrices=False)
+    return U[:, s > COARSE[0] / AWAY]
+
+
+def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
+    """X F Z = M in rotations alone, linear in X' and Z; where base and target stand they do not tell, and that stays as stated.
+
+    Raises RigError where the hand's rotations leave a family of answers
+    """
+    none = RigidTransform.identity()
+    F = mechanism.forward(observations.q, replace(arm, base=none, tool=none)).rotation.as_matrix()
+    value = observations.value
+    assert isinstance(value, RigidTransform)
+    M, X, Z = value.rotation.as_matrix(), arm.base.rotation.as_matrix(), arm.tool.rotation.as_matrix()
+    if base and tool:
+        X, Z, told = from_rotations(M, F)
+        if told < TELLS:
+            raise RigError("orientations of a hand that turns about one axis alone leave a family of places of base and target; move more joints, or "
+                           "state one of the two places")
+        return replace(arm, base=transform(X, arm.base.translation), tool=transform(Z, arm.tool.translation))
+    X = nearest(np.einsum("mij,mkj->ik", M, F @ Z)) if base else X
+    Z = nearest(np.einsum("mji,mjk->ik", X @ F, M)) if tool else Z
+    return replace(arm, base=transform(X, arm.base.translation), tool=transform(Z, arm.tool.translation))
+
+
+def from_rotations(M: np.ndarray, F: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """(X, Z, how well they are told) of M = X F Z, rotations M and F (m, 3, 3): the null vector of M Z' = X F.
+
+    The third is the second least eigenvalue over the greatest, 0 where a family of answers fits. Source: Shah, J. Mechanisms Robotics 5, 2013
+    """
+    one = np.eye(3)
+    rows = np.concatenate([np.einsum("mij,kl->mikjl", M, one).reshape(len(M), 9, 9), -np.einsum("ij,mlk->mikjl", one, F).reshape(len(M), 9, 9)],
+                          axis=2).reshape(-1, 18)
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    null = vectors[:, 0] * np.sign(np.linalg.det(vectors[9:, 0].reshape(3, 3)))
+    return nearest(null[9:].reshape(3, 3)), nearest(null[:9].reshape(3, 3).T), float(values[1] / values[-1])
+
+
+def _from_distances(lengths: np.ndarray, target: RigidTransform, arm: Arm) -> Arm:
+    """length^2 = |p|^2 - 2 p.w + |w|^2 is linear in the anchor w and its square; the base's rotation cannot be told and stays."""
+    p = target.translation
+    A = np.concatenate([-2 * p, np.ones((len(p), 1))], axis=1)
+    w = np.linalg.lstsq(A, lengths**2 - (p**2).sum(axis=1))[0][:3]
+    R = arm.base.rotation.as_matrix()
+    return replace(arm, base=transform(R, -R @ w))
+
+
+def nearest(matrix: np.ndarray) -> np.ndarray:
+    """The rotation nearest to a matrix (3, 3)."""
+    U, _, V = np.linalg.svd(matrix)
+    return U @ np.diag([1, 1, np.linalg.det(U @ V)]) @ V
+
+
+def transform(R: np.ndarray, t: np.ndarray) -> RigidTransform:
+    """RigidTransform of a rotation (3, 3) and a translation (3,) m."""
+    return RigidTransform.from_components(t, Rotation.from_matrix(R))

@@ -1,0 +1,223 @@
+"""An arm's geometry and the effects at its joints, fitted together to what was measured, and how sure both then are.
+
+Gauss-Newton on the effects' coordinates, all that the geometry can make up for taken out of them: what a joint's own effect and a length
+explain alike goes to the length. A held-out figure is of effects refitted without what is held out.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.models.arm import error_model
+from calib.models.arm.identification import Identified, identify, parameters
+from calib.models.arm.instrument_observations import of_samples, rows
+from calib.correct.physics import told
+from calib.identify.bounded_step import bounded_step
+from calib.samples.pose_samples import Samples
+from rig.model import motion_simulation
+from rig.model.design import Arm, Design
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_validity import check
+from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of, kept_sums
+from rig.model.mechanism_kinds import arm_of
+from rig.recording.recording_folder import Commands, Sensors
+
+ITERATIONS = 12
+SETTLED = 1e-4  # of the squares that a step still gains
+HALVINGS = 6
+ROUNDS = 2  # of the geometry, which decides what effects are seen through, and the effects
+STRAIGHT = ("linear", "inverse")  # roles of parameters that what joints do is linear in
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History:
+    """What an arm was told besides its samples. design : Design, whose mechanism is the nominal Arm; commands : Commands, the whole path
+    sensors : Sensors or None."""
+
+    design: Design
+    commands: Commands
+    sensors: Sensors | None
+
+    def told(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> Samples:
+        """Samples as measured, with what effects do to their commands on an arm."""
+        return told(replace(self.design, mechanism=arm), samples, self.commands, effects, self.sensors)
+
+    def identified(self, samples: Samples, start: Arm) -> Identified:
+        """Identified geometry of samples that were told, by the parameters that the arm as stated has."""
+        observations = of_samples(samples)
+        return identify(observations, start, parameters(arm_of(self.design.mechanism), observations.kind))
+
+    def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+        """(joints (n, joints), hand (n, 6)) that commands become under effects, as `machine.reached`."""
+        return motion_simulation.reached(
+            replace(self.design, mechanism=arm), self.commands, samples.t, samples.T_base_platform, effects, self.sensors
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beforehand:
+    """What another recording told of c coordinates. values, sigma : (c,)"""
+
+    values: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """What effects' c coordinates do at n samples: joints (n, joints, c) rad or m, hand (n, 6, c) m and rad beyond these."""
+
+    joints: np.ndarray
+    hand: np.ndarray
+
+    def take(self, index: np.ndarray) -> "Columns":
+        """Of an index or mask (n,)."""
+        return Columns(self.joints[index], self.hand[index])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Together:
+    """Effects fitted with an arm's geometry. measured : Samples; history : History
+    effects : fitted; arm : its geometry beside them; own : (c, c) covariance of their coordinates; columns : Columns there; before : Beforehand or
+    None; samples : Samples with what the effects do to their commands."""
+
+    measured: Samples
+    history: History
+    effects: tuple[Effect, ...]
+    arm: Arm
+    own: np.ndarray
+    columns: Columns
+    before: Beforehand | None
+    samples: Samples = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "samples", self.history.told(self.measured, self.effects, self.arm))
+
+    def without(self, held: np.ndarray) -> Samples:
+        """All samples, with what effects of this structure do to their commands, fitted to those alone that are not held (n,) bool."""
+        rest = _refined(self.measured.take(~held), self.history, self.arm, self.effects, self.before, self.columns.take(~held))
+        return self.history.told(self.measured, rest.effects, rest.arm)
+
+    def response(self, found: Identified) -> np.ndarray:
+        """(p, c) by which the geometry's parameters follow the effects' coordinates, of an arm identified on these samples."""
+        seen = _Seen.of(self.samples, found)
+        out = np.zeros((len(found.free), len(self.own)))
+        out[found.free] = -np.linalg.lstsq(seen.nuisances, seen.whitened(self.columns), rcond=None)[0][: int(found.free.sum())]
+        return out
+
+
+def together(measured: Samples, history: History, start: Arm, effects: tuple[Effect, ...], before: Beforehand | None = None) -> Together:
+    """Together of effects, from where their parameters stand, and of the geometry from an Arm on. Raises as `identify`"""
+    arm, columns = start, None
+    for _ in range(ROUNDS):
+        arm = history.identified(history.told(measured, effects, arm), arm).arm
+        columns = _columns(measured, history, effects, arm, columns)
+        done = _refined(measured, history, arm, effects, before, columns)
+        effects, arm, columns = done.effects, done.arm, done.columns
+    return done
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """How samples see an arm. W : (m, k, k) weights of those that agree; inliers : (n,) bool; q : (n, joints); kind : of Observations; arm : Arm
+    nuisances : (m k + j, p + j) whitened columns of the free parameters and of the j shared draws; basis : orthonormal, of the same span."""
+
+    W: np.ndarray
+    inliers: np.ndarray
+    q: np.ndarray
+    kind: str
+    arm: Arm
+    nuisances: np.ndarray
+    basis: np.ndarray
+
+    @staticmethod
+    def of(samples: Samples, found: Identified) -> "_Seen":
+        o, shared = of_samples(samples), samples.common.shape[2]
+        W = np.linalg.inv(np.linalg.cholesky(o.covariance + np.diag(found.scatter**2)))[found.inliers]
+        J = np.concatenate([o.jacobian(found.arm)[..., found.free], o.common], axis=2)[found.inliers]
+        stacked = np.concatenate([(W @ J).reshape(-1, J.shape[2]), np.eye(J.shape[2])[J.shape[2] - shared :]])
+        return _Seen(W, found.inliers, o.q, o.kind, found.arm, stacked, np.linalg.qr(stacked / np.linalg.norm(stacked, axis=0))[0])
+
+    def whitened(self, columns: Columns) -> np.ndarray:
+        """(m k + j, c) of Columns (n, ..)."""
+        moved = error_model.joint_jacobian(self.q, self.arm) @ columns.joints + columns.hand
+        seen = self.W @ rows(self.kind, moved, self.q, self.arm)[self.inliers]
+        return self._padded(seen.reshape(seen.shape[0] * seen.shape[1], seen.shape[2]))
+
+    def left(self, samples: Samples) -> np.ndarray:
+        """(m k + j,) whitened residuals of samples, all that the nuisances explain taken out."""
+        r = self._padded((self.W @ of_samples(samples).residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1))[:, 0]
+        return r - self.basis @ (self.basis.T @ r)
+
+    def _padded(self, seen: np.ndarray) -> np.ndarray:
+        return np.concatenate([seen, np.zeros((len(self.nuisances) - len(seen), seen.shape[1]))])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prior:
+    """What is known of c coordinates. values, weight : (c,) of each, 0 where nothing is; ends : (c, 2) bounds; kept : (k, c) sums that stay."""
+
+    values: np.ndarray
+    weight: np.ndarray
+    ends: np.ndarray
+    kept: np.ndarray
+
+    @staticmethod
+    def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], before: Beforehand | None) -> "_Prior":
+        loose = np.array([c.loose for c in coordinates]) ** 2
+        told = np.zeros(len(loose)) if before is None else np.maximum(before.sigma, 1e-300) ** -2.0
+        values = np.zeros(len(loose)) if before is None else told * before.values / np.maximum(loose + told, 1e-300)
+        return _Prior(values, loose + told, np.array([c.ends for c in coordinates], float).reshape(-1, 2), kept_sums(coordinates, effects))
+
+    def cost(self, values: np.ndarray) -> float:
+        return float((self.weight * (values - self.values) ** 2).sum())
+
+
+def _refined(measured: Samples, history: History, arm: Arm, effects: tuple[Effect, ...], before: Beforehand | None, columns: Columns) -> Together:
+    """Together from where effects and an Arm stand, with the geometry that is left in the end."""
+    coordinates = coordinates_of(effects)
+    samples = history.told(measured, effects, arm)
+    seen = _Seen.of(samples, history.identified(samples, arm))
+    prior, own = _Prior.of(coordinates, effects, before), np.zeros((0, 0))
+    values, left = _values(coordinates, effects), seen.left(samples)
+    for _ in range(ITERATIONS if coordinates else 0):
+        C = seen.whitened(columns)
+        C -= seen.basis @ (seen.basis.T @ C)
+        step, own = bounded_step(C.T @ left + prior.weight * (prior.values - values), C.T @ C + np.diag(prior.weight), values, prior.ends, prior.kept)
+        cost = left @ left + prior.cost(values)
+        for halving in range(HALVINGS):
+            tried = _written(coordinates, effects, values + 0.5**halving * step)
+            new, after = _values(coordinates, tried), seen.left(history.told(measured, tried, arm))
+            gain = cost - after @ after - prior.cost(new)
+            if gain >= 0:
+                effects, values, left = tried, new, after
+                break
+        if gain < SETTLED * max(cost / len(left), 1.0):
+            break
+        columns = _columns(measured, history, effects, arm, columns)
+    found = history.identified(history.told(measured, effects, arm), arm)
+    return Together(measured, history, effects, found.arm, own, columns, before)
+
+
+def _values(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
+    return np.array([c.read(effects[c.effect]) for c in coordinates])
+
+
+def _written(coordinates: list[Coordinate], effects: tuple[Effect, ...], values: np.ndarray) -> tuple[Effect, ...]:
+    out = list(effects)
+    for c, value in zip(coordinates, values.tolist()):
+        out[c.effect] = c.written(out[c.effect], value)
+    return tuple(check(effect) for effect in out)
+
+
+def _columns(samples: Samples, history: History, effects: tuple[Effect, ...], arm: Arm, before: Columns | None) -> Columns:
+    """Columns of effects' coordinates at samples, by differences. before : near by, of which what is linear holds still; None to work out all"""
+    coordinates = coordinates_of(effects)
+    joints = np.zeros((*samples.commanded.shape, len(coordinates))) if before is None else before.joints.copy()
+    hand = np.zeros((len(samples), 6, len(coordinates))) if before is None else before.hand.copy()
+    bent = {c.effect for c in coordinates if c.role not in STRAIGHT or any(e.retimes() for e in effects)}
+    for i, c in enumerate(coordinates):
+        if before is None or c.effect in bent:
+            ends, between = c.ends_of(effects, effects)
+            (high, up), (low, down) = (history.moved(samples, one, arm) for one in ends)
+            joints[..., i], hand[..., i] = (high - low) / between, (up - down) / between
+    return Columns(joints, hand)

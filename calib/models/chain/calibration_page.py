@@ -1,0 +1,41 @@
+"""The page of a chain's calibration: what it is worth, before and after, stage by stage, and what cannot be told apart."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.certify.calibration import Calibration
+from calib.certify.calibration_evidence import judgement
+from calib.certify.held_out_errors import errors_of
+from calib.models.chain import error_model
+from calib.models.chain.certification import Certified
+from calib.report.pose_figures import before_after, coverage
+from calib.report.calibration_page import in_space, origin, rests_on
+from calib.samples.pose_samples import Samples
+from rig.report.pages.page_template import Link, Page, write
+from rig.report.pages.html_elements import folded, heading, note, paragraph, table
+from rig.model.pose import vector
+from rig.report.pages.view_3d import scripts
+from rig.recording.recording_folder import Recording
+
+
+def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified,
+                     links: Sequence[Link] = ()) -> None:
+    """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
+    parts = [*rests_on(calibration), heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
+             before_after(*errors_of(calibration.correction, samples), samples.frame), *in_space(recording, calibration, samples),
+             heading("Stage by stage"),
+             *(paragraph(line) for line in done.found.report()), _parameters(done),
+             heading("Where the last platform went"), coverage(vector(samples.T_base_platform)),
+             heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
+    judged = judgement(calibration)
+    write(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, scripts(parts)))
+
+
+def _parameters(done: Certified) -> str:
+    found, nominal = done.found, done.correction.nominal
+    sigma = np.sqrt(np.diag(found.covariance))
+    rows = [(name, f"{1e3 * step:+.4f}", f"{2e3 * s:.4f}", "mm" if unit == "m" else "mrad")
+            for name, unit, step, s in zip(error_model.names(nominal), error_model.units(nominal), found.step, sigma) if s > 0]
+    return folded("Every parameter", table(("change from nominal", "", "± (k = 2)", ""), rows))

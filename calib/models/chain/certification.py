@@ -1,0 +1,86 @@
+"""What a chain's calibration promises: fitted on all samples, its figures from whole stretches that were held out in turn."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.models.arm.certification import unexplained
+from calib.certify.calibration import Calibration
+from calib.certify.platform_certification import Progress, in_turn, silent
+from calib.certify.workspace_claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, too_few
+from calib.certify.distinct_configurations import LEAST, labels, witnesses
+from calib.certify.held_out_error_statistics import HeldErrors, held_errors, influence
+from calib.certify.held_out_errors import HeldOut, compare, errors_of
+from calib.models.chain import error_model
+from calib.models.chain.identification import Identified, identify
+from calib.correct.correction import Correction, closing
+from calib.samples.pose_samples import Samples
+from rig.planning.configuration_sets import FILL, low_discrepancy
+from rig.model.design import Chain
+from rig.model.mechanisms import chain as mechanism
+from rig.model.pose import difference
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certified:
+    """correction : Correction of all samples, every stage's; found : Identified; label : (n,) configuration of each sample
+    held_out : HeldOut, whole stretches of configurations in turn, and left : HeldErrors of it, or None for too few of them"""
+
+    correction: Correction
+    found: Identified
+    label: np.ndarray
+    held_out: HeldOut | None
+    left: HeldErrors | None = None
+
+
+def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress: Progress | None = None) -> Certified:
+    """Certified : all stages of a chain together. rng : numpy Generator, for the bootstrap; progress : called with (label, done, of)
+
+    Raises what `identify` raises
+    """
+    said = progress or silent
+    label = labels(samples.commanded, mechanism.travel(nominal))
+    said("fitting the geometry", 0, 1)
+    found = identify(samples, nominal)
+    correction = _corrected(nominal, found)
+    said("fitting the geometry", 1, 1)
+    if label.max() + 1 < LEAST:
+        return Certified(correction, found, label, None)
+    before, after = in_turn(samples, label, lambda some: [_corrected(nominal, identify(some, nominal))], said)
+    good = found.inliers
+    agreed = samples.take(good)
+    J = error_model.parameter_jacobian(agreed.commanded, found.chain)
+    noise = agreed.covariance + np.diag(found.scatter**2)
+    by = influence(errors_of(correction, agreed)[1], J, found.covariance, noise, label[good])
+    left = held_errors(by.standardised, agreed, label[good])
+    scatter = np.maximum(found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3)))  # what a model lacks a fit takes into itself
+    return Certified(correction, replace(found, scatter=scatter), label, compare(before, after, samples.total_covariance(), rng, label), left)
+
+
+def _corrected(nominal: Chain, found: Identified) -> Correction:
+    parts: tuple[None, ...] = (None,) * len(nominal.axes)
+    return Correction(nominal, found.chain, parts)
+
+
+def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
+    """(n, 6, 6) covariance of the corrected chain's pose at commands (n, axes) m or rad: the parameters' and what the model leaves."""
+    J = error_model.parameter_jacobian(commands, calibration.correction.fitted)
+    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
+
+
+def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
+    """Claim of a certified chain all over its axes' travels, each configuration once."""
+    found, nominal = done.found, done.correction.nominal
+    kept = samples.take(found.inliers)
+    label = np.unique(done.label[found.inliers], return_inverse=True)[1]
+    each = witnesses(kept, label, mechanism.jacobian(kept.commanded, nominal))
+    words = f"the middle {FILL * 100:.0f} % of every travel, all axes free of each other"
+    asked = int((error_model.prior(nominal) > 0).sum())
+    told = Told(len(each), asked - len(found.untold), asked - len(found.untold), asked, "what no pose tells stays as stated")
+    if len(each) < LEAST:
+        return too_few(told, words)
+    values, T = closing(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), done.correction)
+    own = (found.scatter**2).reshape(2, 3).sum(axis=1) if done.left is None else done.left.own_draws(0.0, DRAWS, rng)
+    workspace = Workspace(error_model.parameter_jacobian(values, found.chain), difference(mechanism.forward(values, nominal), T), own, words)
+    draws = rng.multivariate_normal(np.zeros(len(found.covariance)), found.covariance, DRAWS, method="eigh")
+    return replace(claimed(workspace, draws, each, told, rng), unexplained=unexplained(found.scatter, each.covariance))

@@ -1,0 +1,177 @@
+"""A chain's parameters, all stages together, from the poses of its last platform and of stages below it that were measured; and which of
+their combinations no pose tells apart.
+
+What one stage does the next may undo: where a gantry's carriage holds the hexapod and where the hexapod's base joints stand on it are one and the
+same to the last platform, until the carriage itself is measured. Combinations without information in the poses stay as the owner's figures have
+them and are named.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.models.chain import error_model
+from calib.models.chain.stage_equations import bodies, hat_of
+from calib.identify.least_squares import Linear, fit
+from calib.identify.robust_fit import MOST as FEW
+from calib.identify.robust_fit import robust_fit
+from calib.samples.pose_samples import Samples
+from rig.model.design import Chain
+from rig.errors import NotEnoughData, RigError
+
+ROUNDS = 4  # of weighing anew by what scatters beyond the instrument's own
+SETTLED = 1e-3  # share by which the scatter may still change
+TOLD = 0.25  # share of its plausible variance below which a combination is told: half of its size
+NAMED = 0.25  # share of a combination's largest part from which a parameter is named
+ALIKE = 0.05  # share of a combination that need not be the motion of a base
+MOST = 4  # parameters that a combination is told by
+ENOUGH = 4  # numbers measured for each parameter, from which a robust start is taken
+GATE = 8.0  # standard deviations, of poses that a robust start leaves out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Untold:
+    """A combination that poses leave as stated. parameters : ((name, weight), ..) in plausible sizes, the largest first; stages : it spans
+    left : of what is plausible, that remains uncertain (1: all); stands : (upper, lower) stage where it is the upper one's base that moves as a
+    whole on the lower, so that the lower's own parameters do the same; None for anything else."""
+
+    parameters: tuple[tuple[str, float], ...]
+    stages: tuple[int, ...]
+    left: float
+    stands: tuple[int, int] | None = None
+
+    def __str__(self) -> str:
+        parts = ", ".join(f"{weight:+.2f} {name}" for name, weight in self.parameters)
+        return f"{parts} ({'between stages ' + ' and '.join(map(str, self.stages)) if len(self.stages) > 1 else f'within stage {self.stages[0]}'})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identified:
+    """What a fit of a chain found, p parameters in the order of calib.models.chain.error_model.
+
+    chain : with the fitted geometry; step : (p,) m and rad from the owner's figures; covariance : (p, p), 0 for what is no freedom
+    told : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; untold : (Untold, ..)
+    scatter : (6,) m and rad of the last platform beyond the instrument's own; inliers : (n,) bool, its poses that agree
+    below : ((stage, poses that agree, of), ..) of the stages that were measured beside it
+    """
+
+    chain: Chain
+    step: np.ndarray
+    covariance: np.ndarray
+    told: tuple[tuple[int, int], ...]
+    untold: tuple[Untold, ...]
+    scatter: np.ndarray
+    inliers: np.ndarray
+    below: tuple[tuple[int, int, int], ...] = ()
+
+    def report(self) -> list[str]:
+        """Lines for a reader, stage by stage, then what cannot be told apart."""
+        lines = [f"stage {k + 1} ({stage.kind}): {told} of {asked} combinations of its parameters are told"
+                 for k, (stage, (told, asked)) in enumerate(zip(self.chain.stages, self.told))]
+        lines += [f"stage {k}: {agree} of {of} poses of its own take part" for k, agree, of in self.below]
+        for upper, lower in sorted({one.stands for one in self.untold if one.stands is not None}):
+            count = sum(one.stands == (upper, lower) for one in self.untold)
+            lines.append(f"{count} of 6 figures of where stage {upper} stands on stage {lower} cannot be told from stage {lower}'s own: its "
+                         f"base moved as a whole, the last platform stays; they stay as stated")
+        rest = [one for one in self.untold if one.stands is None]
+        if rest:
+            lines.append(f"{len(rest)} more combinations that no pose tells stay as stated:")
+        return lines + [f"  {one}" for one in rest]
+
+
+def identify(samples: Samples, nominal: Chain) -> Identified:
+    """Identified : the parameters that explain the poses, as near to the owner's as these allow.
+
+    samples : Samples of the last platform, and of stages below it
+    nominal : where the fit starts and where its prior holds what the poses do not tell
+    Raises NotEnoughData for fewer than 3 poses, RigError where the fit does not settle
+    """
+    sigma = error_model.prior(nominal)
+    free = sigma > 0
+    if len(samples) < 3:
+        raise NotEnoughData(f"{len(samples)} poses say nothing of a chain; it takes 3 at the least, better {int(free.sum())}")
+    measured = bodies(samples)
+    rows = np.split(np.arange(sum(len(one.values) for one in measured)), np.cumsum([len(one.values) for one in measured])[:-1])
+    scatter = np.zeros((len(measured), 6))
+    for _ in range(ROUNDS):
+        white = [np.linalg.inv(np.linalg.cholesky(one.covariance + np.diag(own**2))) for one, own in zip(measured, scatter)]
+
+        def linearise(p: np.ndarray, white: list[np.ndarray] = white) -> Linear:
+            step = np.zeros(len(sigma))
+            step[free] = p
+            parts = [one.linear(error_model.moved(nominal, step), W, free) for one, W in zip(measured, white)]
+            return Linear(*(np.concatenate(column) for column in zip(*parts)))
+
+        start = np.zeros(free.sum())
+        try:
+            found = fit(linearise, start, start, sigma[free], robust=True)
+        except RigError:  # wild poses may lead where no stage closes
+            inliers = _agreeing(linearise(start), rows)
+            if inliers.all():
+                raise
+            found = fit(linearise, start, start, sigma[free], inliers=inliers, robust=True)
+        hat = hat_of(linearise(found.parameters), found.inliers, sigma[free])
+        again = np.array([one.scatter(W, found.residual[own], found.inliers[own], hat[own]) for one, W, own in zip(measured, white, rows)])
+        if np.allclose(again, scatter, rtol=SETTLED, atol=1e-12):
+            break
+        scatter = again
+    step, covariance = np.zeros(len(sigma)), np.zeros((len(sigma), len(sigma)))
+    step[free], covariance[np.ix_(free, free)] = found.parameters, found.covariance
+    below = tuple((one.stage, int(found.inliers[own].sum()), len(own)) for one, own in zip(measured, rows) if one.stage is not None)
+    return Identified(error_model.moved(nominal, step), step, covariance, _told(covariance, sigma, nominal), _untold(covariance, sigma, nominal),
+                      scatter[0], found.inliers[rows[0]], below)
+
+
+def _agreeing(linear: Linear, rows: list[np.ndarray]) -> np.ndarray:
+    """(n,) bool, poses that a robust fit of all parameters, linear about the owner's figures, does not find far off, from which a fit may start; all
+    where poses are too few for that, or too many are far off. rows : of each body"""
+    near = np.ones(len(linear.residual), bool)
+    for own in rows:
+        columns = np.concatenate([linear.common[own], linear.jacobian[own]], axis=2)
+        if columns[..., 0].size < ENOUGH * columns.shape[2]:
+            continue
+        found = robust_fit([(linear.residual[own], columns)])
+        agree = (np.abs(found.residual) < GATE * np.maximum(1.0, found.scale)).all(axis=1)
+        near[own] = agree if (~agree).mean() <= FEW else True
+    return near
+
+
+def _told(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[tuple[int, int], ...]:
+    """(told, asked) combinations of each stage: those left with less than half of what is plausible."""
+    out = []
+    for part in error_model.parts(chain):
+        own = np.flatnonzero(sigma[part] > 0) + part.start
+        left = np.linalg.eigvalsh(covariance[np.ix_(own, own)] / np.outer(sigma[own], sigma[own]))
+        out.append((int((left < TOLD).sum()), len(own)))
+    return tuple(out)
+
+
+def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[Untold, ...]:
+    """The combinations of all parameters that keep more than half of what is plausible, the least told first."""
+    free = np.flatnonzero(sigma > 0)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free]))
+    names, out = error_model.names(chain), []
+    stage = np.concatenate([np.full(part.stop - part.start, k + 1) for k, part in enumerate(error_model.parts(chain))])[free]
+    for i in np.argsort(-values):
+        if values[i] <= TOLD:
+            break
+        v = vectors[:, i] * np.sign(vectors[np.argmax(np.abs(vectors[:, i])), i])
+        order = np.argsort(-np.abs(v))
+        strong = [j for j in order[:MOST] if abs(v[j]) > NAMED * abs(v[order[0]])]
+        spans = tuple(int(k) for k in np.unique(stage) if (v[stage == k] ** 2).sum() > 0.02)
+        whole = np.zeros(len(sigma))
+        whole[free] = v
+        parameters = tuple((names[free[j]], float(v[j])) for j in strong)
+        out.append(Untold(parameters, spans, float(np.sqrt(values[i])), _stands(whole, sigma, chain, spans)))
+    return tuple(out)
+
+
+def _stands(direction: np.ndarray, sigma: np.ndarray, chain: Chain, spans: tuple[int, ...]) -> tuple[int, int] | None:
+    """(upper, lower) where a direction (p,) in plausible sizes moves the upper stage's base as a whole, and something below it; None elsewhere."""
+    if len(spans) != 2 or spans[1] != spans[0] + 1:
+        return None
+    upper = error_model.parts(chain)[spans[1] - 1]
+    own = direction[upper]
+    motions = error_model.base_motions(chain.stages[spans[1] - 1]) / np.where(sigma[upper] > 0, sigma[upper], np.inf)[:, None]
+    left = own - motions @ np.linalg.lstsq(motions, own)[0]
+    return (spans[1], spans[0]) if np.linalg.norm(left) < ALIKE * np.linalg.norm(own) else None

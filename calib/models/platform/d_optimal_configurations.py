@@ -1,0 +1,149 @@
+"""Which configurations determine the parameters best: an exchange of configurations against candidates all over the strokes.
+
+Criteria: "determinant" (D-optimal: the volume of the parameters' uncertainty), "noise" (the noise amplification index of Nahvi
+and Hollerbach, ICRA 1996: smallest singular value squared over the greatest). Source of the exchange: Fedorov, Theory of Optimal
+Experiments, 1972.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.models.platform.identification import pose_jacobian
+from calib.models.platform.parameter_observability import PLAUSIBLE
+from rig.planning import plan
+from rig.planning.approach_balance import balanced_order
+from rig.model.design import Hexapod
+from rig.errors import NotConverged, RigError
+from rig.model.mechanisms import hexapod as mechanism
+
+CANDIDATES = 2000
+FILL = 0.9  # of the strokes
+PASSES = 6  # of exchanging; each ends early where nothing pays
+PAYS = 1e-4  # relative gain below which an exchange is not made
+LOOKED_AT = 24  # candidates whose noise amplification is worked out exactly, the most promising ones
+CRITERIA = ("determinant", "noise")
+
+Avoided = Callable[[np.ndarray], np.ndarray]  # configurations (n, 6) m -> (n,) bool, those that are not to be visited
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chosen:
+    """commands : (n, 6) m, ordered so that neither time nor direction is a function of place
+    root : (42, 42) information's square root, 1/m, with what was given; before : of what was given alone
+    even : (42, 42) with as many low-discrepancy configurations in their stead"""
+
+    commands: np.ndarray
+    root: np.ndarray
+    before: np.ndarray
+    even: np.ndarray
+
+
+def choose(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion: str = "determinant", given: np.ndarray | None = None,
+           seed: int = 0, progress: Callable[[int, int], None] | None = None, avoided: Avoided | None = None) -> Chosen:
+    """Chosen configurations, `count` of them, beside those given (k, 6) m.
+
+    sigmas : (m, rad) standard deviations of a measured pose's position and rotation, per axis; progress : called with (done, of)
+    avoided : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
+    Raises RigError for an unknown criterion, too few configurations to hold 42 parameters, or where none may be visited
+    """
+    if criterion not in CRITERIA:
+        raise RigError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
+    given = np.zeros((0, 6)) if given is None else np.asarray(given, float)
+    if count + len(given) < 7:
+        raise RigError(f"{count + len(given)} configurations cannot determine 42 parameters; it takes 7, better 30")
+    candidates, G = _candidates(hexapod, sigmas, seed, avoided)
+    known = information(given, hexapod, sigmas)[1].reshape(-1, 42) if len(given) else np.zeros((0, 42))
+    picked = exchanged(G, known.T @ known, count, criterion, progress)
+    even = information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[1].reshape(-1, 42)
+    parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
+    chosen = candidates[picked]
+    order = balanced_order(chosen, np.random.default_rng(seed), hexapod.strut_range.mean(axis=1))
+    return Chosen(chosen[order], *(_root(rows) for rows in (parts[0], known, parts[1])))
+
+
+def exchanged(G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progress: Callable[[int, int], None] | None = None) -> list[int]:
+    """`count` of the candidates with whitened rows G (c, m, p), in plausible sizes, that tell most beside the information M0 (p, p)."""
+    picked: list[int] = []
+    gain = _determinant if criterion == "determinant" else _noise
+    for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
+        M = M0 + summed(G, picked)
+        picked.append(int(np.argmax(_determinant(M + np.eye(G.shape[2]), G)[1])))
+        if progress:
+            progress(k + 1, count * (1 + PASSES))
+    for turn in range(PASSES):
+        moved = 0
+        for k in range(count):
+            rest = picked[:k] + picked[k + 1 :]
+            M = M0 + summed(G, rest) + 1e-9 * np.eye(G.shape[2])
+            now, values = gain(M, G, picked[k])
+            best = int(np.argmax(values))
+            if values[best] > now + PAYS * abs(now):
+                picked[k], moved = best, moved + 1
+            if progress:
+                progress(count * (1 + turn) + k + 1, count * (1 + PASSES))
+        if not moved:
+            break
+    if progress:
+        progress(count * (1 + PASSES), count * (1 + PASSES))
+    return picked
+
+
+def information(commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """(commands (n, 6) m that close on a pose, rows (n, 6, 42): J_p whitened by the pose's sigmas (m, rad), in plausible sizes)."""
+    commands = np.asarray(commands, float)
+    while True:
+        try:
+            T = mechanism.forward(commands, hexapod)
+        except NotConverged as error:
+            commands = np.delete(commands, error.index, axis=0)
+            continue
+        weights = 1 / np.repeat(sigmas, 3)[:, None]
+        return commands, pose_jacobian(T, hexapod) * weights * PLAUSIBLE
+
+
+def _candidates(hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: Avoided | None) -> tuple[np.ndarray, np.ndarray]:
+    """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
+    spread = plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed)
+    return information(allowed(np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)]), avoided), hexapod, sigmas)
+
+
+def allowed(commands: np.ndarray, avoided: Avoided | None) -> np.ndarray:
+    """Those of the commands (n, 6) m that may be visited. Raises RigError where none may."""
+    kept = commands if avoided is None else commands[~avoided(commands)]
+    if not len(kept):
+        raise RigError(f"none of {len(commands)} configurations all over the strokes may be visited: the calibration leaves no pose of the owner's "
+                       "model in reach")
+    return kept
+
+
+def summed(G: np.ndarray, picked: list[int] | np.ndarray) -> np.ndarray:
+    """(p, p) information of those picked (k,) of candidates with whitened rows G (c, m, p)."""
+    rows = G[picked].reshape(-1, G.shape[2])
+    return rows.T @ rows
+
+
+def _determinant(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.ndarray]:
+    """(log volume that candidate `present` adds to information M, that which each candidate adds (c,))."""
+    half = np.linalg.inv(np.linalg.cholesky(M))
+    rows = G @ half.T
+    values = np.linalg.slogdet(np.eye(6) + rows @ np.swapaxes(rows, 1, 2))[1]
+    return values[present], values
+
+
+def _noise(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.ndarray]:
+    """(noise amplification index with candidate `present`, with each candidate (c,), -inf for those not worth looking at)."""
+    size, V = np.linalg.eigh(M)
+    promise = np.einsum("cik,k->c", (G @ V) ** 2, 1 / np.maximum(size, 1e-12) ** 2)
+    look = np.r_[present, np.argsort(-promise)[:LOOKED_AT]]
+    s = np.linalg.eigvalsh(M + np.swapaxes(G[look], 1, 2) @ G[look])
+    index = np.maximum(s[:, 0], 0) / np.sqrt(s[:, -1])
+    values = np.full(len(G), -np.inf)
+    values[look[1:]] = index[1:]
+    return index[0], values
+
+
+def _root(rows: np.ndarray) -> np.ndarray:
+    R: np.ndarray = np.asarray(np.linalg.qr(rows, mode="r")) / PLAUSIBLE
+    return np.concatenate([R, np.zeros((42 - len(R), 42))]) if len(R) < 42 else R

@@ -1,0 +1,107 @@
+"""What poses tell of the parameters of a machine on struts: which combinations they determine, how well, and what each is in plain terms."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.models.platform.identification import NAMES
+from calib.identify.least_squares import Visibility, visibility
+from rig.model.design import Hexapod
+from rig.model.mechanism_kinds import Struts
+from rig.model.mechanisms import hexapod
+from rig.model.pose import skew
+
+PLAUSIBLE = 5e-4  # m; how far off a joint or a zero may well be
+TERMS = 3  # of a combination's description
+MOSTLY = 0.9  # share of a combination that its description covers, where that many terms suffice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Combination:
+    """direction : (p,) unit; sigma : m, standard error along it from the poses alone; name : what it is, mostly."""
+
+    direction: np.ndarray
+    sigma: float
+    name: str
+
+    @property
+    def determined(self) -> bool:
+        """Whether the poses say more of it than its plausible size does."""
+        return self.sigma < PLAUSIBLE
+
+
+def combinations(root: np.ndarray, mechanism: Struts) -> tuple[tuple[Combination, ...], Visibility]:
+    """(tuple of p Combinations, the worst determined first; Visibility) of the information's square root (p, p) 1/m."""
+    seen: Visibility = visibility(root, np.full(root.shape[1], PLAUSIBLE))
+    patterns = _patterns(mechanism)
+    with np.errstate(divide="ignore"):
+        sigma = PLAUSIBLE / seen.singular
+    return tuple(Combination(d, float(s), describe(d, patterns)) for d, s in zip(seen.directions[::-1], sigma[::-1])), seen
+
+
+def gauge(mechanism: Hexapod) -> np.ndarray:
+    """(42, 12) the parameters' motions with the frames: base joints with the base frame (x y z rx ry rz), platform joints with theirs.
+
+    Where targets with stated poses hold both frames the poses determine them like any other combination; where an instrument
+    stands free, or its tool sits anywhere, they are no different from where it stands and must be held.
+    """
+    out = np.zeros((42, 12))
+    for k, joints in enumerate((mechanism.base_joints, mechanism.platform_joints)):
+        out[18 * k : 18 * k + 18, 6 * k : 6 * k + 6] = np.concatenate([np.tile(np.eye(3), (6, 1, 1)), -skew(joints)], axis=2).reshape(18, 6)
+    return out
+
+
+def struts_with_base(mechanism: Struts) -> np.ndarray:
+    """(p, 6) m/m and m/rad the parameters' motions with the base frame (x y z rx ry rz); of two struts (6, 3), with x, y and rz."""
+    if isinstance(mechanism, Hexapod):
+        return gauge(mechanism)[:, :6]
+    out = np.zeros((6, 3))
+    out[0:4:2, 0] = out[1:4:2, 1] = 1.0
+    out[:4, 2] = (mechanism.base_joints @ [[0, 1.0], [-1, 0]]).ravel()
+    return out
+
+
+def describe(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> str:
+    """A unit direction (p,) in words: up to TERMS of the patterns {name: (p,) unit} or single parameters, the largest first."""
+    left, terms = direction.copy(), list[str]()
+    while len(terms) < TERMS and left @ left > 1 - MOSTLY:
+        shares = {name: left @ pattern for name, pattern in patterns.items()}
+        name = max(shares, key=lambda key: abs(shares[key]))
+        terms.append(f"{shares[name]:+.2f} {name}")
+        left = left - shares[name] * patterns[name]
+    return ", ".join(terms)
+
+
+def _patterns(mechanism: Struts) -> dict[str, np.ndarray]:
+    """{name: unit direction (p,)}: plates moved and scaled as a whole, all zeros together, each strut's loop, each parameter alone."""
+    found = _of_hexapod(mechanism) if isinstance(mechanism, Hexapod) else {
+        **{f"base joints moved {axis}": motion for axis, motion in zip(("along x", "along y", "about z"), struts_with_base(mechanism).T)},
+        "base joints spread": np.r_[(mechanism.base_joints - mechanism.base_joints.mean(axis=0)).ravel(), 0, 0],
+        "both zeros": np.r_[np.zeros(4), 1, 1.0]}
+    for name, unit in zip(NAMES[mechanism.kind], np.eye(len(NAMES[mechanism.kind]))):
+        found[name] = unit
+    return {name: pattern / np.linalg.norm(pattern) for name, pattern in found.items() if np.linalg.norm(pattern) > 0}
+
+
+def _of_hexapod(mechanism: Hexapod) -> dict[str, np.ndarray]:
+    """{name: direction (42,)} of a hexapod's patterns beyond single parameters."""
+    found = {}
+    motions = gauge(mechanism)
+    for k, plate in enumerate(("base", "platform")):
+        for j, axis in enumerate(("along x", "along y", "along z", "about x", "about y", "about z")):
+            found[f"{plate} joints moved {axis}"] = motions[:, 6 * k + j]
+        joints = mechanism.base_joints if k == 0 else mechanism.platform_joints
+        found[f"{plate} joints spread"] = np.r_[np.zeros(18 * k), (joints - joints.mean(axis=0)).ravel(), np.zeros(24 - 18 * k)]
+    found["all zeros"] = np.r_[np.zeros(36), np.ones(6)]
+    u = _directions(mechanism)
+    for i in range(6):
+        for name, start in (("base", 0), ("platform", 18)):
+            along = np.zeros(42)
+            along[start + 3 * i : start + 3 * i + 3] = u[i]
+            found[f"{name} joint {i + 1} along its strut"] = along
+    return found
+
+
+def _directions(mechanism: Hexapod) -> np.ndarray:
+    """(6, 3) the struts' unit directions at home, in the base frame."""
+    return hexapod.jacobian(mechanism.home, mechanism)[:, :3] @ mechanism.home.rotation.as_matrix().T

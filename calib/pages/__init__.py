@@ -1,1 +1,0 @@
-"""What the pages of measuring, lenses, workspaces and the rest say, each in a module of its own; rig.page is their common template."""

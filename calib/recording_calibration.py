@@ -1,0 +1,103 @@
+"""Recordings -> a calibration, a diagnosis, a certificate: what the commands and a notebook call alike."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from calib.files import calibration_file
+from calib.models.arm import certification as arm_certify
+from calib.certify import platform_certification
+from calib.certify.calibration import Calibration
+from calib.certify.platform_certification import Progress
+from calib.models.chain import certification as chain_certify
+from calib.diagnose.problems.arm.arm_diagnosis import diagnose as diagnose_arm
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose as diagnose_platform
+from calib.diagnose.report import arm_report
+from calib.diagnose.report import platform_report
+from calib.diagnose.report.diagnosis_report import Report
+from calib.files.calibration_from_recording import SEED, kept
+from calib.diagnose.calibration_left_out_physics import searched
+from calib.samples.recording_samples import Sampled, sample_recording
+from calib.certificate import certificate as statement
+from calib.certificate.certificate import Certificate
+from calib.certificate.certificate_contents import Asked
+from rig.errors import RigError
+from rig.model.mechanism_kinds import arm_of, chain_of, struts_of
+from rig.recording.data_provenance import flat, marks, shared
+from rig.recording.recording_folder import Recording
+
+
+
+def calibrated(recording: Recording, progress: Progress | None = None) -> Calibration:
+    """Calibration of a recording, as `rig calibrate` makes it: geometry fitted to its poses, what pays beyond it, what both are worth elsewhere.
+
+    What it leaves out is looked for as `diagnosed` does, and stands in its claim. progress : called with (label, done, of), or None
+    Raises RigError without commands, NotEnoughData without poses, NotConverged where no geometry agrees with them
+    """
+    rng = np.random.default_rng(SEED)
+    with threadpool_limits(1):  # sums of products are rounded by how many threads share them: the result is the same for any number
+        sampled = sample_recording(recording, progress=progress)
+        if recording.design.mechanism.kind == "arm":
+            found = arm_certify.certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress)
+            made = kept(recording, sampled, found, arm_certify.promised(sampled.samples, found, rng))
+            return searched(made, recording, sampled, progress)
+        if recording.design.mechanism.kind == "chain":
+            together = chain_certify.certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
+            made = kept(recording, sampled, together, chain_certify.promised(sampled.samples, together, rng))
+            return searched(made, recording, sampled, progress)
+        done = platform_certification.certify(sampled.samples, struts_of(recording.design.mechanism), rng, progress)
+        return searched(kept(recording, sampled, done, platform_certification.promised(sampled.samples, done, rng)), recording, sampled, progress)
+
+
+def diagnosed(recording: Recording, only: Sequence[str] | None = None, without: Sequence[str] = (), progress: Progress | None = None) -> Report:
+    """Report of what physics a recording's model leaves out, as `rig diagnose` finds it.
+
+    only, without : names of effects (or "EFFECT PLACE") that alone are asked for, or left out
+    Raises RigError for a name that there is not, NotEnoughData where the recording tells nothing
+    """
+    asked = None if only is None else list(only)
+    if recording.design.mechanism.kind in ("arm", "chain"):
+        return arm_report.report(diagnose_arm(recording, asked, tuple(without), progress))
+    return platform_report.report(diagnose_platform(recording, asked, tuple(without), progress))
+
+
+def certified(calibration: Calibration, recordings: Sequence[Recording], asked: Asked | None = None, progress: Progress | None = None) -> Certificate:
+    """Certificate of a Calibration by recordings that it was not made from, as `rig certify` states it. asked : what of, 95 % with 95 % by default
+
+    Raises RigError for a recording that took part in fitting, NotEnoughData where these have too few configurations
+    """
+    held = held_out(calibration, recordings, progress)
+    made = calibration.provenance
+    source = {
+        "calibration": {"recording": made.get("recording"), "created": made.get("created")},
+        "versions": calibration_file.versions(),
+        "seed": SEED,
+        "recordings": [recording.name for recording in recordings],
+    }
+    return statement.certified(calibration, held, Asked() if asked is None else asked, source, np.random.default_rng(SEED))
+
+
+def held_out(calibration: Calibration, recordings: Sequence[Recording], progress: Progress | None = None,
+             named: str = "the calibration") -> list[tuple[Recording, Sampled]]:
+    """[(Recording, Sampled)], none of whose data took part in fitting a calibration or is there twice. named : the calibration, in words
+
+    Raises RigError naming what did
+    """
+    if not calibration.provenance.get("data"):
+        raise RigError(f"{named} does not say which data it was made from, so nothing can be shown to be held out; calibrate again")
+    known: set[str] = set()
+    for recording in recordings:
+        path, frames = recording.folder, len(recording.exposures.times()[0])
+        same = calibration_file.seen_before(calibration, recording)
+        if same:
+            raise RigError(f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {named}, "
+                           "themselves or what was measured from them; a certificate takes poses that did not. Of a recording alone, --mask keeps "
+                           "some frames from rig calibrate, and then the others from rig certify")
+        calibration.refuse_kind(recording.design.mechanism.kind, str(path))
+        of = marks(recording)
+        twice = shared(of, known)
+        if twice:
+            raise RigError(f"{path}: {len(twice)} of {frames} frames are in another of the recordings; the same pose does not count twice")
+        known |= set(flat(of))
+    return [(recording, sample_recording(recording, progress=progress)) for recording in recordings]

@@ -1,0 +1,94 @@
+"""A rig as lines in space, for views in three dimensions: what stands still, what the platform carries, and its poses."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
+from rig.model.mechanisms import arm as arms
+from rig.report.pages.view_3d import Effect, Stage
+from rig.model.pose import vector
+from vision.targets import MarkerMap, marker_map
+
+SIGHT = 0.12  # of a camera's distance: how long its lines are drawn
+SHARE = 0.65  # of the cameras' distance, that the view shows across
+REACH = 0.15  # m, of the cross at an arm's hand
+
+
+def stage(design: Design, frames: np.ndarray, T: RigidTransform, values: np.ndarray | None = None, errors: dict[str, np.ndarray] | None = None,
+          effects: tuple[Effect, ...] = ()) -> Stage:
+    """Stage of a rig. frames : (n,) numbers; T : T_base_platform (n,); values : (n, axes) commanded, by which an arm's links are drawn, or None
+    errors : {name: (n, 6) tangent on the right}, NaN where not known"""
+    m, markers = design.mechanism, marker_map(design.without_stages()) if design.targets else None
+    base = platform = np.zeros((0, 3))
+    moved = [] if markers is None else [_face(markers, int(k)) for k in np.flatnonzero(markers.on_platform)]
+    fixed, links = fixed_parts(design, markers), None
+    if isinstance(m, Hexapod):
+        base, platform = m.base_joints, m.platform_joints
+        fixed.append({"kind": "plate", "points": ring(base)})
+        moved.append({"kind": "plate", "points": ring(platform)})
+    elif isinstance(m, Planar2):
+        base = np.column_stack([m.base_joints, np.zeros(len(m.base_joints))])
+        platform = np.zeros_like(base)
+    elif isinstance(m, Arm) and values is not None:
+        links = arms.frames(values, m)[..., :3, 3]
+    if not len(platform):
+        moved += _cross()
+    return Stage(frames, vector(T), fixed, moved, _middle(T, base, links), _size(design, T, links), base, platform, links,
+                 platform if isinstance(m, Hexapod) else np.zeros((1, 3)), errors or {}, effects)
+
+
+def stage_alone(mechanism: Arm | Chain, frames: np.ndarray, values: np.ndarray, effects: tuple[Effect, ...] = ()) -> Stage:
+    """Stage of a mechanism without cameras and targets. frames : (n,) numbers; values : (n, axes) rad or m. Raises as its forward kinematics"""
+    links = arms.frames(values, mechanism)[..., :3, 3] if isinstance(mechanism, Arm) else None
+    T = mechanisms.of(mechanism).forward(values, mechanism)
+    base = np.zeros((1, 3))
+    size = float(np.ptp(np.concatenate([base, T.translation] if links is None else [links.reshape(-1, 3)]), axis=0).max())
+    return Stage(frames, vector(T), (), _cross(), _middle(T, base, links), size, links=links, effects=effects)
+
+
+def _cross() -> list[dict]:
+    """The axes at a hand that carries nothing."""
+    return [{"kind": "plate", "points": np.outer([-REACH / 2, REACH / 2], axis)} for axis in np.eye(3)]
+
+
+def fixed_parts(design: Design, markers: MarkerMap | None) -> list[dict]:
+    """What of the rig does not move, as lines: the base's targets, the cameras' sights."""
+    parts = []
+    for camera in design.cameras:
+        if camera.mount != "fixed":
+            continue
+        reach = SIGHT * float(np.linalg.norm(camera.pose.translation))
+        half = np.array([camera.width / camera.matrix[0, 0], camera.height / camera.matrix[1, 1]]) / 2 * reach
+        corners = camera.pose.apply(np.array([[x * half[0], y * half[1], reach] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]))
+        eye = camera.pose.translation
+        parts.append({"kind": "camera", "name": camera.name, "points": [eye.tolist(), *corners.tolist(), corners[0].tolist()]})
+        parts += [{"kind": "camera", "points": [eye.tolist(), corner.tolist()]} for corner in corners[1:]]
+    if markers is not None:
+        parts += [_face(markers, int(k)) for k in np.flatnonzero(~markers.on_platform)]
+    return parts
+
+
+def ring(joints: np.ndarray) -> list:
+    """[(x, y, z) ..] m around joints (n, 3) m and back to the first."""
+    around = np.argsort(np.arctan2(*(joints - joints.mean(axis=0))[:, 1::-1].T))
+    return joints[np.r_[around, around[0]]].tolist()
+
+
+def _face(markers: MarkerMap, k: int) -> dict:
+    return {"kind": "face", "points": markers.corners[k].tolist()}
+
+
+def _middle(T: RigidTransform, base: np.ndarray, links: np.ndarray | None) -> list[float]:
+    ends = [T.translation, base] + ([] if links is None else [links.reshape(-1, 3)])
+    every = np.concatenate([np.atleast_2d(part) for part in ends])
+    return ((every.min(axis=0) + every.max(axis=0)) / 2).tolist()
+
+
+def _size(design: Design, T: RigidTransform, links: np.ndarray | None) -> float:
+    """m, what there is to see."""
+    if links is not None:
+        return float(np.ptp(links.reshape(-1, 3), axis=0).max())
+    cameras = [float(np.linalg.norm(camera.pose.translation)) for camera in design.cameras if camera.mount == "fixed"]
+    return SHARE * max(cameras) if cameras else max(2 * float(np.abs(T.translation).max()), 0.1)

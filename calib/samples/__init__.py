@@ -1,0 +1,1 @@
+"""Measured samples: poses beside commands, under which conditions, from which recordings."""

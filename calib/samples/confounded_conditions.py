@@ -1,0 +1,186 @@
+"""What a recording's design cannot separate: how much of direction, time, temperature and load is itself a function of place.
+
+A cause that is a function of place over the poses recorded is absorbed by a correction that is one: its effect then looks like geometry, and
+held-out poses of the same plan agree. Of each axis, a cause is regressed on smooth functions of the configuration (all axes, the axis' own square
+and, for a direction, the half of its own stroke); the share of its variance explained (R^2) is what a correction by place may absorb of it.
+Source: Draper and Smith, Applied Regression Analysis, 3rd ed., ch. 5 and 6 (R^2, its adjustment and its distribution by chance)
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import betainc
+
+from calib.samples.measuring_conditions import conditions
+from calib.samples.pose_samples import Samples
+from rig.model import mechanisms
+from rig.model.design import Arm, Chain, Free
+from rig.formats.checked_entries import Entries
+from rig.model.mechanism_kinds import Struts
+from rig.recording.recording_folder import PAYLOAD, Recording
+
+DIRECTION, TIME, LOAD = "direction of approach", "time", "load"
+ABSORBED = 0.75  # share of a cause, beyond chance, from which its size is known half as well beside a correction by place as without one
+CHANCE = 1e-3  # probability, over all rows, below which a share is no chance
+EVEN = 60.0  # s between configurations of a plan that states no times, long enough for any drift
+SPARE = 3  # configurations beyond the functions of place, without which nothing is stated
+VARIES = {TIME: 60.0, LOAD: 1e-6, "temperature": 0.05}  # s, kg, K: range below which a cause counts as constant
+
+
+@dataclass(frozen=True, slots=True)
+class Confound:
+    """One cause at one axis. axis : its place in words, "strut 1"; cause : "direction of approach", "time", "load" or a channel's name
+    share : 0 to 1, of the cause's variance that a smooth function of place explains (R^2); chance : share expected of as many poses in random order
+    p_value : probability of such a share by chance; adjusted : share beyond chance, 1 - (1 - R^2)(n - 1)/(n - p - 1), at least 0"""
+
+    axis: str
+    cause: str
+    share: float
+    chance: float
+    p_value: float
+    adjusted: float
+
+
+@dataclass(frozen=True, slots=True)
+class Confounds:
+    """Of n poses. rows : Confound of every axis and every cause that varied; constant : causes that never varied, of which nothing can be estimated
+    ("direction of approach on strut 2"); unjudged : causes for which there are too few poses"""
+
+    n: int
+    rows: tuple[Confound, ...]
+    constant: tuple[str, ...] = ()
+    unjudged: tuple[str, ...] = ()
+
+    @property
+    def serious(self) -> tuple[Confound, ...]:
+        """The rows that the recording's design cannot separate: a function of place beyond chance, by three quarters or more.
+
+        The standard error of such a cause's size is twice what it would be without a correction by place (a variance inflation of 4).
+        """
+        limit = CHANCE / max(len(self.rows), 1)
+        return tuple(row for row in self.rows if row.adjusted >= ABSORBED and row.p_value < limit)
+
+    def line(self) -> str:
+        """The confounds of a recording in one line."""
+        if self.serious:
+            said = [_sentence(cause, [row for row in self.serious if row.cause == cause]) for cause in dict.fromkeys(r.cause for r in self.serious)]
+            return "; ".join(said) + "; record the same poses in a balanced order (`rig plan` and --plan sobol:N write one)"
+        if not self.rows:
+            return f"confounds with place: none can be estimated from {self.n} poses"
+        greatest = max(self.rows, key=lambda row: row.adjusted)
+        causes = [cause for cause in (DIRECTION, TIME, LOAD) if any(row.cause == cause for row in self.rows)]
+        causes += ["temperatures"] if any(row.cause not in (DIRECTION, TIME, LOAD) for row in self.rows) else []
+        return (f"no cause is confounded with place ({', '.join(causes)}): the greatest, {greatest.cause} on {greatest.axis}, is "
+                f"{greatest.share:.0%} a function of place, {greatest.chance:.0%} by chance").replace("%", " %")
+
+    def tree(self) -> dict[str, Any]:
+        """The tree that JSON files hold under "confounds"."""
+        return {"n": self.n, "line": self.line(), "serious": [f"{row.cause} on {row.axis}" for row in self.serious],
+                "rows": [asdict(row) for row in self.rows], "constant": list(self.constant), "unjudged": list(self.unjudged)}
+
+
+def confounds(samples: Samples, mechanism: Struts | Arm | Chain | Free) -> Confounds | None:
+    """Confounds of the samples of a mechanism; None where no recording states their conditions."""
+    known = samples.conditions
+    if known is None:
+        return None
+    return of_design(samples.commanded, known.direction, known.t, known.channels, mechanisms.places(mechanism))
+
+
+def of_configurations(values: np.ndarray, start: np.ndarray, mechanism: Struts | Arm | Chain | Free) -> Confounds:
+    """Confounds of configurations (n, axes) m or rad visited straight from one to the next, at even times, from start (axes,) on."""
+    way = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
+    latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)
+    direction = np.where(latest < 0, 0.0, np.take_along_axis(way, np.maximum(latest, 0), axis=0))
+    return of_design(values, direction, EVEN * np.arange(len(values)), {}, mechanisms.places(mechanism))
+
+
+def of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
+    """Confounds of the exposures of recordings of one machine, one after the other in time; None where one has no commands.
+
+    A channel counts where every recording has it.
+    """
+    if any(recording.commands is None for recording in recordings):
+        return None
+    frames = [recording.commanded() for recording in recordings]
+    known = [conditions(recording, t) for recording, (_, t, _) in zip(recordings, frames)]
+    names = [name for name in known[0].channels if all(name in one.channels for one in known)]
+    begins = np.cumsum([0.0, *(float(one.t.max()) for one in known[:-1])])
+    return of_design(np.concatenate([values for _, _, values in frames]), np.concatenate([one.direction for one in known]),
+                     np.concatenate([one.t + begin for one, begin in zip(known, begins)]),
+                     {name: np.concatenate([one.channels[name] for one in known]) for name in names},
+                     mechanisms.places(recordings[0].design.mechanism))
+
+
+def confounds_in(table: Entries) -> Confounds:
+    """The Confounds of the tree that `Confounds.tree` gave. Raises FileError for anything else."""
+    return Confounds(table.whole("n", 0), tuple(_row_in(row) for row in table.tables("rows")), table.texts("constant"), table.texts("unjudged"))
+
+
+def _row_in(row: Entries) -> Confound:
+    shares = (row.number(name, least=0.0, most=1.0) for name in ("share", "chance", "p_value", "adjusted"))
+    return Confound(row.text("axis"), row.text("cause"), *shares)
+
+
+def of_design(values: np.ndarray, direction: np.ndarray, t: np.ndarray, channels: dict[str, np.ndarray], axes: Sequence[str]) -> Confounds:
+    """Confounds of a plan or recording.
+
+    values : (n, axes) m or rad, configurations; direction : (n, axes) -1, 0, 1; t : (n,) s; channels : {name: (n,)}; axes : their places in words
+    """
+    rows, constant, unjudged = [], [], []
+    moved = [i for i in range(len(axes)) if np.ptp(values[:, i]) > 0]
+    unit = np.zeros_like(values)
+    unit[:, moved] = 2 * (values[:, moved] - values[:, moved].min(axis=0)) / np.ptp(values[:, moved], axis=0) - 1
+    shared = {TIME: t, **{LOAD if name == PAYLOAD else name: channel for name, channel in channels.items()}}
+    for i in moved:
+        for cause, values_of in {DIRECTION: direction[:, i], **shared}.items():
+            least = 0.0 if cause == DIRECTION else VARIES.get(cause, VARIES["temperature"])
+            if not np.ptp(values_of) > least:
+                constant.append(f"{cause} on {axes[i]}" if cause == DIRECTION else cause)
+                continue
+            columns = [*unit[:, moved].T, unit[:, i] ** 2, *([np.sign(unit[:, i])] if cause == DIRECTION else [])]
+            if len(t) < len(columns) + 1 + SPARE:
+                columns = columns[len(moved):] + [unit[:, i]]
+            if len(t) < len(columns) + 1 + SPARE:
+                unjudged.append(f"{cause} on {axes[i]}")
+                continue
+            rows.append(Confound(axes[i], cause, *_shares(np.column_stack(columns), values_of)))
+    return Confounds(len(t), tuple(rows), tuple(dict.fromkeys(constant)), tuple(unjudged))
+
+
+def _shares(columns: np.ndarray, cause: np.ndarray) -> tuple[float, float, float, float]:
+    """(R^2, expected by chance, probability by chance, adjusted R^2) of a cause (n,) by columns (n, p) and a constant."""
+    n = len(cause)
+    centred = cause - cause.mean()
+    basis, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
+    basis = basis[:, sizes > 1e-9 * sizes[0]]
+    p, free = basis.shape[1], n - basis.shape[1] - 1
+    share = float(np.clip((basis.T @ centred) @ (basis.T @ centred) / (centred @ centred), 0.0, 1.0))
+    p_value = float(np.clip(1 - betainc(p / 2, free / 2, share), 0.0, 1.0))
+    return share, p / (n - 1), p_value, float(max(1 - (1 - share) * (n - 1) / free, 0.0))
+
+
+def _sentence(cause: str, rows: list[Confound]) -> str:
+    """What a cause's serious rows mean."""
+    low, high = min(row.share for row in rows), max(row.share for row in rows)
+    shares = f"{high:.0%}" if round(low, 2) == round(high, 2) else f"{low:.0%} to {high:.0%}"
+    effect = {DIRECTION: "play and place", TIME: "drift and place", LOAD: "load and place"}.get(cause, "temperature and place")
+    axes = _numbered([row.axis for row in rows])
+    return f"{cause} is {shares.replace('%', ' %')} a function of place on {axes}: {effect} cannot be separated"
+
+
+def _numbered(places: list[str]) -> str:
+    """Places in words, "strut 1", "strut 2", "strut 3" as "struts 1-3"."""
+    words = [place.rpartition(" ") for place in places]
+    if len(places) == 1 or len({word for word, _, _ in words}) > 1:
+        return ", ".join(places)
+    numbers = sorted(int(number) for _, _, number in words)
+    runs = [[numbers[0], numbers[0]]]
+    for number in numbers[1:]:
+        if number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return f"{words[0][0]}s " + ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in runs)

@@ -1,0 +1,147 @@
+"""The workspace in cells: in each, the poses lost and gained, the room to the limits, how near singularities are, the error bound."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.correct.correction import Correction
+from calib.correct.summand_extension import home_of
+from calib.workspace.reachable_poses import Side, owners, side
+from rig.model import mechanisms
+from rig.planning.configuration_sets import low_discrepancy
+from rig.model.design import Arm
+from rig.model.pose import vector
+
+DRAWN, FEWER = 8192, 4096  # configurations of either machine; of an arm, whose commands are sought step by step
+ALONG = {2: 16, 3: 10}  # cells along the longest side of a workspace that is flat, and of one that is not
+K = 2.0  # standard uncertainties of a bound
+FLAT = 1e-9  # m, extent of what is flat
+SHORT = ("an arm of fewer than six joints gives no pose of the owner's model but by chance: no share of them is lost or gained, the map has what the "
+         "corrected arm reaches")
+
+Covariance = Callable[[RigidTransform, np.ndarray], np.ndarray]  # of poses (n,) at commands (n, axes) -> (n, 6, 6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Workspace:
+    """The workspace by configurations drawn evenly all over the strokes, all axes free of each other, each counting alike.
+
+    drawn : of either machine; lost : share of the owner's model's configurations whose poses are out of the corrected machine's reach, gained :
+    share of the corrected machine's commands whose poses the owner's model has out of reach; None where that means nothing (see SHORT)
+    origin : (3,) m, a corner of the cells; size : m, their edge; index : (c, 3) of each cell, counted from the corner
+    believed, lost_in, reached, gained_in : (c,) of those configurations with poses in a cell, by the owner's model and corrected
+    room : (c,) m or rad to the nearest limit of an axis, negative beyond it: of the pose in the middle of the cell, turned like home; of a machine
+    without a home the most that a pose drawn there leaves; NaN where no command is known
+    singular : (c,) least singular value of the Jacobian over the greatest, the least of the poses there; 0 is singular
+    bound : (c, 2) m and rad, expanded uncertainty (k = 2) of a corrected pose, the greatest of the poses there; both NaN where no pose is reached
+    """
+
+    drawn: int
+    lost: float | None
+    gained: float | None
+    origin: np.ndarray
+    size: float
+    index: np.ndarray
+    believed: np.ndarray
+    lost_in: np.ndarray
+    reached: np.ndarray
+    gained_in: np.ndarray
+    room: np.ndarray
+    singular: np.ndarray
+    bound: np.ndarray
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(c, 3) m, the middle of each cell."""
+        return np.asarray(self.origin + (self.index + 0.5) * self.size)
+
+    @property
+    def turns(self) -> bool:
+        """Whether the platform turns: a hinge does not."""
+        return bool((self.bound[:, 1] > 0).any())
+
+    @property
+    def flat(self) -> bool:
+        """Whether all cells lie in one layer."""
+        return bool((self.index[:, 2] == self.index[0, 2]).all())
+
+
+def workspace(correction: Correction[Any, Any], covariance: Covariance, count: int | None = None) -> Workspace:
+    """Workspace of a Correction. covariance : of its poses, by poses (n,) and commands (n, axes)
+    count : configurations drawn of either machine, DRAWN or FEWER by default
+
+    Raises NotConverged where no configuration closes on a pose
+    """
+    nominal = correction.nominal
+    count = count or (FEWER if isinstance(nominal, Arm) else DRAWN)
+    drawn = low_discrepancy(mechanisms.of(nominal).travel(nominal), count, 1.0)
+    owner = owners(correction)
+    believed, real = side(owner, correction, drawn), side(correction, owner, drawn)
+    short = isinstance(nominal, Arm) and len(nominal.axes) < 6
+    lost, gained = (np.zeros(len(one.out), bool) if short else one.out for one in (believed, real))
+    positions = np.concatenate([believed.T_base_platform.translation, real.T_base_platform.translation])
+    origin, size = _corner(positions)
+    index, at = np.unique(np.floor((positions - origin) / size).astype(int), axis=0, return_inverse=True)
+    first, second = np.split(at.ravel(), [len(lost)])
+    cells = len(index)
+
+    def most(values: np.ndarray) -> np.ndarray:
+        out = np.full((cells, *values.shape[1:]), -np.inf)
+        np.maximum.at(out, second, values)
+        return np.where(np.isinf(out), np.nan, out)
+
+    def counted(which: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+        return np.bincount(which, weights, cells).astype(int)
+
+    C = covariance(real.T_base_platform, real.commands)
+    bound = K * np.sqrt(np.stack([np.trace(C[:, part, part], axis1=1, axis2=2) for part in (slice(0, 3), slice(3, 6))], axis=1))
+    middles = origin + (index + 0.5) * size
+    room = most(_room(correction, real.commands)) if isinstance(nominal, Arm) else _at_home(correction, middles)
+    return Workspace(count, None if short else float(lost.mean()), None if short else float(gained.mean()), origin, size, index, counted(first),
+                     counted(first, lost), counted(second), counted(second, gained), room, -most(-_singular(correction, real)), most(bound))
+
+
+def _corner(positions: np.ndarray) -> tuple[np.ndarray, float]:
+    """(origin (3,), size) m of cells that hold all positions (n, 3); what is flat lies in the middle of its layer."""
+    low, extent = positions.min(axis=0), np.ptp(positions, axis=0)
+    flat = extent < FLAT
+    size = float(max(extent.max(), FLAT)) / ALONG[2 if flat.any() else 3] * (1 + 1e-9)
+    return np.where(flat, low - size / 2, low), size
+
+
+def _room(correction: Correction[Any, Any], commands: np.ndarray) -> np.ndarray:
+    """(n,) m or rad from commands (n, axes) to the nearest limit, negative beyond it; NaN of NaN."""
+    low, high = mechanisms.of(correction.nominal).travel(correction.nominal).T
+    return np.asarray(np.minimum(commands - low, high - commands).min(axis=1))
+
+
+def _at_home(correction: Correction[Any, Any], positions: np.ndarray) -> np.ndarray:
+    """(n,) room of poses at positions (n, 3) m that are turned like home."""
+    home = mechanisms.of(correction.nominal).home(correction.nominal)
+    T = RigidTransform.from_components(positions, home_of(correction.nominal).rotation)
+    return _room(correction, correction.near(T, np.broadcast_to(home, (len(positions), len(home)))))
+
+
+def _singular(correction: Correction[Any, Any], real: Side) -> np.ndarray:
+    """(n,) least over greatest singular value of the corrected machine's Jacobian, turns weighed so that they count like moves on the whole."""
+    fitted, kinematics = correction.fitted, mechanisms.of(correction.fitted)
+    if isinstance(fitted, Arm):
+        J = np.swapaxes(kinematics.jacobian(real.commands - correction.rho(real.commands), fitted), 1, 2)  # type: ignore[attr-defined]
+    else:
+        J = kinematics.jacobian(real.T_base_platform, fitted)  # type: ignore[attr-defined]
+    move, turn = (np.sqrt((J[..., part] ** 2).sum(axis=(1, 2)).mean()) for part in (slice(0, 3), slice(3, 6)))
+    if turn:
+        J = J * np.repeat([1.0, move / turn], 3)
+    values = np.linalg.svd(J, compute_uv=False)
+    return np.asarray(values[:, -1] / values[:, 0])
+
+
+def turned_home(correction: Correction[Any, Any]) -> str:
+    """What the map's room is of, in words."""
+    if isinstance(correction.nominal, Arm):
+        return "the most that a pose drawn there leaves"
+    degrees = np.degrees(vector(home_of(correction.nominal))[3:])
+    return "the pose in its middle, turned like home (" + " ".join(f"{angle:.3g}" for angle in degrees) + " degrees)"

@@ -1,0 +1,102 @@
+"""Times in another unit, on another clock or from another origin, told from how the files' times lie to each other."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from rig.checks.user_mistake import Mistake
+
+UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9, "minutes": 1 / 60, "hours": 1 / 3600}  # per second
+LIKE = 0.3  # share by which a ratio of spans may differ from a unit's
+APART = 0.5  # share of the recording's span that must lie within the commands, for the clocks to be one
+QUARTER = 900.0  # s; time zones differ by multiples of it
+ZONE = 60.0  # s by which a difference of clocks may differ from a time zone's
+FASTEST, SLOWEST = 3.0, 1 / 300  # of the stated top speed, that the fastest move of a recording may have
+USUAL = {"m": (1e-4, 3.0), "rad": (2e-4, 30.0)}  # per s: fastest moves of machines that state no top speed
+RATE = (1e-4, 5000.0)  # frames per s
+
+
+def between(times: dict[str, np.ndarray]) -> Iterator[Mistake]:
+    """Files whose times lie apart. times : {file name: (n,) s as written}, "frames.csv" among them.
+
+    A file whose span is a unit's multiple of the others' is in that unit; one that does not overlap has another origin.
+    """
+    ends = {name: (float(t.min()), float(t.max())) for name, t in times.items() if len(t) > 1 and np.ptp(t) > 0}
+    if "frames.csv" not in ends:
+        return
+    start, end = ends["frames.csv"]
+    odd = _odd_units(ends)
+    for name, (unit, others) in odd.items():
+        yield Mistake(f"{name}: times are in {unit}, while {' and '.join(others)} {'are' if len(others) > 1 else 'is'} in seconds",
+                      f"Divide t of {name} by {UNITS[unit]:g}" if UNITS[unit] > 1 else f"Multiply t of {name} by {1 / UNITS[unit]:g}", proof=0.95)
+    for name, (low, high) in ends.items():
+        if name == "frames.csv" or name in odd or "frames.csv" in odd:
+            continue
+        inside = max(0.0, min(high, end) - max(low, start)) / max(end - start, 1e-9)
+        if inside < APART:
+            shift = (low - start) if abs((high - low) - (end - start)) < LIKE * (end - start) else (low + high - start - end) / 2
+            yield Mistake(f"{name} and frames.csv are on different clocks: frames run from {start:.10g} to {end:.10g} s, {name} from {low:.10g} to "
+                          f"{high:.10g} s" + _zone(shift), f"Bring both to one clock: t of one of them is about {abs(shift):.10g} s off", proof=0.9,
+                          spoils=name == "commands.csv")
+
+
+def _odd_units(ends: dict[str, tuple[float, float]]) -> dict[str, tuple[str, list[str]]]:
+    """{file: (unit, the files in seconds)} of files whose span is a unit's multiple of the others'."""
+    spans = {name: high - low for name, (low, high) in ends.items()}
+    found: dict[str, tuple[str, list[str]]] = {}
+    for name, span in spans.items():
+        others = [other for other in spans if other != name]
+        if not others:
+            continue
+        for unit, per_second in UNITS.items():
+            alike = [other for other in others if abs(span / spans[other] / per_second - 1) < LIKE]
+            if len(alike) * 2 >= len(others) and alike and (len(others) > 1 or per_second > 1):
+                found[name] = (unit, alike)
+    if len(found) > 1:  # two files that differ: the longer span is in the finer unit
+        longest = max(found, key=lambda name: (len(found[name][1]), spans[name]))
+        return {longest: found[longest]}
+    return found
+
+
+def _zone(shift: float) -> str:
+    if abs(shift) > 1e8:
+        return "; one counts from 1970, the other from another time"
+    whole = round(shift / QUARTER)
+    if whole and abs(shift - whole * QUARTER) < ZONE and whole % 2 == 0:
+        return f"; that is {abs(whole) * QUARTER / 3600:g} hours, as time zones differ"
+    return ""
+
+
+def pace(t: np.ndarray, values: np.ndarray, frames: np.ndarray, unit: str, top: float | None) -> Iterator[Mistake]:
+    """Speeds and frame rates that no machine has: all times in another unit.
+
+    t : (n,) s and values : (n, axes) m or rad of the commands; frames : (F,) s; unit : "m" or "rad"; top : m/s stated, or None
+    """
+    step = np.abs(np.diff(values, axis=0)).max(axis=1) / np.maximum(np.diff(t), 1e-12) if len(t) > 1 else np.zeros(0)
+    if len(step) and step.max() > 0:
+        fastest = float(np.quantile(step[step > 0], 0.9))
+        low, high = (SLOWEST * top, FASTEST * top) if top else USUAL[unit]
+        against = f"the top speed is stated as {top:g} {unit}/s" if top else f"machines move by {low:g} to {high:g} {unit}/s"
+        if not low <= fastest <= high:
+            factor = (top or np.sqrt(low * high)) / fastest
+            named = min((n for n in UNITS), key=lambda n: abs(np.log(factor / UNITS[n])))
+            near = abs(np.log(factor / UNITS[named])) < np.log(30.0)
+            yield Mistake(f"commands.csv: times are not in seconds{f' but look like {named}' if near else ''}: the axes move by {fastest:.3g} "
+                          f"{unit}/s, and {against}", f"State t in seconds in all files ({named}: divide by {UNITS[named]:g})" if near else
+                          "Look at the column t, or at the unit of the lengths or angles", proof=0.8, spoils=False)
+            return
+    gaps = np.diff(np.unique(frames))
+    if len(gaps):
+        rate = 1 / float(np.median(gaps))
+        if not RATE[0] <= rate <= RATE[1]:
+            unit_said = "too far apart: are times in milliseconds?" if rate < RATE[0] else "too close together: are times in minutes or hours?"
+            yield Mistake(f"frames.csv: {rate:.3g} frames per second is implausible, they are {unit_said}", "State t in seconds", False, 0.5)
+
+
+def repeated(t: np.ndarray) -> Iterator[Mistake]:
+    """Frames that all claim one time, or most. t : (F,) s of the distinct frames."""
+    if len(t) > 3:
+        same = int((np.diff(t) == 0).sum())
+        if same > 0.2 * len(t):
+            yield Mistake(f"frames.csv: {same + 1} of {len(t)} frames have the time of the frame before: times are rounded or copied",
+                          "Write t with milliseconds at least", True, 0.7)

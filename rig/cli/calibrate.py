@@ -1,0 +1,302 @@
+"""rig calibrate REC.. --out calibration.json."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.cli.shared import recording_checks, extension_calibration, limb_poses, user_effects_option
+from rig.cli.shared.output_options import (
+    SEED, Progress, add_force, add_recordings, add_result, file_or_stdout, length, near, print_comparison, print_unsolved,
+)
+from rig.cli.shared.calibration_summary import say_joints, say_physics, tell
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+
+    from calib.models.arm.certification import Certified as ArmCertified
+    from calib.models.chain.certification import Certified as ChainCertified
+    from calib.certify.platform_certification import Certified
+    from calib.diagnose.platform_findings_refit import Findings, Taken
+    from calib.diagnose.arm_findings_refit import TakenArm
+    from calib.samples.recording_samples import Sampled
+    from calib.samples.pose_samples import Samples
+    from calib.files.calibration_file import Calibration
+    from rig.effects.texts.effect_text import Kinds
+    from rig.report.pages.page_template import Link
+    from rig.recording.recording_folder import Recording
+
+    Places = tuple[Any, Path | None, list[Link]]  # of the file, of its page, and the page's links
+
+
+MOST_NAMED = 10  # frames
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    add_recordings(parser)
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="calibration.json; the report is written beside it")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--diagnosis", metavar="DIR", type=Path, help="take in the physics that `rig diagnose` found and wrote there, refined with the "
+                      "geometry; rig correct undoes it")
+    kind.add_argument("--find", action="store_true", help="diagnose this recording first and take in what is found")
+    user_effects_option.argument(parser)
+    parser.add_argument("--quick", action="store_true", help="do not look for what the geometry leaves out, as `rig diagnose` does: the verdict is "
+                        "then check at the best")
+    parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
+    extension_calibration.arguments(parser)
+    parser.add_argument("--promise", type=length, metavar="20um", help="say whether so much is kept, position error RMS over the workspace")
+    limb_poses.arguments(parser)
+    add_force(parser)
+    recording_checks.argument(parser)
+    add_result(parser)
+
+
+def run(arguments: Namespace) -> None:
+    """Calibrate a recording and write the calibration and its report."""
+    progress = Progress()
+    progress("reading the recording", 0, 1)
+    recording, look, several = recording_checks.begin_all(arguments, progress)
+    if several is not None and arguments.limbs is not None:
+        raise RigError("--limbs takes the poses of one recording from measuring limbs; name one")
+
+    out = arguments.outputs.file(arguments.out)
+    page = arguments.outputs.beside(out, ".html")
+    links = near(arguments, arguments.out.with_suffix(".html")) if page else []
+    nominal = recording.design.mechanism
+    told = page is not None and nominal.kind != "chain"
+    values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if told else None
+
+    import numpy as np
+
+    own = user_effects_option.known(user_effects_option.plugins(arguments))
+    findings = _findings(arguments, recording, own)
+    sampled = limb_poses.sampled(arguments, recording, progress, look)
+    sampled = replace(sampled, files=(*sampled.files, *arguments.effects))
+    rng = np.random.default_rng(SEED)
+    extension_calibration.refuse_mixed(arguments, nominal.kind)
+    if arguments.extend:
+        calibration = _extended(recording, sampled, (out, page, links), arguments, rng, progress)
+    elif arguments.joint and nominal.kind in ("arm", "chain"):
+        raise RigError(f"--joint solves a hexapod's cameras and struts together; a mechanism of kind {nominal.kind!r} takes none of it")
+    elif nominal.kind == "chain":
+        calibration = _chain(recording, sampled, (out, page, links), arguments, rng, progress)
+    elif nominal.kind == "arm":
+        known = _taken_arm(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
+        calibration = _arm(recording, sampled, (out, page, links), arguments, rng, progress, known)
+    else:
+        taken = _taken(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
+        calibration = _struts(recording, sampled, (out, page, links), arguments, rng, progress, taken)
+    if values is not None:
+        _write_summands(values, sampled.samples, calibration)
+    tell(arguments, calibration, len(sampled.samples))
+    print_unsolved(sampled.measurement)
+    print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
+
+
+def _findings(arguments: Namespace, recording: Recording, own: Kinds) -> Findings | None:
+    """Findings of the diagnosis that is named, None where none is. Raises RigError for what cannot take any in."""
+    asked = "--find" if arguments.find else "--diagnosis" if arguments.diagnosis is not None else None
+    if asked and recording.design.mechanism.kind == "chain":
+        raise RigError(f"{asked} is for platforms on struts and for arms; a chain is corrected by its geometry")
+    if asked and arguments.joint:
+        raise RigError(f"{asked} solves cameras, lenses, geometry and physics from all corners together; leave out --joint")
+    if asked and arguments.limbs:
+        raise RigError(f"{asked} looks at what cameras saw of every pose; leave out --limbs")
+    if asked and arguments.extend:
+        raise RigError(f"{asked} corrects what it finds by its own models, --extend by none; give one of them")
+    if arguments.effects and not asked:
+        raise RigError("--effects adds to what a diagnosis is asked for: give --find or --diagnosis as well")
+    if arguments.diagnosis is None:
+        return None
+    from calib.diagnose.platform_findings_refit import of_folder
+
+    return of_folder(arguments.diagnosis, recording, own)
+
+
+def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> Taken:
+    """Taken of findings; of what a diagnosis of the recording itself finds where these are None."""
+    from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+    from calib.diagnose.platform_findings_refit import of_diagnosis, take
+
+    if findings is None:
+        findings = of_diagnosis(diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values())))
+    return take(recording, sampled, findings, progress)
+
+
+def _taken_arm(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> TakenArm:
+    """TakenArm of findings; of what a diagnosis of the recording itself finds where these are None."""
+    from calib.diagnose.problems.arm.arm_diagnosis import diagnose
+    from calib.diagnose.arm_findings_refit import of_arm_diagnosis, take_arm
+
+    if findings is None:
+        findings = of_arm_diagnosis(diagnose(recording, progress=progress, kinds=tuple(own.values())))
+    return take_arm(recording, sampled, findings, progress)
+
+
+def _write_summands(path: Path, samples: Samples, calibration: Calibration) -> None:
+    """Write ksf.csv, or say why there is none: of an arm there is none where its poses do not tell its joints."""
+    from calib.correct.correction_tables import of_struts, summand_columns, summand_rows
+    from rig.recording.recording_tables import write_table
+
+    nominal = calibration.correction.nominal
+    if nominal.kind == "arm":
+        from calib.models.arm.certification import UNPLACED
+        from calib.models.arm.extension_certification import owners_summands
+
+        try:
+            if samples.measured in UNPLACED:
+                raise RigError(UNPLACED[samples.measured])
+            found = owners_summands(samples, nominal)
+        except RigError as error:  # the calibration stands without them
+            print(f"no correction values: {error}")
+            return
+    else:
+        found = of_struts(samples, nominal)
+    write_table(path, summand_columns(len(nominal.axes)), summand_rows(samples, found))
+
+
+def _values_name(out: Path) -> str:
+    """ksf.csv beside a calibration.json, NAME.ksf.csv beside another NAME.json."""
+    return "ksf.csv" if out.stem == "calibration" else f"{out.stem}.ksf.csv"
+
+
+def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator, progress: Progress,
+             taken: Taken | None) -> Calibration:
+    from calib.certify.platform_certification import certify, promised, refitted
+    from calib.files.calibration_from_recording import kept
+    from calib.report.calibration_page import calibration_page
+    from rig.model.mechanism_kinds import hexapod_of, struts_of
+
+    if arguments.joint:
+        hexapod_of(recording.design.mechanism)
+    samples = sampled.samples if taken is None else taken.samples
+    done = certify(samples, struts_of(recording.design.mechanism), rng, progress)
+    if arguments.joint:
+        from calib.correct.camera_refinement import refine
+
+        progress("solving cameras and geometry together", 0, 1)
+        correction, found = refine(sampled, recording.design, done.correction, done.found)
+        done = refitted(done, correction, found)
+    if taken is not None:
+        done = taken.drawn(done, rng)
+    claim = promised(samples, done, rng)
+    made = kept(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
+    calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), calibration, progress)
+    if done.held_out:
+        print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
+    struts = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
+    print("beyond the geometry: " + (f"struts {', '.join(map(str, struts))} corrected over the configuration space" if struts
+                                     else "nothing that pays on held-out poses" if done.held_out else "not asked, for want of held-out poses"))
+    say_physics(calibration.physics)
+    _print_poses(sampled, done)
+    return calibration
+
+
+def _extended(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
+              progress: Progress) -> Calibration:
+    from calib.files.calibration_from_recording import kept
+
+    mechanism = recording.design.mechanism
+    before = _before(arguments.onto, mechanism) if arguments.onto else None
+    found = extension_calibration.certified(arguments, mechanism, sampled, before, rng, progress)
+    done = found.done
+    made = kept(recording, sampled, done, found.claim, arguments.argv, before=None if before is None else (before, found.kept))
+    calibration = _stored(out[0], made, arguments, None)
+    _shown(out[1], lambda page: found.draw(page, recording, calibration, out[2]), calibration, progress)
+    if done.held_out:
+        print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
+    extension_calibration.say(found, f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
+        "the owner's model alone" if arguments.alone else "the fitted geometry"))
+    _print_poses(sampled, done)
+    return calibration
+
+
+def _before(path: Path, nominal: Any) -> Calibration:
+    """The Calibration on which a pass stands. Raises RigError for one of another machine, or one that knows physics."""
+    from calib.files import calibration_file
+
+    before = calibration_file.load(path)
+    if calibration_file.mechanism_out(before.correction.nominal) != calibration_file.mechanism_out(nominal):
+        raise RigError(f"{path} is a calibration of another machine than this recording's rig.toml states")
+    if before.physics is not None:
+        raise RigError(f"{path} knows physics besides the configuration; a pass goes on top of corrections by configuration alone")
+    return before
+
+
+def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
+         progress: Progress, taken: TakenArm | None) -> Calibration:
+    from calib.models.arm.certification import certify, promised
+    from calib.models.arm.calibration_page import calibration_page
+    from calib.files.calibration_from_recording import kept
+    from rig.model.mechanism_kinds import arm_of
+
+    together = None if taken is None else taken.together
+    samples = sampled.samples if together is None else together.samples
+    done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress, together)
+    claim = promised(samples, done, rng)
+    made = kept(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
+    calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done, out[2]), calibration, progress)
+    if done.held_out:
+        print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
+    say_joints(done, calibration.physics)
+    print("\n".join(done.found.rank.report()))
+    _print_poses(sampled, done)
+    return calibration
+
+
+def _chain(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
+           progress: Progress) -> Calibration:
+    from calib.models.chain.certification import certify, promised
+    from calib.models.chain.calibration_page import calibration_page
+    from calib.files.calibration_from_recording import kept
+    from rig.model.mechanism_kinds import chain_of
+
+    done = certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
+    claim = promised(sampled.samples, done, rng)
+    calibration = _stored(out[0], kept(recording, sampled, done, claim, arguments.argv), arguments, (recording, sampled, progress))
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), calibration, progress)
+    if done.held_out:
+        print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
+    print("\n".join(done.found.report()))
+    _print_poses(sampled, done)
+    return calibration
+
+
+def _shown(page: Path | None, draw: Callable[[Path], None], calibration: Calibration, progress: Progress) -> None:
+    """Draw the page, where there is one, and print the verdict, first of all."""
+    from calib.certify.calibration_evidence import judgement
+    from calib.certify.calibration_verdict import verdict
+
+    if page:
+        progress("drawing the page", 0, 1)
+        draw(page)
+    progress.close()
+    judged = judgement(calibration)
+    print("\n".join([judged.line, *judged.rests_on, *(verdict(calibration.claim)[1:] if calibration.claim is not None else [])]))
+
+
+def _print_poses(sampled: Sampled, done: Certified | ArmCertified | ChainCertified) -> None:
+    odd = [str(frame) for frame in sampled.samples.frame[~done.found.inliers]]
+    named = f"; not frame {', '.join(odd[:MOST_NAMED])}" + (f" and {len(odd) - MOST_NAMED} more" if len(odd) > MOST_NAMED else "") if odd else ""
+    print(f"{len(sampled.samples)} poses of {done.label.max() + 1} distinct configurations from {sampled.source}, {done.found.inliers.sum()} of "
+          f"them agree with one geometry{named}")
+
+
+def _stored(out: Any, calibration: Calibration, arguments: Namespace, look: tuple[Recording, Sampled, Progress] | None) -> Calibration:
+    """The Calibration, written. look : what is searched for what it leaves out, and what is called meanwhile; None where no model corrects that, or
+    where it is known"""
+    from calib.files import calibration_file
+    from calib.diagnose.calibration_left_out_physics import not_searched, searched
+
+    if look is not None and arguments.limbs is None:
+        calibration = not_searched(calibration) if arguments.quick else searched(calibration, *look)
+    calibration_file.save(out, calibration)
+    return calibration

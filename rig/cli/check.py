@@ -1,0 +1,77 @@
+"""rig check REC."""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.cli.shared import recording_checks
+from rig.cli.shared.output_options import add_json, print_json
+from rig.errors import FileError
+from rig.checks.user_mistake import Mistake, in_order
+
+if TYPE_CHECKING:
+    from rig.recording.recording_folder import Corners, Recording
+
+CERTAIN = 0.7  # proof of a mistake in the files, from which nothing is learnt by looking farther
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("recording", metavar="REC", type=Path)
+    parser.add_argument("--detect", action="store_true", help="read some images even if corners.csv is there, and hold both against each other")
+    add_json(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Say all that is wrong or unlikely with a recording, the most likely cause first; 1 where results would mean nothing."""
+    from rig.recording import recording_folder as recordings
+    from rig.checks.recording_without_images import early
+    from rig.checks.unreadable_recording import unreadable
+
+    try:
+        recording = recordings.load(arguments.recording)
+    except FileError as error:
+        return _say(arguments, (*unreadable(arguments.recording, error), Mistake(str(error), "Mend this first: nothing else could be looked at")))
+    found = [*early(recording)]
+    if any(one.spoils and one.proof >= CERTAIN for one in found):
+        rest = Mistake("corners and poses were not looked at", "Mend what is wrong first and check again", False, 0.0)
+        return _say(arguments, in_order([*found, rest]))
+    found += recording_checks.of_poses(recording)
+    corners = recording.corners
+    if recording.has_images and (corners is None or arguments.detect):
+        from vision.checks.image_sample import read
+
+        seen, more = read(recording)
+        found += more
+        corners = corners or seen
+    if corners is not None:
+        found += _looked(recording, corners)
+    return _say(arguments, in_order(found), _remarks(recording))
+
+
+def _looked(recording: "Recording", corners: "Corners") -> tuple[Mistake, ...]:
+    from vision.checks import look
+
+    return look(recording, corners, thorough=True)
+
+
+def _remarks(recording: "Recording") -> tuple[str, ...]:
+    """What could be better about the rig's cubes, in figures."""
+    from vision.checks.cube_layout import remarks
+
+    return remarks(recording.design)
+
+
+def _say(arguments: argparse.Namespace, found: tuple[Mistake, ...], remarks: tuple[str, ...] = ()) -> int:
+    spoilt = any(one.spoils for one in found)
+    if arguments.json:
+        print_json({"schema": "check/1", "usable": not spoilt, "found": [asdict(one) for one in found], "remarks": list(remarks)})
+        return int(spoilt)
+    for one in found:
+        print(f"{'wrong' if one.spoils else 'to look at'}: {one}")
+    if not found:
+        print("nothing wrong or unlikely was found")
+    for text in remarks:
+        print(f"remark: {text}")
+    return int(spoilt)

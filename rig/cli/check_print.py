@@ -1,0 +1,104 @@
+"""rig check-print PHOTO RIG.toml [--sheet A4 | --ruler U,V,U,V=100mm]."""
+
+from __future__ import annotations
+
+import re
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.cli.shared.output_options import add_json, length, print_json
+from rig.errors import FileError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from rig.model.design import Design
+    from vision.printed_marker_size import Printed
+
+SHEETS = {"A4": (0.210, 0.297), "Letter": (0.2159, 0.2794), "A3": (0.297, 0.420)}  # m
+CUT = 1.5e-3 / 3**0.5  # m, standard uncertainty of a sheet from a packet: ISO 216 allows 1.5 mm
+MEASURED = 1e-4  # m, of a sheet that somebody measured
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("photo", metavar="PHOTO", type=Path, help="of a printed sheet, flat, from above and not too near")
+    parser.add_argument("design", metavar="RIG.toml", type=Path, help="whose markers they are")
+    known = parser.add_mutually_exclusive_group()
+    known.add_argument("--sheet", type=_sheet, default=(*SHEETS["A4"], CUT), metavar="A4", help="the whole sheet is in the photograph, on a darker "
+                       "ground: A4 (the default), Letter, A3, or its sides as measured, 209.8mmx296.9mm, which is more certain")
+    known.add_argument("--ruler", type=_ruler, metavar="U,V,U,V=100mm", help="a ruler lies in the sheet's plane: two of its lines, px in the "
+                       "photograph, and the length between them")
+    add_json(parser)
+
+
+def run(arguments: Namespace) -> None:
+    """Say which side the markers really have, and what to write into rig.toml."""
+    from rig.formats.rig_toml import design_file
+    from rig.recording.exposures import read_image
+    from rig.recording.image_file_check import MOST_OF_A_PHOTOGRAPH
+    from vision import printed_marker_size
+
+    design = design_file.load(arguments.design)
+    if not arguments.photo.is_file():
+        raise FileError(arguments.photo, "no such file")
+    try:
+        image = read_image(arguments.photo, MOST_OF_A_PHOTOGRAPH)
+    except FileError as error:
+        raise FileError(arguments.photo, f"is no picture that can be read (cut off?): {str(error).removeprefix(error.path).lstrip(': ')}") from None
+    if arguments.ruler is not None:
+        found = printed_marker_size.by_ruler(image, design, *arguments.ruler)
+    else:
+        width, height, tolerance = arguments.sheet
+        found = printed_marker_size.on_sheet(image, design, (width, height), tolerance)
+    (_print_tree if arguments.json else _say)(found, design)
+
+
+def _print_tree(found: Printed, design: Design) -> None:
+    print_json({"schema": "printed/1", "markers": found.markers, "directions": list(found.directions), "scale": list(found.scale),
+                "standard_uncertainty": list(found.uncertainty), "bend_px": found.bend, "side": {k: v * _mean(found) for k, v in _stated(design)}})
+
+
+def _say(found: Printed, design: Design) -> None:
+    print(f"{found.markers} markers, as large as designed times:")
+    for direction, scale, uncertainty in zip(found.directions, found.scale, found.uncertainty):
+        print(f"  {scale:.4f} +- {2 * uncertainty:.4f} (k=2) {direction}")
+    within = 2 * max(found.uncertainty)
+    if len(found.scale) > 1 and abs(found.scale[0] - found.scale[1]) > within:
+        print("bad: the printer stretches one way; markers are no squares: print them again, without fitting to the page")
+    elif abs(_mean(found) - 1) <= within:
+        print(f"good: the sides of rig.toml are right to {within * 100:.2f} %")
+    else:
+        print("check: write into rig.toml " + "; ".join(f"marker = {side * _mean(found):.6f} (target {name}, stated {side:.6f})"
+                                                        for name, side in _stated(design)))
+
+
+def _mean(found: Printed) -> float:
+    return sum(found.scale) / len(found.scale)
+
+
+def _stated(design: Design) -> list[tuple[str, float]]:
+    """(name, side m) of the targets, of loose markers their first."""
+    return [(target.name, target.marker if target.marker is not None else target.listed[0].side) for target in design.targets]
+
+
+def _sheet(text: str) -> tuple[float, float, float]:
+    if text in SHEETS:
+        return (*SHEETS[text], CUT)
+    width, cross, height = text.partition("x")
+    if not cross:
+        raise ArgumentTypeError(f"takes {', '.join(SHEETS)} or sides as 209.8mmx296.9mm, not {text!r}")
+    return length(width), length(height), MEASURED
+
+
+def _ruler(text: str) -> tuple[np.ndarray, float]:
+    found = re.fullmatch(r"([0-9.]+),([0-9.]+),([0-9.]+),([0-9.]+)=(.+)", text)
+    if found is None:
+        raise ArgumentTypeError(f"takes two places and the length between them, as 210,340,1890,352=100mm, not {text!r}")
+    import numpy as np
+
+    ends = np.array([float(value) for value in found.groups()[:4]]).reshape(2, 2)
+    if np.linalg.norm(ends[1] - ends[0]) < 10:
+        raise ArgumentTypeError("the two places are the same: take lines of the ruler that lie far apart")
+    return ends, length(found[5])

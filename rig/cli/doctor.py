@@ -1,0 +1,24 @@
+"""rig doctor."""
+
+from argparse import ArgumentParser, Namespace
+
+from rig.cli.shared.output_options import add_json, print_json
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    add_json(parser)
+
+
+def run(arguments: Namespace) -> int:
+    """Say what this computer has; 1 where something is missing without which a plain installation does not work."""
+    from rig.cli.shared.installation_inventory import everything
+
+    found = everything()
+    if arguments.json:
+        print_json({"schema": "doctor/1", "found": [{"about": one.about, "state": one.state, "text": one.text, "todo": one.todo} for one in found]})
+    else:
+        wide = max(len(one.about) for one in found)
+        for one in found:
+            print(f"{one.state:8} {one.about:{wide}}  {one.text}" + (f"; {one.todo}" if one.todo else ""))
+    return int(any(one.state == "missing" for one in found))

@@ -1,0 +1,97 @@
+"""rig effects [NAME], and rig effects --new NAME [--from DIR]."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.cli.shared import user_effects_option
+from rig.cli.shared.output_options import add_force, add_json, print_json
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from rig.effects.texts.formula_effect_file import Written
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("name", metavar="NAME", nargs="?", help="one of them, whole; all as a table without it")
+    add_json(parser)
+    user_effects_option.argument(parser)
+    parser.add_argument("--new", metavar="NAME", help="write a file with an effect of your own, to be edited and given to --effects")
+    parser.add_argument("--from", metavar="DIR", type=Path, dest="source", help="with --new: the formula that a diagnosis suggests, DIR is what "
+                        "rig diagnose wrote; an example to begin with otherwise")
+    parser.add_argument("--place", metavar="PLACE", help="with --from: which suggestion, by its place, where there are several")
+    parser.add_argument("--out", metavar="FILE.py", type=Path, help="with --new: where to write it, by default NAME.py")
+    add_force(parser)
+
+
+def run(arguments: Namespace) -> None:
+    """Print the catalogue as a table, or one effect whole, or write a new one."""
+    if arguments.new is not None:
+        return _new(arguments)
+    if arguments.source is not None or arguments.place is not None or arguments.out is not None:
+        raise RigError("--from, --place and --out are about a new effect: give it a name with --new")
+    from shutil import get_terminal_size
+
+    from rig.cli.shared.argument_parser import meant
+    from rig.effects.texts.catalogue_listing import table, tree, whole
+
+    width = get_terminal_size((160, 24)).columns
+    known = user_effects_option.known(user_effects_option.plugins(arguments))
+    if arguments.name is None:
+        if arguments.json:
+            print_json([tree(effect) for effect in known.values()])
+        else:
+            print(table(known.values(), width), end="")
+        return
+    if arguments.name not in known:
+        raise RigError(f"there is no effect {arguments.name!r}{meant(arguments.name, known)} `rig effects` lists them")
+    effect = known[arguments.name]
+    if arguments.json:
+        print_json(tree(effect))
+    else:
+        print(whole(effect, width), end="")
+
+
+def _new(arguments: Namespace) -> None:
+    """Write a file with a new effect: as a diagnosis suggests it, or an example."""
+    from rig.effects.texts.user_effect_files import of_source, unnamed
+    from rig.effects.texts.formula_effect_file import EXAMPLE
+    from rig.formats.output_files import write_text
+
+    if arguments.name is not None or arguments.json:
+        raise RigError("--new writes a file; leave out NAME and --json")
+    problem = unnamed(arguments.new)
+    if problem:
+        raise RigError(f"--new {problem}")
+    if arguments.place is not None and arguments.source is None:
+        raise RigError("--place says which suggestion of a diagnosis is meant: give its folder with --from")
+    place, formula = ("strut 1", EXAMPLE) if arguments.source is None else _suggested(arguments.source, arguments.place)
+    path = Path(f"{arguments.new}.py") if arguments.out is None else arguments.out
+    out, source = arguments.outputs.file(path), formula.source(arguments.new)
+    (kind,) = of_source(source, path)
+    write_text(out, source)
+    values = ",".join(f"{name}={value:.6g}" for name, value in formula.values.items())
+    print(f"written: {path}, {arguments.new} at {', '.join(kind.places)}: {formula.text().replace('np.', '')}; {formula.where()}")
+    print(f"rig diagnose REC --out DIR --effects {path}")
+    print(f"rig simulate RIG.toml --effects {path} --effect {arguments.new}:{place.replace(' ', '')}:{values} --out REC")
+
+
+def _suggested(folder: Path, place: str | None) -> tuple[str, Written]:
+    """(place, Written) that a diagnosis in a folder suggests. Raises RigError where it suggests nothing there, or several things anywhere."""
+    from rig.formats import json_file
+    from rig.effects.texts.formula_effect_file import Written
+
+    table = json_file.load(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
+    found = {entry.text("place"): entry for entry in (table.tables("suggestions") if "suggestions" in table.tree else ())}
+    if not found:
+        raise RigError(f"{folder} suggests no formula: where something has no name, a formula for it is in the diagnosis' page and under "
+                       "'suggestions' in diagnosis.json")
+    if place is None and len(found) > 1:
+        raise RigError(f"{folder} suggests formulas at {', '.join(found)}: say with --place which")
+    if place is not None and place not in found:
+        raise RigError(f"{folder} suggests nothing at {place!r}; it does at {', '.join(found)}")
+    place = place or next(iter(found))
+    return place, Written.read(found[place].table("model"))

@@ -1,0 +1,124 @@
+"""rig emulate RIG.toml --protocol P [--fault F]: a controller that is not there, at a real port."""
+
+from __future__ import annotations
+
+import signal
+import tempfile
+from argparse import ArgumentParser, Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.errors import RigError
+from rig.formats.number_parsing import number, numbers, whole
+
+if TYPE_CHECKING:
+    from rig.driving.clock import Clock
+    from rig.cli.shared.emulated_camera_process import Cameras
+    from rig.driving.emulators.controller_emulator import Emulator
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    from rig.model.controller_settings import PROTOCOLS
+
+    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    parser.add_argument("--protocol", choices=PROTOCOLS, help="by default what [controller] of the rig.toml says")
+    parser.add_argument("--fault", action="append", default=[], metavar="KIND[:RATE]",
+                        help="a fault seen in the field: once, at the next move, or at a rate per move; all:RATE for all kinds; may be repeated; "
+                             "--fault list names them")
+    parser.add_argument("--tcp", metavar="[HOST:]PORT", help="listen there instead of at a pseudo-terminal (port 0: any; host 127.0.0.1)")
+    parser.add_argument("--link", metavar="PATH", type=Path, help="keep a symbolic link pointing at the pseudo-terminal")
+    parser.add_argument("--speed", type=number, default=1.0, metavar="N", help="struts N times as fast as [controller] states (default 1)")
+    parser.add_argument("--start", metavar="L1,L2,..", help="where the struts stand at first, m (default: home)")
+    parser.add_argument("--history", metavar="FILE", type=Path, help="write what the struts were truly told, as commands.csv, as it happens")
+    parser.add_argument("--cameras", metavar="[HOST:]PORT", help="draw what the cameras see and answer for the sensors there (port 0: any); "
+                        'rig.toml: source = "emulator:HOST:PORT", [sensors] port = "socket://HOST:PORT", ask = "sensors"')
+    parser.add_argument("--truth", metavar="FILE", type=Path, help="the machine, its cameras and effects as rig simulate --truth wrote them, "
+                        "for --cameras (default: all is as RIG.toml says)")
+    parser.add_argument("--seed", type=whole, default=0, help="of the faults, the temperatures and the noise of images")
+
+
+def run(arguments: Namespace) -> None:
+    """Serve until interrupted."""
+    from rig.driving.emulators.controller_faults import KINDS
+
+    if arguments.fault == ["list"]:
+        for kind, text in KINDS.items():
+            print(f"{kind:17} {text}")
+        return
+    from rig.driving import emulators
+    from rig.driving.clock import SystemClock
+    from rig.driving.emulators import terminal_and_tcp_server
+
+    clock = SystemClock()
+    if arguments.truth and not arguments.cameras:
+        raise RigError("--truth is for --cameras, which show what is true")
+    emulator = built(arguments, clock)
+    wire = (
+        terminal_and_tcp_server.Tcp(_address(arguments.tcp, "--tcp"))
+        if arguments.tcp is not None
+        else terminal_and_tcp_server.Terminal(arguments.link)
+    )
+    kept = tempfile.TemporaryDirectory(prefix="rig-emulate-")  # of what the cameras follow, where nobody else wants it
+    followed = arguments.history or (Path(kept.name) / "history.csv" if arguments.cameras else None)
+    history = emulators.History(emulator, followed) if followed else None
+    cameras = _cameras(arguments, followed) if followed and arguments.cameras else None
+    for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
+        signal.signal(ending, signal.default_int_handler)
+    try:
+        terminal_and_tcp_server.serve(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
+    except KeyboardInterrupt:
+        print(f"{len(emulator.machine.executed)} moves carried out; faults: {', '.join(emulator.faults.struck) or 'none'}")
+    finally:
+        wire.close()
+        if cameras:
+            cameras.close()
+        if history:
+            history.close()
+        kept.cleanup()
+
+
+def _cameras(arguments: Namespace, followed: Path) -> Cameras:
+    """The process that draws; its address is printed."""
+    from rig.cli.shared.emulated_camera_process import Cameras
+
+    cameras = Cameras(arguments.design, arguments.truth, followed, _address(arguments.cameras, "--cameras"), arguments.seed)
+    print(f"cameras {cameras.name}", flush=True)
+    return cameras
+
+
+def built(arguments: Namespace, clock: Clock) -> Emulator:
+    """The Emulator that the arguments ask for. Raises RigError for a rig without a controller and arguments that cannot be meant."""
+    import numpy as np
+
+    from rig.formats.rig_toml import design_file
+    from rig.driving import emulators
+    from rig.driving.emulators.controller_faults import Faults, parse
+
+    if not arguments.speed > 0:
+        raise RigError(f"--speed must be above 0, not {arguments.speed:g}")
+    design = design_file.load(arguments.design)
+    if design.controller is None:
+        raise RigError(f"{arguments.design} has no [controller]; its speeds and zeros are what an emulator needs")
+    if arguments.protocol:
+        design = replace(design, controller=replace(design.controller, protocol=arguments.protocol))
+    faults = Faults(sum((parse(text) for text in arguments.fault), ()), np.random.default_rng(arguments.seed))
+    start = None
+    if arguments.start:
+        try:
+            start = np.array(numbers(arguments.start.split(",")))
+        except ValueError:
+            raise RigError(f"--start takes numbers in m joined by commas, not {arguments.start!r}") from None
+    return emulators.of(design, faults, clock, start, arguments.speed)
+
+
+def _say(name: str) -> None:
+    print(f"port {name}", flush=True)
+
+
+def _address(text: str, option: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not port.isdigit() or int(port) > 65535:
+        raise RigError(f"{option} takes [HOST:]PORT, not {text!r}")
+    return host or "127.0.0.1", int(port)

@@ -1,0 +1,22 @@
+"""rig home RIG.toml."""
+
+from argparse import ArgumentParser, Namespace
+
+from rig.cli.shared.output_options import add_driving
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    add_driving(parser)
+    parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first")
+
+
+def run(arguments: Namespace) -> None:
+    """Home all struts and say where they stand."""
+    from rig.cli.shared.controller_session import design_of, driving, print_status
+
+    design = design_of(arguments.design, arguments.port)
+    with driving(design, arguments.trace, print) as driver:
+        if arguments.unlock:
+            driver.unlock()
+        print_status(driver.home(), design)

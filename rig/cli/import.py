@@ -1,0 +1,135 @@
+"""rig import IMAGES --rig rig.toml --commands X.csv --cameras camchain.yaml --out REC, or rig import --recipe FILE --out REC."""
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.cli.shared.output_options import add_force, add_result
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from rig.formats.importers import Imported, Recipe
+    from rig.recording.recording_folder import Recording
+
+TABLES = {"commands": "table of what was commanded: time, lengths or angles", "poses": "table of measured poses",
+          "sensors": "log of sensors", "frames": "table of the images' times: frame or image, time"}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("images", metavar="IMAGES", type=Path, nargs="*", help="folders of images: a folder per camera, or the camera in the names")
+    parser.add_argument("--rig", metavar="rig.toml", type=Path, help="the rig as you believe it")
+    for name, text in TABLES.items():
+        parser.add_argument(f"--{name}", metavar="FILE.csv", type=Path, help=text)
+    parser.add_argument("--cameras", metavar="FILE", type=Path, nargs="+", help="cameras as Kalibr, multical, caliscope, ROS (camera_info) or OpenCV "
+                        "calibrated them, in place of rig.toml's; with nothing else to import, --out FILE.toml is a rig.toml")
+    parser.add_argument("--bag", metavar="BAG", type=Path, nargs="+", help="bags of ROS 1 or 2, or an MCAP file: images, joint states, poses, "
+                        "temperatures by the topics' types (bag.topics.commands=/joint_states states one)")
+    parser.add_argument("--set", dest="settings", metavar="KEY=VALUE", action="append", default=[], help="state what files do not, as "
+                        "commands.unit=mm, commands.columns.l1=Leg1, images.tolerance=0.01, poses.rotation=zyx; may be repeated (docs/check.md)")
+    parser.add_argument("--recipe", metavar="FILE.toml", type=Path, help="do again what an import wrote beside its result")
+    parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; REC.import.toml beside it is the recipe")
+    parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
+    add_force(parser)
+    add_result(parser)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Make a recording out of foreign files, say what was assumed, and keep it as a recipe."""
+    from rig.formats import importers
+    from rig.formats.output_files import write_text
+    from rig.checks.recording_without_images import early
+
+    given = {name: getattr(arguments, name) for name in TABLES}
+    if arguments.recipe is not None and (arguments.images or arguments.rig or arguments.cameras or arguments.bag or any(given.values())):
+        raise RigError("--recipe names all files itself; --set changes what it says")
+    if arguments.recipe is None and arguments.rig is None:
+        raise RigError("--rig rig.toml says what rig the files are of; `rig design` lays one out")
+    settings = tuple(arguments.settings)
+    recipe = (importers.load(arguments.recipe, settings) if arguments.recipe is not None
+              else importers.stated(arguments.rig, arguments.images, given, settings, arguments.cameras or (), arguments.bag or ()))
+    arguments.outputs.inputs += _read(recipe)
+    if recipe.cameras is not None and arguments.out.suffix == ".toml":
+        _rig(arguments, recipe)
+        return
+    out = arguments.outputs.folder(arguments.out)
+    with tempfile.TemporaryDirectory(prefix="rig-bag-") as unpacked:
+        imported = importers.assemble(importers.unpacked(recipe, Path(unpacked)), arguments.skip_unreadable)
+        importers.write(imported, out)
+    kept = arguments.out.parent / f"{arguments.out.name}.import.toml"
+    if arguments.recipe is None:
+        write_text(arguments.outputs.file(kept), importers.text(imported.recipe, kept.parent))
+    remarks = early(_loaded(out, arguments.out))
+    _say(imported)
+    arguments.result = _result(imported, [str(remark) for remark in remarks], kept if arguments.recipe is None else arguments.recipe)
+    for remark in remarks:
+        print(f"{'wrong' if remark.spoils else 'to look at'}: {remark}")
+    print(f"written: {arguments.out}" + (f"; {kept} does it again (rig import --recipe)" if arguments.recipe is None else "")
+          + f"; `rig check {arguments.out}` looks at it closely")
+
+
+def _read(recipe: "Recipe") -> list[Path]:
+    """The files and folders that a recipe reads, which are never written over."""
+    tables = [getattr(recipe, name) for name in TABLES]
+    seen = [*(recipe.images.folders if recipe.images else ()), *(recipe.cameras.files if recipe.cameras else ())]
+    seen += recipe.bag.files if recipe.bag else ()
+    return [recipe.rig, *seen, *(table.file for table in tables if table is not None)]
+
+
+def _result(imported: "Imported", remarks: list[str], recipe: Path) -> dict[str, Any]:
+    """What --json prints."""
+    e, c, p, s = imported.exposed, imported.commanded, imported.posed, imported.logged
+    return {"schema": "imported/1", "frames": len(set(e.frame)), "images": sum(bool(name) for name in e.camera),
+            "commands": 0 if c is None else len(c.values), "poses": 0 if p is None else len(p.T),
+            "sensors": [] if s is None else [name for name, _ in s.channels],
+            "assumed": list(imported.said), "remarks": remarks, "recipe": str(recipe)}
+
+
+def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
+    """Write a rig.toml with the cameras of another program. Raises RigError where more than cameras is to be imported."""
+    from rig.formats import importers
+    from rig.formats.output_files import write_text
+
+    if recipe.images or any(getattr(recipe, name) for name in TABLES):
+        raise RigError(f"--out {arguments.out} is a rig.toml, which takes cameras alone; images and tables make a folder, --out REC")
+    out = arguments.outputs.file(arguments.out)
+    design, text, said = importers.with_cameras(recipe)
+    write_text(out, text or "")
+    arguments.result = {"schema": "imported/1", "cameras": [camera.name for camera in design.cameras], "assumed": list(said)}
+    print(f"imported: {len(design.cameras)} cameras")
+    _say_assumed(said)
+    print(f"written: {arguments.out}")
+
+
+def _loaded(folder: Path, place: Path) -> "Recording":
+    """The recording as it is read back. Raises RigError that names it by its place."""
+    from rig.recording import recording_folder
+
+    try:
+        return recording_folder.load(folder)
+    except RigError as error:
+        raise RigError(f"what was imported is no recording: {str(error).replace(str(folder), str(place))}") from None
+
+
+def _say(imported: "Imported") -> None:
+    """Print the verdict, then what was assumed."""
+    e, parts = imported.exposed, []
+    pictures = sum(bool(name) for name in e.camera)
+    parts.append(f"{len(set(e.frame))} frames" + (f", {pictures} images of {len(set(e.camera))} cameras" if pictures else ""))
+    commanded, posed, logged = imported.commanded, imported.posed, imported.logged
+    for count, word in ((commanded and len(commanded.values), "commands"), (posed and len(posed.T), "poses"),
+                        (logged and len(logged.t), "rows of sensors")):
+        if count is not None:
+            parts.append(f"{count} {word}")
+    if e.t:
+        parts[-1] += f", over {float(max(e.t) - min(e.t)):.6g} s"
+    print(f"imported: {', '.join(parts)}")
+    _say_assumed(imported.said)
+
+
+def _say_assumed(said: tuple[str, ...]) -> None:
+    if said:
+        print("assumed, as nothing says otherwise:" if len(said) > 1 else "assumed:")
+    for line in said:
+        print(f"  {line}")

@@ -1,0 +1,169 @@
+"""rig insitu REC --tolerance M RAD [--use m1,m2,..] [--out limbs.json] [--state FILE]."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.cli import online
+from rig.cli.shared.output_options import Progress, add_page, add_recording, add_result, near, place_of_page, print_unsolved, read_recording
+from rig.errors import RigError
+from rig.formats.number_parsing import number
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from calib.certify.measuring_limbs import Agreement
+    from calib.certify.fitted_limbs import Limbs
+    from calib.online.measuring_limbs_file import Accepted
+    from calib.samples.recording_samples import Sampled
+    from rig.recording.recording_folder import Recording
+
+    Closed = tuple[np.ndarray, np.ndarray]  # (error, sigma), each (n, checks) m
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    add_recording(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
+    parser.add_argument("--tolerance", nargs=2, type=number, default=(5e-5, 2e-4), metavar=("M", "RAD"),
+                        help="that each axis must agree with vision within (default 5e-5 m and 2e-4 rad)")
+    parser.add_argument("--use", metavar="LIMBS", help="of more limbs than six those that tell the pose, as m1,m2,m4,m5,m7,m8, the others being "
+                        "checks; by default the six that tell it best")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="limbs.json: geometry, covariance, agreement and verdict, for --limbs of measure, "
+                        "calibrate, online and run")
+    add_page(parser)
+    parser.add_argument("--state", metavar="FILE", type=Path, help="once passed: learn the struts from the limbs' poses, and save that here")
+    add_result(parser)
+
+
+def run(arguments: Namespace) -> int:
+    """Hold the measuring limbs against vision, say whether they pass, save that, and learn from them where they do."""
+    if min(arguments.tolerance) <= 0:
+        raise RigError("--tolerance takes two positive numbers, m and rad")
+    recording = read_recording(arguments)
+
+    from calib.certify import measuring_limbs
+    from calib.online import recorded_limb_poses, measuring_limbs_file
+    from calib.samples.recording_samples import sample_recording
+
+    renewed = arguments.out is not None and measuring_limbs_file.ours(arguments.out)
+    out = arguments.outputs.file(arguments.out, own=renewed) if arguments.out else None
+    state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
+    page = place_of_page(arguments)
+    measuring_limbs.stated(recording.design)  # where limbs tell no pose, nothing is read
+    read = measuring_limbs.readings(recording)
+    channels = measuring_limbs.measuring(recording.design).channels
+    asked = None if arguments.use is None else _asked(arguments.use, channels)
+    by_vision = sample_recording(recording, progress=Progress())
+    accepted, closed = _held(arguments, recording, by_vision, read, asked)
+    from calib.report.measuring_limbs_page import judged
+
+    found = accepted.agreement
+    _print(found, by_vision.source)
+    _print_checks(accepted.limbs, channels, *closed)
+    print_unsolved(by_vision.measurement)
+    if accepted.withdrawn is not None:
+        print(f"from frame {accepted.withdrawn.frame} on {accepted.withdrawn.reason}; limbs that change while they are held "
+              "against vision cannot stand for it")
+    passed = accepted.verdict == "accepted"
+    print("the measuring limbs pass: their poses may stand for vision's" if passed else "the measuring limbs do not pass")
+    why = None if accepted.withdrawn is None else accepted.withdrawn.reason
+    arguments.result = _result(accepted, channels, *closed) | {"verdict": judged(found, why).tree()}
+    if out is not None:
+        measuring_limbs_file.save(out, accepted)
+        print(f"written: {arguments.out}, verdict {accepted.verdict}")
+    if page is not None:
+        from calib.report.measuring_limbs_page import limbs_page
+
+        limbs_page(page, recording.name, found, by_vision.source, why, near(arguments, arguments.page))
+        print(f"written: {arguments.page}")
+    if state is not None and passed:
+        _learn(arguments, recording, recorded_limb_poses.sampled(recording, recorded_limb_poses.read(recording, accepted)), state)
+    return 0 if passed else 1
+
+
+def _held(arguments: Namespace, recording: Recording, by_vision: Sampled, read: tuple[np.ndarray, np.ndarray],
+          asked: np.ndarray | None) -> tuple[Accepted, Closed]:
+    """(Accepted, closures of the limbs beyond six) of limbs held against vision. read : (frames (f,), lengths (f, limbs) m)
+    asked : (6,) numbers of those that tell poses, or None"""
+    import numpy as np
+
+    from calib.certify import measuring_limbs, redundant_limb_checks, measuring_limb_steps
+    from calib.online import measuring_limbs_file
+    from calib.files.calibration_file import provenance
+
+    stated, (frames, every) = measuring_limbs.measuring(recording.design), read
+    sigma, home = stated.length_sigma, measuring_limbs.stated(recording.design).home
+    chosen = redundant_limb_checks.best(stated, home, by_vision.samples.T_base_platform) if asked is None else asked
+    nominal = measuring_limbs.stated(recording.design, chosen)
+    samples = measuring_limbs.read(by_vision.samples, frames, every[:, chosen])
+    T, expected = measuring_limbs.held_out(samples, nominal, sigma)
+    found = measuring_limbs.agreement(samples.T_base_platform, T, expected, arguments.tolerance)
+    six = replace(measuring_limbs.calibrated(samples, nominal, sigma)[0], chosen=chosen)
+    both = every[np.searchsorted(frames, samples.frame)]
+    limbs = replace(six, checks=redundant_limb_checks.fitted(six, stated, both))
+    accepted = measuring_limbs_file.Accepted(limbs, nominal, found, None, provenance(recording, arguments.argv, 0, by_vision.source == "images"))
+    slipped = measuring_limb_steps.slip(samples, limbs, sigma)
+    if slipped is not None:
+        limb = chosen[slipped.limb - 1] + 1
+        reason = f"limb {limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: it slipped"
+        accepted = measuring_limbs_file.withdrawn(accepted, str(recording.folder), slipped.frame, reason)
+    return accepted, redundant_limb_checks.held_out(limbs, stated, both)
+
+
+def _asked(text: str, channels: tuple[str, ...]) -> np.ndarray:
+    """(6,) numbers, from 0, of the limbs that a user names. Raises RigError for anything but six of them, each once"""
+    import numpy as np
+
+    names = [word.strip() for word in text.split(",")]
+    if set(names) - set(channels) or len(set(names)) != 6 or len(names) != 6:
+        raise RigError(f"--use takes six different limbs of {channels[0]} .. {channels[-1]}, not {text!r}")
+    return np.sort([channels.index(name) for name in names])
+
+
+def _print_checks(limbs: Limbs, channels: tuple[str, ...], error: np.ndarray, sigma: np.ndarray) -> None:
+    """Say which six tell the pose, and how the others close on stretches left out of fitting them."""
+    if limbs.checks is None or not len(limbs.checks.limbs):
+        return
+    print(f"{', '.join(channels[i] for i in limbs.chosen)} tell the pose; what the others read less what it says, um:")
+    print(f"{'':4}{'mean':>9}{'RMS':>9}{'expected':>10}")
+    for i, e, s in zip(limbs.checks.limbs, error.T * 1e6, sigma.T * 1e6):
+        print(f"{channels[i]:4}{e.mean():9.2f}{(e**2).mean() ** 0.5:9.2f}{(s**2).mean() ** 0.5:10.2f}")
+
+
+def _result(accepted: Accepted, channels: tuple[str, ...], error: np.ndarray, sigma: np.ndarray) -> dict[str, Any]:
+    """What --json prints. error, sigma : (n, checks) m, of the limbs beyond six"""
+    found, gone = accepted.agreement, accepted.withdrawn
+    names = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
+    checks = accepted.limbs.checks
+    closures = [{"limb": channels[i], "mean": float(e.mean()), "rms": float((e**2).mean() ** 0.5), "expected": float((s**2).mean() ** 0.5)}
+                for i, e, s in zip([] if checks is None else checks.limbs, error.T, sigma.T)]
+    return {"schema": "insitu/1", "verdict": accepted.verdict, "poses": found.n, "order": "x y z rx ry rz, m and rad",
+            "pose_from": [channels[i] for i in accepted.limbs.chosen], "closures": closures,
+            **{name: getattr(found, name).tolist() for name in names}, "withdrawn": gone and {"frame": gone.frame, "reason": gone.reason}}
+
+
+def _print(found: Agreement, source: str) -> None:
+    from calib.certify.measuring_limbs import AXES, MOVES
+
+    print(f"measuring limbs less vision ({source}), {found.n} poses, each by limbs fitted to other stretches; um and urad:")
+    print(f"{'':4}{'bias':>9}{'scatter':>9}{'expected':>9}{'limits of agreement':>24}{'surely within':>15}{'tolerance':>11}{'moved over':>14}")
+    for i, axis in enumerate(AXES):
+        low, high = found.limits[:, i] * 1e6
+        moved = f"{found.moved[i] * 1e3:.1f} {'mm' if i < 3 else 'mrad'}"
+        said = "passes" if found.passed[i] else ("fails" if found.surely[i] > found.tolerance[i]
+                                                 else f"not shown: it must move over {MOVES:g} tolerances")
+        print(f"{axis:4}{found.bias[i] * 1e6:9.2f}{found.scatter[i] * 1e6:9.2f}{found.expected[i] * 1e6:9.2f}"
+              f"{f'{low:.2f} .. {high:.2f}':>24}{found.surely[i] * 1e6:15.2f}{found.tolerance[i] * 1e6:11.1f}{moved:>14}  {said}")
+
+
+def _learn(arguments: Namespace, recording: Recording, by_limbs: Sampled, state: Path) -> None:
+    """Learn the struts from the limbs' poses that have not been learnt, and save the filter."""
+    from calib.online.information_filter import Online
+
+    known = Online.load(arguments.state) if arguments.state.exists() else None
+    learner, *_ = online.learn(recording, lambda: by_limbs, known, None, Progress())
+    learner.save(state)
+    print(f"written: {arguments.state}")

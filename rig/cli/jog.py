@@ -1,0 +1,65 @@
+"""rig jog RIG.toml --strut N --by MM, or --to L1,L2,.."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING
+
+from rig.cli.shared.output_options import add_driving
+from rig.errors import PositionLost, RigError
+from rig.formats.number_parsing import number, numbers, whole
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    add_driving(parser)
+    parser.add_argument("--strut", type=whole, action="append", metavar="N", help="1.. (may be repeated; by default all of them)")
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--by", type=number, metavar="MM", help="longer by so much")
+    where.add_argument("--to", metavar="MM,MM,..", help="to these lengths, one for every strut")
+    parser.add_argument("--speed", type=number, default=0.25, metavar="SHARE", help="of the struts' greatest speed (default 0.25)")
+    parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first; its position is then believed with --trust only")
+    parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
+
+
+def run(arguments: Namespace) -> None:
+    """Move struts a little, checked as any move."""
+    import numpy as np
+
+    from rig.cli.shared.controller_session import design_of, driving, print_status
+
+    design = design_of(arguments.design, arguments.port)
+    count = len(design.mechanism.axes)
+    struts = arguments.strut or list(range(1, count + 1))
+    if not all(1 <= strut <= count for strut in struts):
+        raise RigError(f"--strut takes 1 .. {count}, got {', '.join(map(str, struts))}")
+    if not 0 < arguments.speed <= 1:
+        raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
+    if arguments.to and arguments.strut:
+        raise RigError("--to states every strut's length; leave out --strut")
+    with driving(design, arguments.trace, print) as driver:
+        if arguments.unlock:
+            driver.unlock()
+        if arguments.trust:
+            driver.trust()
+        if not driver.status().known:
+            raise PositionLost("where the struts stand is not known, so not how much longer they may become; home them, or say --trust")
+        goal = _lengths(arguments.to, count) if arguments.to else driver.lengths() + arguments.by * 1e-3 * np.isin(np.arange(1, count + 1), struts)
+        driver.move(goal, arguments.speed)
+        print_status(driver.status(), design)
+
+
+def _lengths(text: str, count: int) -> np.ndarray:
+    """(count,) m of lengths in mm joined by commas."""
+    import numpy as np
+
+    try:
+        values = np.array(numbers(text.split(","))) * 1e-3
+    except ValueError:
+        values = np.zeros(0)
+    if values.shape != (count,) or not np.isfinite(values).all():
+        raise RigError(f"--to takes {count} lengths in mm joined by commas, got {text!r}")
+    return values

@@ -1,0 +1,122 @@
+"""rig new [FOLDER]."""
+
+import sys
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rig.cli.shared.output_options import add_force, length
+from rig.cli.shared.argument_parser import meant
+from rig.errors import RigError
+
+KINDS = ("hexapod", "planar2", "arm")
+CAMERAS, SIZE = "3", "1280x1024"  # what is taken where nothing is answered
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("out", metavar="FOLDER", type=Path, nargs="?", default=Path("."), help="gets rig.toml; this one by default")
+    parser.add_argument("--mechanism", metavar="KIND", help="hexapod, planar2 (two struts in a plane) or arm")
+    parser.add_argument("--radius", metavar="300mm", help="of a hexapod's circle of base joints, of planar2 half the joints' distance; with its unit")
+    parser.add_argument("--arm", metavar="NAME", help="in place of --radius, a shipped arm")
+    parser.add_argument("--cameras", metavar="N", help="how many look at it")
+    parser.add_argument("--size", metavar="WxH", help="of their images, px")
+    parser.add_argument("--defaults", action="store_true", help=f"do not ask what has a default: hexapod, {CAMERAS} cameras, {SIZE}")
+    add_force(parser)
+
+
+def run(arguments: Namespace) -> None:
+    """Ask what is not given, write rig.toml, and say what to do next. Raises RigError where something must be asked and nobody is there."""
+    from rig.planning.layout import shipped_arms
+    from rig.formats.output_files import write_text
+
+    out = arguments.out / "rig.toml"
+    there = arguments.out.is_dir()
+    place = arguments.outputs.file(out) if there else None  # refused before anything is asked
+    if place is None and not arguments.out.absolute().parent.is_dir():
+        raise RigError(f"{arguments.out.parent} is no folder; make it first")
+    if arguments.arm is not None and arguments.mechanism is None:
+        arguments.mechanism = "arm"
+    kind = _answer(arguments, "mechanism", "What moves? hexapod (six struts), planar2 (two struts in a plane), arm", "hexapod", _one_of(KINDS))
+    if kind == "arm":
+        name = _answer(arguments, "arm", f"Which arm? {', '.join(shipped_arms.names())}", None, _one_of(shipped_arms.names()))
+        text, seen = shipped_arms.design(name), "its poses come from an instrument; see [instrument] in it"
+    else:
+        text, seen = _with_struts(arguments, kind)
+    if place is None:
+        arguments.out.mkdir()
+        place = arguments.outputs.file(out)
+    write_text(place, text)
+    arguments.outputs.finish()
+    _index(arguments.out)
+    print(f"written: {out}; {seen}")
+    print(f"next: measure your own machine's joints, cameras and cubes and write them into it; then rig print {out} --out sheets.pdf")
+    print(f"or try it without a machine: rig simulate {out} --plan sobol:40 --out REC")
+
+
+def _index(folder: Path) -> None:
+    """Write the page of all pages of a project that begins here, where no other index.html is."""
+    from rig.formats.output_files import Outputs
+    from rig.report.pages.page_index import KIND, NAME, index_page
+
+    if not (folder / NAME).exists():
+        with Outputs(KIND) as outputs:
+            index_page(outputs.file(folder / NAME), folder)
+
+
+def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
+    """(text of a rig.toml of struts, what is said of it)."""
+    from rig.planning.layout import hexapod_layout, two_strut_layout
+
+    question = "How large? radius of the circle of base joints" if kind == "hexapod" else "How large? half the distance of the base joints"
+    radius = _answer(arguments, "radius", f"{question}, with its unit, as 300mm", None, length)
+    cameras = _answer(arguments, "cameras", "How many cameras look at it?", CAMERAS, _count)
+    width, height = _answer(arguments, "size", "How large are their images, px?", SIZE, _size)
+    make = hexapod_layout.layout if kind == "hexapod" else two_strut_layout.layout
+    return make(radius, cameras, width, height), f"{cameras} cameras and cubes stand where they see each other well"
+
+
+def _answer(arguments: Namespace, name: str, question: str, default: str | None, read: Callable[[str], Any]) -> Any:
+    """What the option says; else the answer to the question, asked again until it can be read. Raises RigError where nobody can be asked."""
+    given = getattr(arguments, name)
+    if given is None and arguments.defaults:
+        given = default
+    if given is not None:
+        try:
+            return read(given)
+        except (ValueError, ArgumentTypeError) as error:
+            raise RigError(f"--{name}: {error}") from None
+    while True:
+        if not sys.stdin.isatty():
+            raise RigError(f"nobody can be asked here: give --{name}" + (" or --defaults" if default else ""))
+        print(f"{question}{f' [{default}]' if default else ''}: ", end="", file=sys.stderr, flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            raise RigError(f"no answer: give --{name}")
+        try:
+            return read(line.strip() or default or "")
+        except (ValueError, ArgumentTypeError) as error:
+            print(f"  {error}", file=sys.stderr)
+
+
+def _one_of(names: list[str] | tuple[str, ...]) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if text not in names:
+            raise ValueError(f"expected {', '.join(names)}, not {text!r}{meant(text, names)}")
+        return text
+
+    return read
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or not 1 <= int(text) <= 20:
+        raise ValueError(f"expected 1 to 20 cameras, not {text!r}")
+    return int(text)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdigit() and height.isdigit() and int(width) >= 64 and int(height) >= 64):
+        raise ValueError(f"expected for example {SIZE}, not {text!r}")
+    return int(width), int(height)

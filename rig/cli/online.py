@@ -1,0 +1,239 @@
+"""rig online REC [--learner NAME] [--state FILE]."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.cli.shared import recording_checks, simple_online_learners, limb_poses, refutation_marks
+from rig.cli.shared.output_options import Progress, add_page, add_recording, add_result, near, place_of_page, print_unsolved
+from rig.cli.shared.unlearnt_frames import fresh_of, not_learnt
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from calib.certify.calibration_evidence import OfCalibrations
+    from calib.online.change_detection import Change
+    from calib.online.information_filter import Online, Update
+    from calib.report.online_page import Learnt
+    from calib.samples.recording_samples import Sampled
+    from calib.files.calibration_file import Calibration
+    from rig.model.design import Arm, Free, Hexapod, Planar2
+    from rig.recording.recording_folder import Recording
+
+RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
+MANY = 6  # changes beyond which they are not believed to be steps
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    add_recording(parser)
+    parser.add_argument("--state", metavar="FILE", type=Path, help="go on from this state where it is there, and save it after the last pose")
+    parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
+    add_page(parser)
+    recording_checks.argument(parser)
+    simple_online_learners.arguments(parser)
+    limb_poses.arguments(parser)
+    add_result(parser)
+
+
+def run(arguments: Namespace) -> None:
+    """Learn the parameters from a recording's poses, one at a time, and say what jumped."""
+    progress = Progress()
+    progress("reading the recording", 0, 1)
+    recording = recording_checks.loaded(arguments)
+    look = recording_checks.checked(recording, arguments.anyway)
+    mechanism = recording.design.mechanism
+    if mechanism.kind != "hexapod":
+        raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
+    page = place_of_page(arguments)
+
+    from calib.samples.confounded_conditions import of_recordings
+    from calib.online.information_filter import Online
+
+    calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
+    sampled = partial(limb_poses.sampled, arguments, recording, progress, look)
+    recording.commanded()  # a recording that nobody commanded is refused
+    confounds = of_recordings([recording])
+    assert confounds is not None
+    known_of = _of_calibrations(arguments, recording, calibration)
+    if arguments.learner != simple_online_learners.WATCHING:
+        followed, arguments.result = simple_online_learners.follow(arguments, recording, sampled, calibration, state, progress)
+        followed = replace(followed, confounds=confounds, calibrations=known_of)
+        from calib.report.online_page import judged
+
+        verdict = judged(followed)
+        print(verdict.line)
+        arguments.result |= {"verdict": verdict.tree(), "confounds": confounds.tree()}
+        print(confounds.line())
+        _show(page, arguments, recording, followed)
+        return
+    simple_online_learners.refuse_settings(arguments)
+    known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
+    learner, learnt, arguments.result = learn(recording, sampled, known, calibration, progress, known_of)
+    assert learnt.confounds is not None
+    arguments.result["confounds"] = learnt.confounds.tree()
+    print(learnt.confounds.line())
+    if state is not None:
+        learner.save(state)
+        print(f"written: {arguments.state}")
+    _show(page, arguments, recording, learnt)
+
+
+def _of_calibrations(arguments: Namespace, recording: Recording, calibration: Calibration | None) -> OfCalibrations:
+    """OfCalibrations made from a recording that are beside it; and what the one that learning starts from leaves unexplained."""
+    from calib.certify.calibration_evidence import evidence
+    from calib.diagnose.calibration_left_out_physics import of_calibrations
+    from rig.recording.data_provenance import marks
+
+    beside = of_calibrations(marks(recording), refutation_marks.near_by(recording.folder), True)
+    if calibration is None:
+        return beside
+    start = evidence(calibration, refutation_marks.known(arguments.calibration)).unexplained
+    return beside._replace(unexplained=tuple(dict.fromkeys([*beside.unexplained, *start])))
+
+
+def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt: Learnt) -> None:
+    """Write the page, where one is asked for."""
+    if page is None:
+        return
+    from calib.report.online_page import learnt_page
+
+    learnt_page(page, recording.name, learnt, near(arguments, arguments.page))
+    print(f"written: {arguments.page}")
+
+
+def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None,
+          progress: Progress, of_calibrations: OfCalibrations | None = None) -> tuple[Online, Learnt, dict[str, Any]]:
+    """The filter after a recording's poses that it has not learnt, and what they taught, which is said, and what --json prints of it.
+
+    sampled : makes the Sampled of it; known : the filter to go on with, or None; calibration : where a new one starts from, or None
+    of_calibrations : OfCalibrations made from the recording, None where nobody looked for any
+
+    Raises RigError where no pose is left to learn
+    """
+    import numpy as np
+
+    from calib.certify.calibration_evidence import ALONE
+    from calib.samples.confounded_conditions import of_recordings
+    from calib.models.platform.identification import parameters
+    from calib.online.information_filter import Online
+    from calib.report.online_page import judged
+    from rig.model.mechanism_kinds import hexapod_of
+    from rig.recording.data_provenance import flat, marks
+
+    of, mechanism = marks(recording), hexapod_of(recording.design.mechanism)
+    learnt = known.data if known is not None else set() if calibration is None else set(calibration.provenance.get("data", ()))
+    fresh = not_learnt(recording, of, learnt)
+    found = sampled()
+    samples = fresh_of(found.samples, fresh, recording)
+    shared = samples.common.shape[2]
+    before = known.number if known is not None else 0
+    if known is not None:
+        known.new_session(shared)
+    learner = known or (Online(mechanism, shared) if calibration is None else
+                        Online(hexapod_of(calibration.correction.fitted), shared, calibration.scatter, calibration.covariance))
+    learner.data = learnt | set(flat(of, fresh))
+    commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
+    updates = []
+    for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common):
+        updates.append(learner.update(x, T, C, B))
+        progress("learning", len(updates), len(samples))
+    moved = float(np.sqrt(np.mean((learner.p - parameters(mechanism)) ** 2)))
+    taught = replace(_learnt(learner, updates, samples.frame, found.source, moved), confounds=of_recordings([recording]),
+                     calibrations=of_calibrations or ALONE)
+    print(judged(taught).line)
+    _tell(learner, updates, samples.frame, f"{len(samples)} poses from {found.source}, learnt one at a time"
+          + (f" after {before} before" if before else ""))
+    print(f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml")
+    print_unsolved(found.measurement)
+    return learner, taught, {**_result(learner, updates, samples.frame), "verdict": judged(taught).tree()}
+
+
+def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: str, moved: float) -> Learnt:
+    """Learnt of updates by poses of frames (n,). moved : m RMS from rig.toml"""
+    import numpy as np
+
+    from calib.report.online_page import Learnt
+
+    first = updates[0].number
+    changes = [change for update in updates for change in update.changes]
+    returning = {change.strut for change in changes if goes_back(changes, change.strut)}
+    told = [said(change, frames[max(change.onset - first, 0)], change.strut in returning) for change in changes]
+    dropped = [int(frames[number - first]) for update in updates for number in update.dropped if number >= first]
+    return Learnt(frames, np.array([update.innovation for update in updates]), source, told, dropped,
+                  float(np.sqrt(np.mean(np.diag(learner.covariance)))), moved,
+                  [f"strut {strut} goes back and forth: play or whatever else depends on the direction, no missed steps" for strut in sorted(
+                      strut for strut in returning if strut is not None)])
+
+
+def goes_back(changes: Sequence[Change], strut: int | None) -> bool:
+    """Whether a strut's changes take each other back, as play does and steps that were missed do not."""
+    sizes = [change.size for change in changes if change.strut == strut and isinstance(change.size, float)]
+    return len(sizes) > 1 and abs(sum(sizes)) < RETURNS * sum(map(abs, sizes))
+
+
+def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: str) -> None:
+    """Say what poses of frames (n,) have taught: how well joints and zeros are known, what jumped, what was left out."""
+    import numpy as np
+
+    changes, first = [change for update in updates for change in update.changes], updates[0].number
+    count = len(changes)
+    sigma = np.sqrt(np.mean(np.diag(learner.covariance)))
+    print(f"{_counted(count)} in {learnt}; joints and zeros are known to {sigma * 1e3:.4f} mm RMS")
+    if count > MANY:
+        print("these are no few steps: something acts on the struts or the measurement that the geometry lacks")
+    for update in updates:
+        for change in update.changes:
+            print(f"frame {frames[update.number - first]}: {said(change, frames[max(change.onset - first, 0)], goes_back(changes, change.strut))}")
+        for number in update.dropped:
+            print(f"frame {frames[number - first]}: its pose agrees with no other and is left out")
+    innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
+    print(f"innovations are {innovation:.3f} of what was expected (1 where nothing is left out)")
+
+
+def _result(learner: Online, updates: list[Update], frames: np.ndarray) -> dict[str, Any]:
+    """What --json prints. frames : (n,) of the updates"""
+    import numpy as np
+
+    first = updates[0].number
+    jumps = [{"frame": int(frames[max(change.onset - first, 0)]), "found_at": int(frames[update.number - first]), "kind": change.kind,
+              "strut": change.strut, "size": np.asarray(change.size).tolist(), "sigma": np.asarray(change.sigma).tolist()}
+             for update in updates for change in update.changes]
+    whitened = [update.innovation @ update.innovation / 6 for update in updates if not update.held]
+    return {"schema": "online/1", "poses": len(updates), "changes": jumps,
+            "left_out": [int(frames[number - first]) for update in updates for number in update.dropped],
+            "sigma_rms_m": float((learner.covariance.diagonal().mean()) ** 0.5), "innovation": float((sum(whitened) / max(len(whitened), 1)) ** 0.5)}
+
+
+def _counted(changes: int) -> str:
+    return "nothing jumped" if not changes else f"{changes} change{'s' if changes > 1 else ''}"
+
+
+def _calibration(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> Calibration:
+    """Calibration of a hexapod. Raises RigError for another mechanism's."""
+    from calib.files import calibration_file
+
+    found = calibration_file.load(path)
+    if found.correction.fitted.kind != mechanism.kind:
+        raise RigError(f"{path} is a calibration of a mechanism of kind {found.correction.fitted.kind!r}, the recording's is {mechanism.kind!r}")
+    found.refuse_physics("learning on-line")
+    return found
+
+
+def said(change: Change, frame: int, returns: bool = False) -> str:
+    """A Change in words; frame : number of the first frame after it; returns : whether others of the same strut take it back"""
+    if not isinstance(change.size, float):
+        position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))
+        return (f"from frame {frame} on the measured poses are moved against the base by {position * 1e3:.3f} mm and {rotation * 1e3:.3f} mrad: "
+                "a camera or the base was knocked")
+    if returns:
+        return f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- {change.sigma * 1e3:.4f} mm, and goes back: play"
+    cause = "missed steps or a slipped joint" if change.kind == "strut" else "a knocked joint, the amount differs from pose to pose"
+    return f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- {change.sigma * 1e3:.4f} mm: {cause}"

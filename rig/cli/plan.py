@@ -1,0 +1,304 @@
+"""rig plan RIG.toml --for parameters|--promise 20um|--separate EFFECT EFFECT|--parts axes:5,combined:4 --out FILE."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rig.cli.shared.output_options import SEED, Progress, add_force, add_page, add_result, file_or_stdout, length, near, place_of_page
+from rig.errors import RigError
+from rig.report.verdict import Evidence, Missing, judge
+from rig.formats.number_parsing import number, whole
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from calib.models.platform.d_optimal_configurations import Avoided
+    from rig.model.design import Arm, Chain, Design, Free, Hexapod, Planar2
+
+SHOWN = 8  # combinations that are listed
+LEAST = 3.0  # standard deviations by which effects must differ to be told apart
+MOVES = ("sobol:40", "ladder:12", "moving:40", "zigzag:40", "payload:16", "axes:5", "repeat:40")  # parts of plans that may tell effects apart
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    asked = parser.add_mutually_exclusive_group(required=True)
+    asked.add_argument("--for", dest="purpose", choices=tuple(PURPOSES), help="what the plan is to find out")
+    asked.add_argument("--separate", nargs=2, metavar=("EFFECT", "EFFECT"), help="which moves tell two effects apart, each written as for "
+                       "rig simulate --effect, as large as it is expected: OUT gets t,l1..l6 of the best plan")
+    asked.add_argument("--promise", type=length, metavar="20um", help="the fewest and best poses after which the corrected machine keeps to so much, "
+                       "RMS over its workspace; beside those --given the next best ones, in the order in which they help")
+    asked.add_argument("--parts", metavar="PARTS", help="parts of a plan as for rig simulate --plan, at whose exposures the struts stand, written as "
+                       "configurations: axes:5,combined:4 goes along and about X, Y and Z, and turns while it moves along each")
+    parser.add_argument("--count", type=whole, default=60, help="configurations to choose (default 60)")
+    parser.add_argument("--criterion", choices=("determinant", "noise"), default="determinant",
+                        help="smallest volume of uncertainty (default), or smallest amplification of noise")
+    parser.add_argument("--given", metavar="PATH", type=Path, help="what is visited already: a recording, or a table frame,l1..l6")
+    parser.add_argument("--sigma", nargs=2, type=number, default=(1e-5, 1e-4), metavar=("M", "RAD"),
+                        help="standard deviation of a measured pose, per axis (default 1e-5 1e-4)")
+    parser.add_argument("--calibration", metavar="FILE", type=Path, help="take the geometry from here, not from RIG.toml, and "
+                        "leave out configurations whose poses the corrected machine does not reach")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="frame,l1..l6; `rig simulate --plan commands:FILE` runs it")
+    add_page(parser)
+    add_force(parser)
+    add_result(parser)
+
+
+class Made(NamedTuple):
+    """A plan that is written. design; values : (n, axes) m or rad; state : good, check or bad; why : in a line; said : in lines"""
+
+    design: Design
+    values: np.ndarray
+    state: str
+    why: str
+    said: list[str]
+
+
+def run(arguments: Namespace) -> None:
+    """Choose configurations, write them, and say what they make visible."""
+    page = place_of_page(arguments)
+    asked = _promise if arguments.promise else _separate if arguments.separate else _parts if arguments.parts else PURPOSES[arguments.purpose]
+    made = asked(arguments)
+    from calib.certify.calibration_evidence import separable
+    from calib.samples.confounded_conditions import of_configurations
+    from rig.planning.plan import strokes_of
+
+    confounds = None if arguments.separate or not len(made.values) else of_configurations(
+        made.values, strokes_of(made.design).mean(axis=1), made.design.mechanism)
+    unseen = (Missing("not all that is asked becomes visible"),) if made.state != "good" else ()
+    verdict = judge(Evidence(made.why, missing=unseen, confounds=separable(confounds)))
+    print("\n".join(filter(None, [*made.said, *([] if confounds is None else [confounds.line()])])))
+    axes = list(made.design.mechanism.axes)
+    arguments.result = {"schema": "planned/1", "verdict": verdict.tree(), "state": made.state, "why": made.why,
+                        "said": [line for line in made.said if line], "axes": axes,
+                        "values": made.values.tolist(), "confounds": confounds and confounds.tree()}
+    if page is not None:
+        from calib.report.plan_page import Planned, planned_page
+
+        told = Planned(made.design, made.values, verdict, made.said)
+        planned_page(page, str(arguments.out), told, near(arguments, arguments.page))
+    kept = ", which stays as it was" if arguments.out.is_file() else ""
+    written = f"written: {arguments.out}" if len(made.values) else f"nothing is written to {arguments.out}{kept}"
+    print(written + (f"; look at {arguments.page}" if page else ""))
+
+
+def _promise(arguments: Namespace) -> Made:
+    """Write the fewest configurations that keep a promise; nothing where it is met without any."""
+    from rig.formats.rig_toml import design_file
+    from rig.recording import recording_tables
+    from rig.formats.number_rounding import quantity
+
+    design = design_file.load(arguments.design)
+    mechanism = design.mechanism
+    if mechanism.kind != "hexapod":
+        raise RigError(f"plans for a promise are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    out = arguments.outputs.file(arguments.out)
+
+    from calib.models.platform.fewest_configurations import fewest
+
+    mechanism, avoided = _calibrated(arguments, mechanism)
+    given = _given(arguments.given, mechanism) if arguments.given else None
+    progress = Progress()
+    found = fewest(mechanism, arguments.promise, arguments.sigma, given, SEED, lambda done, of: progress("choosing", done, of), avoided)
+    progress.close()
+    count, visited = len(found.commands), 0 if given is None else len(given)
+    if not count:
+        met = f"by the {visited} configurations given" if visited else "by the geometry as it is stated, with no configuration visited"
+        said = [f"the promise of {quantity(arguments.promise, 'm')} is met {met}: {quantity(found.left[0], 'm')} left; there is nothing to visit"]
+    else:
+        recording_tables.write_configurations(out, mechanism.axes, found.commands)
+        said = [f"{count} configurations beside {visited} given keep {arguments.promise * 1e6:.4g} um: {found.left[0] * 1e6:.4g} -> "
+                f"{found.left[-1] * 1e6:.4g} um RMS over the workspace, which 97.5 % of machines keep to; errors that all poses share come on top",
+                "left after each: " + " ".join(f"{value * 1e6:.3g}" for value in found.left[1:]) + " um"]
+    return Made(design, found.commands, "good", said[0], said)
+
+
+def _parts(arguments: Namespace) -> Made:
+    """Write the configurations of a plan's parts, in order, and say how far they go."""
+    import numpy as np
+
+    from rig.formats.rig_toml import design_file
+    from rig.model import mechanisms
+    from rig.recording import recording_tables
+    from rig.planning.plan import build
+    from rig.model.pose import difference
+    from rig.driving.run_steps import steps
+
+    if arguments.calibration or arguments.given:
+        raise RigError("--parts are visited as they are; --calibration and --given are for plans that are chosen")
+    design = design_file.load(arguments.design)
+    mechanism, goals = design.mechanism, [step.goal for step in steps(build(design, arguments.parts, SEED)) for _ in range(step.frames)]
+    recording_tables.write_configurations(arguments.outputs.file(arguments.out), mechanism.axes, goals)
+    said = [f"{len(goals)} configurations of {arguments.parts}"]
+    if mechanism.kind == "hexapod":
+        moved = difference(mechanism.home, mechanisms.of(mechanism).forward(np.array(goals), mechanism)) * 1e3
+        low, high = moved.min(axis=0), moved.max(axis=0)
+        said.append("from home, in the platform's axes: " + ", ".join(f"{name} {a:+.1f} .. {b:+.1f} {unit}" for name, unit, a, b in zip(
+            ("x", "y", "z", "rx", "ry", "rz"), ("mm",) * 3 + ("mrad",) * 3, low, high)))
+    return Made(design, np.array(goals), "good", said[0], said)
+
+
+def _separate(arguments: Namespace) -> Made:
+    """Try the parts of plans alone and two by two, and write the one by which the effects differ most."""
+    from itertools import combinations
+
+    import numpy as np
+
+    from rig.formats.rig_toml import design_file
+    from rig.recording import recording_tables
+    from rig.effects.texts.effect_text import parse, placed
+    from rig.planning.plan import build, logged
+    from synthetic.secret_machine import temperatures
+
+    if arguments.calibration:
+        raise RigError("--calibration is for plans of --for and --promise; effects are told apart by RIG.toml's own geometry")
+    design = design_file.load(arguments.design)
+    effects = [placed(parse(text), design) for text in arguments.separate]
+    seen = [effect.name for effect in effects if effect.stage in ("targets", "view")]
+    if seen:
+        raise RigError(f"{', '.join(seen)} changes what is seen, not how the platform moves: no plan of moves tells it; see its own experiment in "
+                       "rig diagnose's page")
+    if not design.mechanism.axes:
+        raise RigError(f"plans to separate effects are for what is commanded, not for a mechanism of kind {design.mechanism.kind!r}")
+    if design.mechanism.kind == "hexapod":
+        from calib.diagnose.problems.platform.effect_separation import separation
+    else:
+        from calib.diagnose.problems.arm.effect_separation import separation
+    out = arguments.outputs.file(arguments.out)
+    trials = []
+    moves = [text for text in MOVES if design.mechanism.kind == "hexapod" or not text.startswith("axes")]
+    for text in (*moves, *(",".join(pair) for pair in combinations(moves, 2))):
+        plan = build(design, text, SEED)
+        sensors, _ = temperatures(plan.commands.t[-1], np.random.default_rng(SEED))
+        trials.append((separation(text, design, plan.commands, plan.t, logged(plan, sensors), effects, arguments.sigma), plan))
+    trials.sort(key=lambda trial: -trial[0].misfit / np.sqrt(trial[0].frames))
+    said = ["misfit, in standard deviations, of the wrong model at its best (and for 100 exposures):"]
+    said += [f"  {found.misfit:9.1f} {found.misfit * 10 / np.sqrt(found.frames):9.1f}   cosine {found.cosine:6.3f}   {found.plan}"
+             for found, _ in trials[:SHOWN]]
+    best, plan = trials[0]
+    if best.misfit < LEAST:
+        said.append("no plan tried tells them apart at that size")
+    recording_tables.write_table(out, ("t", *design.mechanism.axes), [f"{t:.4f}," + ",".join(f"{v:.7f}" for v in values)
+                                                             for t, values in zip(plan.commands.t, plan.commands.values)])
+    said.append(f"best: {best.plan} (rig simulate --plan {best.plan} tries it)")
+    why = f"{' and '.join(arguments.separate)} are told apart by {best.misfit:.1f} standard deviations with {best.plan}"
+    return Made(design, plan.commands.values, "good" if best.misfit >= LEAST else "check", why, said)
+
+
+def _parameters(arguments: Namespace) -> Made:
+    from rig.formats.rig_toml import design_file
+    from rig.recording import recording_tables
+    from rig.model.design import Free, Hexapod
+
+    design = design_file.load(arguments.design)
+    mechanism = design.mechanism
+    if isinstance(mechanism, Free):
+        raise RigError(f"plans for parameters are for what is commanded, not for a mechanism of kind {mechanism.kind!r}")
+    if arguments.count < 1 or min(arguments.sigma) <= 0:
+        raise RigError(f"--count and --sigma take positive numbers, got {arguments.count} and {arguments.sigma[0]:g} {arguments.sigma[1]:g}")
+    out = arguments.outputs.file(arguments.out)
+    if not isinstance(mechanism, Hexapod):
+        return _of_any(arguments, design, mechanism, out)
+
+    from calib.models.platform.d_optimal_configurations import choose
+    from calib.models.platform.parameter_observability import PLAUSIBLE, combinations
+
+    mechanism, avoided = _calibrated(arguments, mechanism)
+    given = _given(arguments.given, mechanism) if arguments.given else None
+    progress = Progress()
+    chosen = choose(mechanism, arguments.count, arguments.sigma, arguments.criterion, given, SEED,
+                    lambda done, of: progress("choosing", done, of), avoided)
+    recording_tables.write_configurations(out, mechanism.axes, chosen.commands)
+    (before, _), (after, seen), (_, even) = (combinations(root, mechanism) for root in (chosen.before, chosen.root, chosen.even))
+    visited = 0 if given is None else len(given)
+    said = [f"{arguments.count} configurations beside {visited} given: condition number of the 42 parameters {seen.condition:.0f}, "
+            f"with as many evenly spread {even.condition:.0f}",
+            f"worst determined combination {after[0].sigma * 1e6:.2f} um, evenly spread {PLAUSIBLE / even.singular[-1] * 1e6:.2f} um; "
+            f"all 42 together {(seen.singular.prod() / even.singular.prod()) ** (1 / 42):.2f} times as precise as evenly spread"]
+    hidden = [part for part in before if not part.determined]
+    if visited and not hidden:
+        said.append("what was given determines all 42 already; the worst, before and after:")
+    elif visited:
+        said.append(f"{len(hidden)} combinations that what was given does not tell from {PLAUSIBLE * 1e3:g} mm become visible; the worst:")
+    else:
+        said.append("the worst determined combinations:")
+    said += [f"  {_sigma(part.sigma)} -> {_sigma(_along(chosen.root, part.direction))}  {part.name}" if visited else
+             f"  {_sigma(part.sigma)}  {part.name}" for part in (before if visited else after)[:SHOWN]]
+    unseen = sum(not part.determined for part in after)
+    return Made(design, chosen.commands, "check" if unseen else "good", said[0] + (f"; {unseen} combinations stay unseen" if unseen else ""), said)
+
+
+def _of_any(arguments: Namespace, design: Design, mechanism: Arm | Chain | Planar2, out: Any) -> Made:
+    """Write the configurations that tell most of a machine's parameters, of those in which cameras see it."""
+    from functools import partial
+
+    from calib.experiment.informative_configurations import FEWEST, choose
+    from rig.recording import recording_tables
+    from vision.predict import shown
+    from vision.targets import marker_map
+
+    if arguments.calibration or arguments.given or arguments.criterion != "determinant":
+        raise RigError("--calibration, --given and --criterion noise are for hexapods")
+    looked = partial(shown, design.cameras, markers=marker_map(design.without_stages())) if design.cameras and design.targets else None
+    progress = Progress()
+    found = choose(mechanism, arguments.count, arguments.sigma, looked, SEED, lambda done, of: progress("choosing", done, of))
+    progress.close()
+    recording_tables.write_configurations(out, mechanism.axes, found.values)
+    said = []
+    if looked is not None:
+        said.append(f"{FEWEST} markers or more are seen in {found.seen:.0%} of the configurations all over the limits; chosen among these")
+    if found.untold:
+        said.append(f"{found.untold} combinations of them no pose tells: they stay as stated, and are left aside here")
+    said.append(f"{arguments.count} configurations for {len(found.names)} parameters; standard errors, and by as many spread evenly, the least "
+                "gain first:")
+    worst = (found.sigma / found.even).argsort()[::-1]
+    said += [f"  {found.sigma[k] * 1e6:9.2f} {found.even[k] * 1e6:9.2f} u{found.units[k]}  {found.names[k]}" for k in worst[:SHOWN]]
+    return Made(design, found.values, "good", f"{arguments.count} configurations for {len(found.names)} parameters", ["", *said])
+
+
+def _calibrated(arguments: Namespace, mechanism: Hexapod) -> tuple[Hexapod, Avoided | None]:
+    """(geometry, which configurations are not to be visited) by the calibration that is named; the mechanism as it is where none is.
+
+    Raises RigError for a calibration of another kind of mechanism
+    """
+    if not arguments.calibration:
+        return mechanism, None
+    from functools import partial
+
+    from calib.files import calibration_file
+    from calib.workspace.reachable_poses import lost
+
+    correction = calibration_file.load(arguments.calibration).correction
+    if correction.fitted.kind != "hexapod":
+        raise RigError(f"{arguments.calibration} is a calibration of a mechanism of kind {correction.fitted.kind!r}, not of a hexapod")
+    return correction.fitted, partial(lost, correction)
+
+
+def _along(root: np.ndarray, direction: np.ndarray) -> float:
+    """m, standard error along a direction (42,) for the information's square root."""
+    import numpy as np
+
+    return float(np.linalg.norm(np.linalg.solve(root.T, direction)))
+
+
+def _sigma(value: float) -> str:
+    return f"{value * 1e6:9.2f} um" if value < 1e-2 else "   unseen   "
+
+
+def _given(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> np.ndarray:
+    """(k, 6) m configurations visited: of a recording's frames, or of a table."""
+    from rig.recording import recording_folder
+    from rig.formats import csv_table
+
+    if path.is_dir():
+        read = recording_folder.load(path)
+        if read.design.mechanism.kind != "hexapod":
+            raise RigError(f"{path} is a recording of a mechanism of kind {read.design.mechanism.kind!r}")
+        return read.commanded()[2]
+    return csv_table.read(path, ("frame", *mechanism.axes)).matrix(mechanism.axes)
+
+
+PURPOSES = {"parameters": _parameters}

@@ -1,0 +1,50 @@
+"""rig print RIG.toml --out sheets.pdf [--stl DIR]."""
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.cli.shared.output_options import add_force, file_or_stdout, length, require_drawing
+
+if TYPE_CHECKING:
+    from rig.model.design import Design
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="a PDF: the sheets of every cube, then how to put them "
+                        "together and where they stand")
+    parser.add_argument("--paper", default="A4", help="A4 (the default), Letter, A3, Tabloid, A2, A1 or A0; a net too large for it is "
+                        "split over sheets")
+    parser.add_argument("--stl", metavar="DIR", type=Path, help="gets a solid body for each cube to glue the faces on (NAME.stl, mm)")
+    parser.add_argument("--paper-thickness", metavar="0.1mm", type=length, default=1e-4, help="by which a body is smaller on each side (0.1mm)")
+    add_force(parser)
+
+
+def run(arguments: Namespace) -> None:
+    """Write the sheets, and the bodies where they are asked for."""
+    from rig.formats.rig_toml import design_file
+
+    require_drawing("sheets to print")
+    design = design_file.load(arguments.design)
+    out = arguments.outputs.file(arguments.out)
+    folder = arguments.outputs.folder(arguments.stl) if arguments.stl else None
+
+    from synthetic.print_sheets import sheets
+
+    for line in sheets(design, out, arguments.paper):
+        print(line)
+    print(f"written: {arguments.out}. Print at 100 %, without fitting to the page, and hold a ruler to the rulers on each sheet.")
+    if folder is not None:
+        _bodies(arguments, design, folder)
+
+
+def _bodies(arguments: Namespace, design: "Design", folder: Path) -> None:
+    from rig.formats.output_files import write_bytes
+    from synthetic.cube_stl import bodies
+
+    found = bodies(design, arguments.paper_thickness)
+    for name, data in found.items():
+        write_bytes(folder / f"{name}.stl", data)
+    print(f"written: {len(found)} bodies in {arguments.stl}, mm, smaller on each side by the paper's {arguments.paper_thickness * 1e3:g} mm")

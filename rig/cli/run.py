@@ -1,0 +1,244 @@
+"""rig run RIG.toml --plan P --out REC: a plan carried out on the real machine, journalled, measured while it grows."""
+
+from __future__ import annotations
+
+import hashlib
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Thread
+from typing import TYPE_CHECKING
+
+from rig.cli.shared import limb_poses
+from rig.cli.shared.output_options import SEED, add_driving
+from rig.driving.operator_advice import TRUST
+from rig.errors import PositionLost, RigError
+from rig.formats.output_files import write_bytes
+from rig.formats.number_parsing import number, whole
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from rig.driving.cameras.settling_check import Settling
+    from rig.driving.clock import Clock
+    from rig.model.design import Design
+    from rig.driving.run_journal import Began, Journal
+    from rig.driving.run_steps import Step
+
+KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    add_driving(parser)
+    parser.add_argument("--plan", required=True, help="as for rig simulate, of parts at whose exposures the struts stand: "
+                        "sobol:40,ladder,repeat:20, or commands:FILE (frame,l1..l6 as rig correct and rig plan --for write it)")
+    parser.add_argument("--seed", type=whole, default=SEED, help="of the plan")
+    parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; a new folder, or with --resume the one to go on with")
+    parser.add_argument("--resume", action="store_true", help="go on with REC from where the struts stand")
+    parser.add_argument("--dry-run", action="store_true", help="check the plan, say what would be done, and move nothing")
+    parser.add_argument("--no-home", action="store_true", help="believe the position that the controller reads")
+    parser.add_argument("--settle", default="time:1", metavar="HOW", help="time:SECONDS, images (until they no longer change) or limbs:METRES "
+                        "(until measuring limbs agree so well); default time:1")
+    parser.add_argument("--exposure", metavar="SECONDS", help="of all cameras; by default so that markers are bright and do not clip; "
+                        '"keep" leaves them as they are')
+    parser.add_argument("--calibration", metavar="FILE", type=Path, help="what poses are expected, and held against for drift")
+    parser.add_argument("--tolerance", nargs=2, type=number, metavar=("M", "RAD"), help="drift from the calibration that is said")
+    parser.add_argument("--stop-on", default="", metavar="WHAT,..", help=f"end the run on {', '.join(KINDS)}; by default they are only said")
+    parser.add_argument("--no-measure", action="store_true", help="take images only")
+    limb_poses.arguments(parser)
+    parser.add_argument("--page", nargs="?", type=whole, const=0, metavar="PORT",
+                        help="show the run on a page of this computer, with a button to stop it")
+
+
+def run(arguments: Namespace) -> int:
+    """Check, home, and visit every pose of the plan; or go on where another process ended."""
+    from rig.driving.cameras.settling_check import settling
+    from rig.cli.shared.controller_session import design_of
+    from rig.model.cube_quarter_turns import to_do, turned
+    from rig.planning.plan import build
+    from rig.driving.run_steps import steps
+
+    design = design_of(arguments.design, arguments.port)
+    plan = build(design, arguments.plan, arguments.seed)
+    planned = steps(plan)
+    todo = to_do(dict(plan.turned), turned(design))
+    if todo:
+        raise RigError(f"the plan is for a cube put back turned; {'; '.join(todo)}, and say so in {arguments.design} under [turned]")
+    settle, options = settling(arguments.settle), _options(arguments)
+    limb_poses.refuse_check(arguments)
+    if arguments.limbs is not None:
+        limb_poses.in_force(arguments, design)
+    if arguments.dry_run:
+        _dry_run(design, planned)
+        return 0
+    _place(arguments)
+    return _run(arguments, design, planned, settle, options)
+
+
+def _options(arguments: Namespace) -> tuple[float | str | None, frozenset[str]]:
+    """(exposure s, None or "keep"; kinds of alarms that stop). Raises RigError for what cannot be meant, before anything moves."""
+    wanted = frozenset(filter(None, arguments.stop_on.split(",")))
+    if wanted - set(KINDS):
+        raise RigError(f"--stop-on takes {', '.join(KINDS)}, not {', '.join(sorted(wanted - set(KINDS)))}")
+    if arguments.tolerance and (min(arguments.tolerance) <= 0 or not arguments.calibration):
+        raise RigError("--tolerance takes two positive numbers, and a --calibration to hold the poses against")
+    if "drift" in wanted and not arguments.tolerance:
+        raise RigError("--stop-on drift takes a --calibration and a --tolerance")
+    exposure = arguments.exposure
+    if exposure not in (None, "keep"):
+        try:
+            exposure = number(exposure)
+        except ValueError:
+            exposure = 0.0
+        if not 0 < exposure <= 10:
+            raise RigError(f"--exposure takes seconds or keep, not {arguments.exposure!r}")
+    return exposure, wanted
+
+
+def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
+    """Check the whole plan from home and say what it would do."""
+    import numpy as np
+
+    from rig.cli.shared.controller_session import lengths_text
+    from rig.driving.emulators.emulator_construction import home_lengths
+    from rig.model.mechanism_kinds import struts_of
+    from rig.driving.run_steps import check, distances
+
+    c = design.driver()
+    start = c.home if c.home is not None else home_lengths(struts_of(design.mechanism))
+    check(planned, start, check_move(design))
+    way = distances(planned, start)
+    for k, step in enumerate(planned):
+        exposed = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
+        print(f"step {k + 1}: {lengths_text(step.goal)}, {way[k] * 1e3:.1f} mm to go, {exposed}")
+    frames, pixels = sum(step.frames for step in planned), sum(camera.width * camera.height for camera in design.cameras)
+    print(f"{len(planned)} steps, {frames} frames of {len(design.cameras)} cameras, {way.sum():.2f} m of the busiest strut, "
+          f"{(way / np.min(c.max_speed)).sum() / 60:.1f} min of moving; at most {frames * pixels / 1e9:.2f} GB of images; nothing was moved")
+
+
+def check_move(design: Design) -> Callable[[np.ndarray, np.ndarray], None]:
+    """(start, goal (axes,) m) -> None: raises Unreachable where the controller's driver would refuse the move."""
+    from rig.driving import path_check
+    from rig.model.mechanism_kinds import struts_of
+
+    c, m = design.driver(), struts_of(design.mechanism)
+
+    def check(start: np.ndarray, goal: np.ndarray) -> None:
+        path_check.check_path(start, path_check.check_lengths(goal, m), m, c.margin, c.max_step)
+
+    return check
+
+
+def _place(arguments: Namespace) -> None:
+    """Make the recording's folder, or see that there is one to go on with. Raises RigError otherwise."""
+    out, journal = arguments.out, arguments.out / "journal.jsonl"
+    if arguments.resume:
+        if not journal.exists():
+            raise RigError(f"{out} has no journal.jsonl, so there is no run to resume")
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise RigError(f"{out} is there already" + ("; --resume goes on with it" if journal.exists() else "; name a new folder"))
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RigError(f"{out} cannot be made: {error.strerror}") from None
+
+
+def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle: Settling, options: tuple) -> int:
+    from rig.driving.clock import SystemClock
+    from rig.cli.shared.run_equipment import bench_of, set_exposures, shutter_of
+    from rig.cli.shared.controller_session import driving, settled_status
+    from rig.cli.shared.run_observation import Stopping
+    from rig.cli.shared.compilation_warm_up import warm
+    from rig.cli.shared.run_observation_options import displays_of, looking_of
+    from rig.driving.run_journal import Began, Journal
+    from rig.driving.operator_loop import Operator
+    from rig.driving.run_steps import check
+
+    clock, (exposure, stop_on) = SystemClock(), options
+    with ExitStack() as stack:
+        journal = stack.enter_context(Journal(arguments.out / "journal.jsonl"))
+        if journal.torn:
+            print(f"the journal's last line was cut off ({journal.torn} bytes) and is taken away: nothing of it was reported")
+        fresh = not journal.rows
+        if not fresh:
+            _same(_began(journal), planned, arguments)
+        shutter = shutter_of(design, clock)
+        stack.callback(shutter.close)
+        told: list[Callable[[str], None]] = [print]  # who takes what the driver says: the terminal, then the journal too
+        if not arguments.no_measure:
+            Thread(target=warm, args=(design,), daemon=True).start()
+        driver = stack.enter_context(driving(design, arguments.trace, lambda text: _tell(told, text), clock))
+        status = settled_status(driver, clock)
+        if arguments.no_home and not status.known:
+            driver.trust()
+        believed = status.known or arguments.no_home
+        homes = design.driver().homing and not (arguments.no_home if fresh else believed)
+        if not homes and not believed:
+            raise PositionLost(f"where the struts stand is not known; {TRUST}")
+        if homes:
+            print("homing")
+            status = driver.home()
+        check(planned, status.lengths, check_move(design))
+        bench = bench_of(design, driver, shutter, settle, clock)
+        for line in set_exposures(shutter, design, exposure) if exposure != "keep" else ():
+            print(line)
+        if fresh:
+            write_bytes(arguments.out / "rig.toml", arguments.design.read_bytes())
+            journal.append(Began(0.0, clock.now(), len(planned), _hash(planned), tuple(map(float, status.lengths))))
+        origin = _origin(journal, clock)
+        looking = looking_of(arguments, design, planned, status.lengths, clock, Stopping(stop_on, driver.stop))
+        looking.displays += stack.enter_context(displays_of(arguments, looking))
+        operator = Operator(bench, planned, journal, design.mechanism.axes, origin, looking)
+        looking.note, told[:] = operator.remark, [operator.remark, lambda text: looking.update(phase=text)]
+        try:
+            if not fresh:
+                print(f"going on: {operator.go_on(homed=homes)}")
+            operator.run()
+        finally:
+            looking.finish()
+    frames = looking.view.frames
+    print(f"{frames} frames in {arguments.out}; rig measure {arguments.out} --out DIR measures them all together")
+    return 0
+
+
+def _tell(told: list[Callable[[str], None]], text: str) -> None:
+    for tell in told:
+        tell(text)
+
+
+def _began(journal: Journal) -> Began:
+    """A journal's first row. Raises RigError where that is not how a run begins."""
+    from rig.driving.run_journal import Began
+
+    first = journal.rows[0]
+    if not isinstance(first, Began):
+        raise RigError(f"{journal.path} does not begin with the beginning of a run")
+    return first
+
+
+def _origin(journal: Journal, clock: Clock) -> float:
+    """s, the clock's time at t = 0 of the recording; where the computer's clock was set back since, so that time still goes on."""
+    origin, last = _began(journal).wall, journal.rows[-1].t
+    if clock.now() - origin > last:
+        return origin
+    print(f"the computer's clock has been set back by {last - (clock.now() - origin):.1f} s or more since; the recording's goes on")
+    return clock.now() - last - 1.0
+
+
+def _hash(planned: tuple[Step, ...]) -> str:
+    """sha256 of the places and exposures of a plan."""
+    import numpy as np
+
+    digest = hashlib.sha256()
+    for step in planned:
+        digest.update(np.round(step.goal, 9).tobytes() + step.frames.to_bytes(4, "little"))
+    return digest.hexdigest()
+
+
+def _same(began: Began, planned: tuple[Step, ...], arguments: Namespace) -> None:
+    """Raise RigError where a journal is not of this plan."""
+    if began.sha256 != _hash(planned):
+        raise RigError(f"{arguments.out} is of another plan than --plan {arguments.plan} --seed {arguments.seed} on {arguments.design}")

@@ -1,0 +1,81 @@
+"""The parser of the command line: help that says when it cannot be printed, and the likeliest word for a mistyped one."""
+
+import re
+from argparse import ArgumentParser
+from collections.abc import Iterable
+from typing import Any, NoReturn
+
+PROGRESS = ("auto", "lines", "none")
+PRINTED = ("completion", "doctor", "effects", "status")  # what they print is all they are for, so they cannot be quiet
+
+SHARED = ("blind", "calibrate", "certify", "diagnose", "insitu", "investigate", "measure", "online", "simulate", "verify", "watch")  # work for many
+
+
+NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures joined by commas, of which the first is negative
+
+
+def with_figures(words: Iterable[str]) -> list[str]:
+    """A command line on which `--pose -0.1,0,0` is `--pose=-0.1,0,0`, as argparse takes what begins with a dash for an option."""
+    joined: list[str] = []
+    for word in words:
+        if NEGATIVE.match(word) and joined and re.fullmatch(r"--[a-z][a-z-]*", joined[-1]):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+class Parser(ArgumentParser):
+    """An ArgumentParser that knows the words it was given. words : the whole command line; command : the parser of the command chosen, or None"""
+
+    words: tuple[str, ...] = ()
+    command: "Parser | None" = None
+
+    def print_help(self, file: Any = None) -> None:
+        """Print the help; unlike argparse's own this raises OSError where it cannot."""
+        print(self.format_help(), end="", file=file)
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong with the usage, and what was probably meant, and end with status 2."""
+        parser = self.command or self
+        hints = [f"{word}: did you mean {near}?" for word in self.words if word.startswith("--") and len(word) > 2
+                 for near in [nearest(word.split("=")[0], parser.options())] if near]
+        hint = "".join(f"\n{line}" for line in hints)
+        parser.exit(2, f"{parser.format_usage()}{parser.prog}: error: {message}{hint}\n")
+
+    def options(self) -> list[str]:
+        """Its long options."""
+        return [name for action in self._actions for name in action.option_strings if name.startswith("--")]
+
+    def unknown(self, word: str, commands: Iterable[str]) -> NoReturn:
+        """Say that there is no such command, and which was probably meant, and end with status 2."""
+        self.exit(2, f"{self.prog}: error: there is no command {word!r}{meant(word, commands) or '.'} `{self.prog} --help` lists them\n")
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The known word most like a mistyped one; None for a known one, one that starts a known one, and where none is like it."""
+    found = list(known)
+    if word in found or any(word.startswith("--") and name.startswith(word) for name in found):
+        return None
+    from difflib import get_close_matches
+
+    return next(iter(get_close_matches(word, found, n=1, cutoff=0.6)), None)
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """What is said after a mistyped word: which of the known ones was probably meant, "" where none is like it."""
+    near = nearest(word, known)
+    return f"; did you mean {near}?" if near else ""
+
+
+def add_common(parser: ArgumentParser, command: str) -> None:
+    """Add the options that all commands take, and those of commands whose work is shared out."""
+    if command in SHARED:
+        from rig.cli.shared.worker_options import add_workers
+
+        add_workers(parser)
+    if command in PRINTED:
+        return
+    parser.add_argument("--quiet", action="store_true", help="say nothing but what is wrong, and results asked for on the standard output")
+    parser.add_argument("--progress", choices=PROGRESS, default="auto", metavar="|".join(PROGRESS), help="how far a command has come and the "
+                        "time left: bars on a terminal (auto), lines on the error output, pipes too, or none")

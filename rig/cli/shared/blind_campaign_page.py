@@ -1,0 +1,153 @@
+"""The score of a campaign of blind cases, as a tree for JSON and as a page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rig.report.verdict import Evidence, Missing, Verdict, judge
+from rig.report.pages.page_template import Link, Page, write
+from rig.report.pages.plots import Series, panel
+from rig.report.pages.html_elements import heading, note, paragraph, table
+from synthetic import diagnosis_score
+
+if TYPE_CHECKING:
+    from synthetic.diagnosis_score import Case, Figure, Hidden
+
+LOOK_AT = "Look at the answers below that were not right, each in its folder: `diagnoses/NNNN/diagnosis.html`"
+MORE = "Draw more cases: `rig blind --season N --out DIR` with a longer season"
+LINKS = 12  # to diagnoses that were not right
+OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknown", "nothing")
+
+
+def tree(cases: list[Case]) -> dict:
+    """{verdict, figures, medians, by_effect, by_strength, confusion, cases} of Cases."""
+    return {
+        "verdict": judged(diagnosis_score.figures(cases)).tree(),
+        "figures": [asdict(f) for f in diagnosis_score.figures(cases)],
+        "medians": {name: None if math.isnan(value) else value for name, value in diagnosis_score.medians(cases).items()},
+        "by_effect": _rows(diagnosis_score.by_effect(cases)),
+        "by_strength": _rows(diagnosis_score.by_strength(cases)),
+        "confusion": diagnosis_score.confusion(cases),
+        "cases": [
+            {
+                "case": c.index,
+                "kind": c.kind,
+                "disturbance": c.disturbance,
+                "failed": c.failed,
+                "seconds": c.seconds,
+                "ratio": None if math.isnan(c.ratio) else c.ratio,
+                "unexplained": c.unexplained,
+                "hidden": [{"effect": h.effect, "place": h.place, "strength": h.strength, "outcome": outcome(c, h)} for h in c.hidden],
+                "found": [{"effect": f.effect, "place": f.place, "alternatives": [list(a) for a in f.alternatives]} for f in c.found],
+            }
+            for c in cases
+        ],
+    }
+
+
+def outcome(case: Case, hidden: Hidden) -> str:
+    """What became of a hidden effect: one of OUTCOMES."""
+    found = case.match(hidden)
+    if found is None:
+        taken = case.seen_as(hidden)
+        return taken if taken in ("unknown", "nothing") else "taken for another"
+    if found.effect != hidden.effect:
+        return "allowed"
+    return "named and placed" if found.place == hidden.place else "named"
+
+
+def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
+    """Write the page of a campaign: figures with their intervals, by effect, by strength, the confusion matrix, and every wrong answer."""
+    said = ", ".join(f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}" for name, value in settings.items() if value)
+    parts = [
+        paragraph(
+            f"{len(cases)} blinded cases ({said}). Strength is an effect's signal-to-noise over all corners once cameras and geometry "
+            f"have taken what they can; an effect is strong from {diagnosis_score.STRONG:g} on. Intervals are Clopper and Pearson's, 95 %."
+        ),
+        table(("what", "hits", "of", "share", "interval", "to reach"), [_figure(f) for f in diagnosis_score.figures(cases)]),
+        table(
+            ("median", ""), [(name, "not known" if math.isnan(value) else f"{value:.3g}") for name, value in diagnosis_score.medians(cases).items()]
+        ),
+        heading("By effect"),
+        note("Strong ones, in cases with one or two."),
+        _grouped(diagnosis_score.by_effect(cases), "effect"),
+        heading("By strength"),
+        _grouped(diagnosis_score.by_strength(cases), "signal-to-noise"),
+    ]
+    if any(c.hidden for c in cases):
+        parts.append(_strengths(cases))
+    parts += [heading("What was taken for what"), note("Rows: what was hidden. Columns: the name that it was given."),
+              _confusion(diagnosis_score.confusion(cases)), heading("Answers that were not right"), _wrong(cases)]
+    links = [Link(f"Case {c.index}", f"diagnoses/{c.index:04d}/diagnosis.html") for c in cases if c.failed is None and not _right(c)][:LINKS]
+    verdict = judged(diagnosis_score.figures(cases))
+    write(path, Page("blind", "Blind cases", verdict, parts, list(dict.fromkeys([*verdict.next, *([LOOK_AT] if links else [])])), links))
+
+
+def judged(figures: list[Figure]) -> Verdict:
+    """The verdict on a campaign: which of its figures reach what they are to reach, and which surely do not."""
+    asked = [f for f in figures if f.goal is not None and f.trials]
+    missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
+    if not asked:
+        return judge(Evidence("no figure is judged", missing=(Missing("no case shows a figure that is to be reached", MORE),)))
+    surely = [f for f in missed if f.high < (f.goal or 0)]
+    few = [f for f in asked if f not in missed and f.low < (f.goal or 0) < 1]  # of no number of cases is all surely reached
+    missing = [Missing(f"{_said(f)} falls short") for f in missed if f not in surely]
+    missing += [Missing(f"too few cases to be sure: {'; '.join(map(_said, few))}", MORE)] if few else []
+    reached = f"{len(asked) - len(missed)} of {len(asked)} figures reach what they are to reach"
+    return judge(Evidence(reached, missing=tuple(missing), refuted=tuple(f"{_said(f)} falls short for sure" for f in surely), look=LOOK_AT))
+
+
+def _said(f: Figure) -> str:
+    return f"{f.name} {f.hits} of {f.trials} ({f.low:.0%} to {f.high:.0%}, to reach {f.goal or 0:.0%})"
+
+
+def _figure(f: Figure) -> tuple:
+    goal = "" if f.goal is None else f"{f.goal:.0%}"
+    return (f.name, f.hits, f.trials, *((f"{f.hits / f.trials:.1%}", f"{f.low:.1%} to {f.high:.1%}") if f.trials else ("", "")), goal)
+
+
+def _rows(groups: list) -> list[dict]:
+    return [{"name": name, **{f.name: [f.hits, f.trials] for f in figures}, "taken_for": taken} for name, figures, taken in groups]
+
+
+def _grouped(groups: list, heading: str) -> str:
+    rows = [(name, figures[0].trials, *(f"{f.hits} of {f.trials}" if f.trials else "" for f in figures),
+             ", ".join(f"{other} {count}" for other, count in sorted(taken.items(), key=lambda item: -item[1]) if other != name))
+            for name, figures, taken in groups]
+    return table((heading, "times", "detected", "named", "placed", "intervals that cover", "taken for"), rows)
+
+
+def _strengths(cases: list[Case]) -> str:
+    """What became of every hidden effect, by its strength: a row for each outcome."""
+    told = [(max(h.strength, 0.1), OUTCOMES.index(outcome(c, h))) for c in cases if c.failed is None for h in c.hidden]
+    strength, became = (np.array(column, float) for column in zip(*told)) if told else (np.zeros(0), np.zeros(0))
+    series = [Series(np.log10(strength[became == k]), np.full((became == k).sum(), len(OUTCOMES) - float(k)), name, colour=k)
+              for k, name in enumerate(OUTCOMES)]
+    return panel("what became of each hidden effect", ("signal-to-noise, power of ten", ""), series, limits=(0.0, len(OUTCOMES) + 1.0))
+
+
+def _confusion(matrix: dict[str, dict[str, int]]) -> str:
+    columns = sorted({name for counts in matrix.values() for name in counts}, key=lambda name: (name in ("unknown", "nothing"), name))
+    return table(("hidden", *(name.replace("_", " ") for name in columns)),
+                 [(name, *(counts.get(column, "") for column in columns)) for name, counts in sorted(matrix.items())])
+
+
+def _wrong(cases: list[Case]) -> str:
+    rows = []
+    for c in cases:
+        hidden = ", ".join(f"{h.effect} at {h.place} ({h.strength:.3g})" for h in c.hidden) or c.disturbance or "nothing"
+        found = ", ".join(f"{f.effect} at {f.place}" for f in c.found) or "nothing"
+        if c.failed is not None or not _right(c):
+            rows.append((c.index, hidden, c.failed or found))
+    return table(("case", "hidden (strength)", "found"), rows) if rows else paragraph("There is none.")
+
+
+def _right(c: Case) -> bool:
+    """Whether a case was answered as it ought to be."""
+    known = {"nothing": not c.found and not c.unexplained, "noise": not c.named, "foreign": c.unexplained and not c.named}
+    return bool(known.get(c.kind, all(outcome(c, h) == OUTCOMES[0] for h in c.hidden) and len(c.named) == len(c.hidden)))

@@ -1,0 +1,76 @@
+"""What `rig calibrate` says of a calibration's worth beyond the verdict: a promise kept or not, and what becomes of the workspace."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calib.models.arm.certification import Certified
+    from calib.certify.workspace_claim import Claim
+    from calib.correct.physics import Physics
+    from calib.files.calibration_file import Calibration
+
+
+def tell(arguments: Namespace, calibration: Calibration, poses: int) -> None:
+    """Say what a calibration of so many poses is worth, and leave for --json its held-out figures and claim, as calibration.json has them."""
+    from calib.certify.calibration_evidence import judgement
+
+    held, claim = calibration.held_out, calibration.claim
+    arguments.result = {"schema": "calibrated/1", "held_out": held and asdict(held), "claim": claim and asdict(claim), "poses": poses,
+                        "confounds": calibration.confounds and calibration.confounds.tree(), "verdict": judgement(calibration).tree()}
+    if calibration.confounds is not None:
+        print(calibration.confounds.line())
+    _say_promise(arguments.promise, claim)
+    _say_workspace(calibration)
+
+
+def _say_promise(promise: float | None, claim: Claim | None) -> None:
+    """Print whether a promise (m) is kept by the upper end of what is claimed; nothing where none was made."""
+    if promise is None or claim is None:
+        return
+    if claim.after is None:
+        print(f"the promise of {promise * 1e6:.4g} um cannot be said to be met: {claim.reason}")
+        return
+    middle, _, most = claim.after[0]
+    met = "is met" if most <= promise else "is NOT met yet; rig plan --promise --given the recording names the next best poses"
+    print(f"the promise of {promise * 1e6:.4g} um {met}: {middle * 1e6:.4g} um RMS over the workspace, {most * 1e6:.4g} at most (97.5 %)")
+
+
+def _say_workspace(calibration: Calibration) -> None:
+    """Print what a calibration does to the workspace; nothing where that was not worked out."""
+    from calib.workspace.workspace_sentences import lines
+    from rig.model import mechanisms
+
+    if calibration.workspace is not None:
+        print(lines(calibration.workspace, mechanisms.unit(calibration.correction.nominal))[0])
+
+
+def say_joints(done: Certified, physics: Physics | None) -> None:
+    """Print what an arm's correction does beyond its geometry, and what that is worth on the held-out poses."""
+    if done.held_out and done.geometry and done.scattered:
+        kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
+        beyond = [*(["the physics that was found, refitted without the poses held out"] if physics is not None and physics.effects else []),
+                  *([f"joints {', '.join(map(str, kept))} corrected over the configuration space"] if kept else [])]
+        print("beyond the geometry: " + (f"{' and '.join(beyond)}; the geometry alone leaves {done.geometry.after.mean[0] * 1e3:.4f} mm mean on the "
+                                         "same poses" if beyond else "nothing that pays on held-out poses"))
+        flattered = done.scattered.after
+        placed = flattered.mean[0] == flattered.mean[0]
+        mean, rms, unit = (flattered.mean[0], flattered.position[0], "mm") if placed else (flattered.mean[1], flattered.rotation[0], "mrad")
+        print(f"the same with single rows held out at random, which flatters: {mean * 1e3:.4f} {unit} mean, {rms * 1e3:.4f} RMS")
+    say_physics(physics)
+
+
+def say_physics(physics: Physics | None) -> None:
+    """Print which of the physics that a calibration knows its commands undo; nothing where it knows none."""
+    if physics is None:
+        return
+    again, known = physics.undone(), [f"{e.label()} at {e.place}" for e in physics.undone()]
+    print("physics that is undone by commands: " + (", ".join(known) or "none"))
+    left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in again]
+    if left:
+        print(f"taken out of what was measured, and not the commands' to undo: {', '.join(left)}")
+    for u in physics.unknown:
+        print(f"unknown at {u.place}: " + ("corrected as a smooth function of the configuration" if u.corrected else "not corrected, as no smooth "
+                                           "function of the configuration explains it"))

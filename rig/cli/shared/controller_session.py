@@ -1,0 +1,92 @@
+"""What the commands that move struts share: the controller opened once, what it said, lengths and poses in words."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rig.formats.rig_toml import design_file
+from rig.driving.clock import Clock, SystemClock
+from rig.model.controller_settings import port_problem
+from rig.model.design import Design
+from rig.driving.driver import Driver, Status
+from rig.errors import FileError, RigError
+from rig.driving.controller_lock import Occupied
+
+
+def design_of(path: Path, port: str | None) -> Design:
+    """The design of a rig.toml with a controller, at another port where that is asked for. Raises RigError for one without."""
+    design = design_file.load(path)
+    if design.controller is None:
+        raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
+    if port and (problem := port_problem(port)):
+        raise RigError(f"--port {problem}")
+    return replace(design, controller=replace(design.controller, port=port, usb="")) if port else design
+
+
+@contextmanager
+def driving(design: Design, trace: Path | None, say: Callable[[str], None], clock: Clock | None = None,
+            stopping: bool = False) -> Iterator[Driver]:
+    """The open Driver of a design, which no other process drives meanwhile. say : takes a line of text
+    stopping : the struts are stopped before anything is asked of the controller
+    Raises FileError for a trace that cannot be written, and what opening raises."""
+    c = design.driver()
+    with ExitStack() as stack:
+        stack.enter_context(Occupied(c.port, c.usb))
+        file = None
+        if trace is not None:
+            try:
+                file = stack.enter_context(open(trace, "a", encoding="utf-8"))
+            except OSError as error:
+                raise FileError(trace, f"cannot be written: {error.strerror}") from None
+        driver = Driver(design, clock or SystemClock(), trace=file, say=say)
+        stack.callback(driver.close)
+        driver.open(stopping)
+        yield driver
+
+
+def settled_status(driver: Driver, clock: Clock, patience: float = 60.0, every: float = 0.05) -> Status:
+    """Status once the axes stand: what another process began is let come to its end, and its end is where the struts were left.
+
+    Raises RigError where they still move after so long.
+    """
+    status, end = driver.status(), clock.now() + patience
+    moved = status.activity == "moving"
+    while status.activity == "moving":
+        if clock.now() > end:
+            driver.stop()
+            raise RigError(f"the struts still moved {patience:g} s after connecting; they were told to stop")
+        clock.sleep(every)
+        status = driver.status()
+    if moved and status.known and status.activity == "idle" and not status.fault:
+        driver.trust()  # it counted all the way, and nobody else commands it
+    return status
+
+
+def lengths_text(lengths: np.ndarray) -> str:
+    """Lengths (n,) m as text, in mm."""
+    return " ".join(f"{value * 1e3:.4f}" for value in lengths) + " mm"
+
+
+def print_status(status: Status, design: Design) -> None:
+    """A Status in words, with the pose that the lengths give by the owner's model."""
+    from rig.model import mechanisms
+    from rig.driving.operator_advice import advice
+    from rig.errors import NotConverged
+    from rig.model.pose import vector
+
+    homing = design.driver().homing
+    fault = f" ({status.fault})" if status.fault not in ("", status.activity) else ""
+    print(f"{status.activity}{fault}{advice(status.activity, homing)}")
+    if not status.known:
+        print("position not known: " + ("home it" if homing else "see that it is true, then say --trust"))
+    print(f"lengths {lengths_text(status.lengths)}")
+    if design.mechanism.kind == "hexapod" and status.known:
+        try:
+            v = vector(mechanisms.of(design.mechanism).forward(status.lengths, design.mechanism))
+        except NotConverged:
+            print("these lengths close on no pose of the owner's model")
+            return
+        print(f"pose by the owner's model {' '.join(f'{x * 1e3:.4f}' for x in v[:3])} mm, {' '.join(f'{x * 1e3:.4f}' for x in v[3:])} mrad")

@@ -1,0 +1,119 @@
+"""Who carries out the plans of an investigation: a simulated machine, the driver, or somebody by hand."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from rig.model.design import Design
+    from rig.planning.plan import Plan
+
+
+class Waiting(Exception):
+    """Somebody has to do something before the investigation can go on; the message says what."""
+
+
+class Rig:
+    """A machine that can be told to make a recording. by : "machine", "driver" or "hand"; moving : whether it may be exposed on the way
+    digest : of its rig.toml, but for what experiments may do and how cubes stand, and of a simulated one of its truth"""
+
+    def __init__(self, arguments: Namespace, design: Design) -> None:
+        self.design, self._arguments = design, arguments
+        self.by = "machine" if arguments.machine else "hand" if arguments.by_hand else "driver"
+        if self.by == "driver" and design.controller is None:
+            raise RigError(f"{arguments.design} has no [controller], so there is nothing to drive; --by-hand writes plans for somebody, --machine "
+                           "TRUTH tries a simulated machine")
+        self.moving = self.by != "driver"
+        read = [arguments.design, *([arguments.machine] if arguments.machine else [])]
+        for path in read:
+            if not path.is_file():
+                raise RigError(f"{path}: no such file")
+        stated = tomllib.loads(arguments.design.read_text(encoding="utf-8-sig"))
+        tree = {name: table for name, table in stated.items() if name not in ("experiment", "turned")}
+        parts = [json.dumps(tree, sort_keys=True).encode(), *(path.read_bytes() for path in read[1:])]
+        self.digest = hashlib.sha256(b"".join(parts)).hexdigest()
+
+    def call(self, *words: str) -> None:
+        """Carry out another command. Raises RigError where it refuses, which has said why"""
+        status = self._arguments.call(list(words))
+        if status:
+            raise RigError(f"rig {words[0]} ended with {status}, see above; --resume goes on from there")
+
+    def refuse(self, plan: Plan) -> None:
+        """Raise RigError for a plan that this machine cannot carry out."""
+        from rig.driving.run_steps import steps
+
+        if self.by == "driver":
+            steps(plan)
+
+    def record(self, plan: Path, out: Path, seed: int) -> None:
+        """Have a plan carried out and recorded, unless that is done. Raises Waiting where somebody has to do it"""
+        if self.by == "machine":
+            if not (out / "frames.csv").exists():
+                self.call("simulate", str(self._arguments.design), "--plan", f"commands:{plan}", "--machine", str(self._arguments.machine), "--seed",
+                          str(seed), "--out", str(out))
+        elif self.by == "driver":
+            self._drive(plan, out)
+        elif not (out / "frames.csv").exists():
+            raise Waiting(self._asked(plan, out))
+        else:
+            self._stood(plan, out)
+
+    def _drive(self, plan: Path, out: Path) -> None:
+        """Have the driver carry a plan out, from where it was interrupted."""
+        from rig.model.cube_quarter_turns import to_do, turned
+        from rig.planning.plan import build
+
+        begun, a = (out / "journal.jsonl").exists(), self._arguments
+        if begun and _done(out / "journal.jsonl"):
+            return
+        cubes = dict(build(self.design, f"commands:{plan}").turned)
+        todo = to_do(cubes, turned(self.design))
+        if todo:
+            then = f"  then say so in {a.design}, {_said(cubes)}, and give the same command with --resume"
+            raise Waiting("\n".join(["to do, before the struts move:", *(f"  {text}" for text in todo), then]))
+        more = [*(["--port", a.port] if a.port else []), *(["--no-home"] if a.no_home else []), *(["--resume"] if begun else [])]
+        self.call("run", str(a.design), "--plan", f"commands:{plan}", "--out", str(out), "--settle", a.settle, "--no-measure", *more)
+
+    def _stood(self, plan: Path, out: Path) -> None:
+        """Raise RigError where a recording by hand does not say that cubes stood as its plan has them."""
+        from rig.formats.rig_toml import design_file
+        from rig.model.cube_quarter_turns import turned
+        from rig.planning.plan import build
+
+        wanted, told = dict(build(self.design, f"commands:{plan}").turned), turned(design_file.load(out / "rig.toml"))
+        if told != wanted:
+            raise RigError(f"{plan} is for cubes that stand as {_said(wanted) if wanted else 'rig.toml states them'}, and {out / 'rig.toml'} says "
+                           f"{_said(told) if told else 'that none was taken off'}; state there how they stood")
+
+    def _asked(self, plan: Path, out: Path) -> str:
+        """What somebody is asked to do, in words."""
+        from rig.model.cube_quarter_turns import to_do
+        from rig.planning.plan import build
+
+        todo = build(self.design, f"commands:{plan}")
+        cubes = [f"  before it begins: {text}" for text in to_do(dict(todo.turned), {})]
+        cubes += [f"  and say so in its rig.toml: {_said(dict(todo.turned))}"] if cubes else []
+        loads = [f"  at t = {t:.0f} s: " + (f"load {mass:.3g} kg" if mass else "take the load off") for t, mass in todo.payload[1:]]
+        return "\n".join([f"to do: carry out {plan} ({len(todo.t)} exposures, where a row has a frame; {todo.commands.t[-1] / 60:.1f} min) and "
+                          f"record it as {out}, with its own commands.csv and frames.csv; then the same command with --resume", *cubes, *loads])
+
+
+def _said(cubes: dict[str, int]) -> str:
+    """How cubes stand, as rig.toml says it."""
+    return "[turned] " + ", ".join(f"{name} = {quarter}" for name, quarter in cubes.items())
+
+
+def _done(journal: Path) -> bool:
+    """Whether a run's journal says that it came to its end."""
+    from rig.driving.run_journal import Ended, read
+
+    rows, _ = read(journal)
+    return bool(rows) and isinstance(rows[-1], Ended) and not rows[-1].reason

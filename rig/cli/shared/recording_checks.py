@@ -1,0 +1,149 @@
+"""What commands say of their user's mistakes before they begin: a recording is read, checked, and refused where its results would mean nothing."""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.cli.shared.output_options import read_recording
+from rig.errors import FileError, RigError
+from rig.checks.user_mistake import Mistake
+
+if TYPE_CHECKING:
+    from rig.cli.shared.output_options import Progress
+    from rig.recording.recording_folder import Corners, Recording
+    from vision.combined_recordings import Together
+
+
+def argument(parser: argparse.ArgumentParser) -> None:
+    """Add --anyway to a command that begins with a check."""
+    parser.add_argument("--anyway", action="store_true", help="go on though the recording shows a mistake that makes results meaningless")
+
+
+def loaded(arguments: argparse.Namespace, path: Path | None = None) -> "Recording":
+    """Recording at a path, by default that of the arguments that `add_recording` adds.
+
+    Raises RigError that names the likeliest mistake first where it cannot be read
+    """
+    from rig.checks.unreadable_recording import unreadable
+
+    try:
+        return read_recording(arguments, path)
+    except FileError as error:
+        causes = unreadable(path or arguments.recording, error)
+        if not causes:
+            raise
+        raise RigError("\n".join([*map(str, causes), str(error)])) from None
+
+
+def checked(recording: "Recording", anyway: bool) -> "Callable[[Corners], None]":
+    """What looks at a recording's corners once they are read: both refuse what is spoilt, unless anyway, and print what is unlikely.
+
+    Raises RigError that names the likeliest mistake first
+    """
+    _judge_files(recording, anyway)
+
+    def look(corners: "Corners") -> None:
+        from vision.checks import look as looked
+
+        judge(looked(recording, corners), anyway)
+
+    return look
+
+
+def begin_all(arguments: argparse.Namespace, progress: "Progress") -> "tuple[Recording, Callable[[Corners], None], Together | None]":
+    """(Recording, what looks at its corners, see `checked`) of the arguments that `add_recordings` adds: one Recording of them all, each checked
+    by itself; and how they go together, None for one alone. What is shared and what is each one's own is printed.
+
+    Raises RigError that names the likeliest mistake first, and for recordings that are not of one rig
+    """
+    if not arguments.further:
+        recording = loaded(arguments)
+        return recording, checked(recording, arguments.anyway), None
+    if arguments.mask is not None:
+        raise RigError("--mask names frames of one recording; with several, mask them one by one (rig measure REC --mask FRAMES --out ..)")
+    from rig.recording.combined_recordings import by_instrument
+    from vision.combined_recordings import refuse, together
+
+    every = [loaded(arguments, path) for path in (arguments.recording, *arguments.further)]
+    refuse(every)
+    for recording in every:
+        _judge_files(recording, arguments.anyway)
+        corners = recording.corners if recording.corners is not None else some_corners(recording)
+        if corners is not None:
+            from vision.checks import look
+
+            judge(look(recording, corners), arguments.anyway)
+    found = together(every, progress)
+    progress.close()
+    print("\n".join(found.lines()), flush=True)
+    recording = found.recording
+    if by_instrument(recording):
+        if recording.design.mechanism.kind in ("hexapod", "planar2"):
+            from calib.drift.instrument_displacement import placed
+
+            recording, places = placed(recording)
+            print("\n".join(place.line(every[place.recording].name) for place in places) or "the instrument stands where it stood", flush=True)
+        else:
+            print("the instrument is taken to stand where it stood: of an arm that is not looked at", flush=True)
+    return recording, lambda corners: None, found
+
+
+def _judge_files(recording: "Recording", anyway: bool) -> None:
+    """Judge what a recording's files and some of its images show."""
+    from rig.model.cube_quarter_turns import WORDS, turned
+    from rig.checks.recording_without_images import early
+
+    judge(early(recording), anyway)
+    for name, quarters in turned(recording.design).items():
+        print(f"{recording.folder}: cube {name} was taken off and put back, {WORDS[quarters]}; its place is known only to what that may do, so its "
+              "markers hold no pose", flush=True)
+    if recording.has_images and recording.corners is None and recording.design.targets:
+        from vision.checks.image_sample import misread
+
+        judge(misread(recording), anyway)
+    if recording.poses is not None and recording.corners is None and not recording.has_images:
+        judge(of_poses(recording), anyway)
+
+
+def some_corners(recording: "Recording") -> "Corners | None":
+    """Corners read in some frames' images; None where there are none."""
+    if not recording.has_images or not recording.design.targets:
+        return None
+    from vision.checks.image_sample import read
+
+    return read(recording)[0]
+
+
+def of_poses(recording: "Recording") -> tuple[Mistake, ...]:
+    """Mistakes that poses.csv and commands.csv show of each other."""
+    if recording.poses is None or recording.commands is None:
+        return ()
+    kind = recording.design.mechanism.kind
+    if kind == "arm":
+        from calib.checks import look
+
+        return look(recording)
+    if kind != "hexapod":
+        return ()
+    from rig.checks import in_order, platform_commands_and_poses
+
+    return in_order(
+        platform_commands_and_poses.mistakes(
+            platform_commands_and_poses.of(
+                recording, recording.poses.frame, recording.poses.T_base_platform, platform_commands_and_poses.written(recording)
+            )
+        )
+    )
+
+
+def judge(mistakes: Iterable[Mistake], anyway: bool) -> None:
+    """Print what is unlikely, first of all; raise RigError with all of it where one makes results meaningless and nobody said anyway."""
+    mistakes = tuple(mistakes)
+    if any(one.spoils for one in mistakes) and not anyway:
+        raise RigError("\n".join([*map(str, mistakes), "Nothing was computed; --anyway does it nevertheless"]))
+    for one in mistakes:
+        print(one)
+    if mistakes:
+        sys.stdout.flush()

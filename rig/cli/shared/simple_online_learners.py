@@ -1,0 +1,125 @@
+"""rig online --learner: the learners that follow poses and watch for nothing, with what each keeps between recordings."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig.cli.shared.output_options import Progress, print_unsolved
+from rig.cli.shared.unlearnt_frames import fresh_of, not_learnt
+from rig.errors import RigError
+from rig.formats.number_parsing import number
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+
+    from calib.online.learners import Learner
+    from calib.report.online_page import Learnt
+    from calib.samples.recording_samples import Sampled
+    from calib.files.calibration_file import Calibration
+    from rig.recording.recording_folder import Recording
+
+WATCHING = "filter"  # the one of calib/online/information_filter.py
+SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the choice of a learner, and each one's setting."""
+    parser.add_argument("--learner", choices=(WATCHING, *SETTINGS), default=WATCHING, help="filter (the default) names what jumped; forgetting: "
+                        "least squares that forget along what is told; drifting: parameters that wander; first-order: gradient steps, no covariance")
+    parser.add_argument("--kept", type=number, metavar="SHARE", help="of forgetting: share of what was known that a pose leaves (default 0.99)")
+    parser.add_argument("--drift", type=number, metavar="M", help="of drifting: how far a parameter wanders from pose to pose (default 1e-7 m)")
+    parser.add_argument("--step", type=number, metavar="M", help="of first-order: how far a parameter may have to go (default 1e-3 m)")
+
+
+def refuse_settings(arguments: Namespace) -> None:
+    """Raise RigError for a setting of another learner than the one that is asked for."""
+    for learner, setting in SETTINGS.items():
+        if learner != arguments.learner and getattr(arguments, setting) is not None:
+            raise RigError(f"--{setting} is of --learner {learner}, not of {arguments.learner}")
+
+
+def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sampled], calibration: Calibration | None, state: Path | None,
+           progress: Progress) -> tuple[Learnt, dict[str, Any]]:
+    """What a recording's poses taught one at a time, by the learner that is asked for, and what --json prints of it; it is said how well it expected
+    them.
+
+    sampled : makes the Sampled of the recording; state : where it is saved, or None
+    Raises RigError for a state of another learner, and where no pose is left to learn
+    """
+    import numpy as np
+
+    from calib.models.platform.identification import parameters
+    from calib.online import learner_file
+    from calib.report.online_page import Learnt
+    from rig.model.mechanism_kinds import hexapod_of
+    from rig.recording.data_provenance import flat, marks
+
+    refuse_settings(arguments)
+    learner = _learner(arguments, recording, calibration)
+    of, before = marks(recording), learner.number
+    fresh = not_learnt(recording, of, learner.data)
+    found = sampled()
+    samples = fresh_of(found.samples, fresh, recording)
+    learner.data |= set(flat(of, fresh))
+    commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
+    errors = np.empty((len(samples), 6))
+    for k, (x, T, C) in enumerate(zip(commands, samples.T_base_platform, samples.total_covariance())):
+        errors[k] = learner.update(x, T, C)
+        progress("learning", k + 1, len(samples))
+    print(f"{len(samples)} poses from {found.source}, learnt one at a time by {arguments.learner} ({learner.SETTING} {learner.setting:g})"
+          + (f" after {before} before" if before else ""))
+    _tell(errors)
+    moved = float(np.sqrt(np.mean((learner.p - parameters(hexapod_of(recording.design.mechanism))) ** 2)))
+    sigma = None if learner.covariance is None else float(np.sqrt(np.mean(np.diag(learner.covariance))))
+    known = "" if sigma is None else f", known to {sigma * 1e3:.4f} mm RMS"
+    print(f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml{known}")
+    print_unsolved(found.measurement)
+    if state is not None:
+        learner_file.save(state, learner)
+        print(f"written: {arguments.state}")
+    first, last = _quarters(errors)
+    result = {"schema": "followed/1", "learner": arguments.learner, learner.SETTING: float(learner.setting), "poses": len(samples),
+              "poses_before": before, "first_quarter": first, "last_quarter": last, "moved_rms_m": moved, "sigma_rms_m": sigma}
+    return Learnt(samples.frame, errors, found.source, (), (), sigma, moved), result
+
+
+def _learner(arguments: Namespace, recording: Recording, calibration: Calibration | None) -> Learner:
+    """The Learner of a state that is there, else a new one. Raises RigError where the two do not go together."""
+    from calib.online import learner_file
+    from calib.online.learners import LEARNERS
+    from rig.model.mechanism_kinds import hexapod_of
+
+    kind, chosen = LEARNERS[arguments.learner], getattr(arguments, SETTINGS[arguments.learner])
+    if arguments.state is not None and arguments.state.exists():
+        learner = learner_file.load(arguments.state)
+        if type(learner) is not kind:
+            raise RigError(f"{arguments.state} is the state of another learner than {arguments.learner}")
+        if chosen is not None and chosen != learner.setting:
+            raise RigError(f"{arguments.state} goes on with {learner.SETTING} {learner.setting:g}, not with {chosen:g}")
+        return learner
+    nominal = hexapod_of(recording.design.mechanism if calibration is None else calibration.correction.fitted)
+    try:
+        learner = kind(nominal) if chosen is None else kind(nominal, chosen)
+    except ValueError as error:
+        raise RigError(f"--{kind.SETTING}: {error}") from None
+    if calibration is not None:
+        learner.start_from(calibration.covariance)
+        learner.data = set(calibration.provenance.get("data", ()))
+    return learner
+
+
+def _quarters(errors: np.ndarray) -> tuple[float, float]:
+    """RMS of errors (n, 6) whitened in the first quarter of the poses, and in the last."""
+    quarter = max(len(errors) // 4, 1)
+    return float((errors[:quarter] ** 2).mean() ** 0.5), float((errors[-quarter:] ** 2).mean() ** 0.5)
+
+
+def _tell(errors: np.ndarray) -> None:
+    """Say how far poses were from what was expected of them. errors : (n, 6) whitened"""
+    first, last = _quarters(errors)
+    print(f"poses were off what was expected by {first:.3g} standard deviations RMS in the first quarter, by {last:.3g} in the last "
+          "(1 where nothing is left to learn)")

@@ -1,0 +1,26 @@
+"""rig stop RIG.toml."""
+
+from argparse import ArgumentParser, Namespace
+
+from rig.cli.shared.output_options import add_driving
+
+PATIENCE = 10.0  # s for a process that drives to let go
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    add_driving(parser)
+
+
+def run(arguments: Namespace) -> None:
+    """Stop the struts, and whatever process moves them; its run can be resumed."""
+    from rig.driving.clock import SystemClock
+    from rig.cli.shared.controller_session import design_of, driving, print_status
+    from rig.driving.controller_lock import interrupt
+
+    design = design_of(arguments.design, arguments.port)
+    other = interrupt(design.driver().port, SystemClock(), PATIENCE, design.driver().usb)
+    if other is not None:
+        print(f"process {other}, which drove them, was stopped")
+    with driving(design, arguments.trace, print, stopping=True) as driver:
+        print_status(driver.status(), design)

@@ -1,0 +1,92 @@
+"""rig workspace CALIBRATION [--certificate FILE] [--out DIR]."""
+
+from __future__ import annotations
+
+import hashlib
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.cli.shared.output_options import add_force, add_result, near
+from rig.errors import FileError, RigError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from calib.workspace.workspace_cells import Workspace
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
+    parser.add_argument("--certificate", metavar="FILE", type=Path, help="certificate.json of this calibration: what it promises stands beside the "
+                        "bound in the cells of its volume")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="a folder for workspace.json, workspace.csv (a line a cell) and workspace.html")
+    add_force(parser)
+    add_result(parser)
+
+
+def run(arguments: Namespace) -> None:
+    """Say what a calibration does to the workspace, and write its map."""
+    from calib.files import calibration_file
+    from calib.report.workspace_page import judged
+    from calib.models.corrected_pose_covariance import with_workspace
+    from calib.workspace import workspace_sentences
+    from calib.workspace.workspace_cells import turned_home
+    from calib.workspace.workspace_file import workspace_out
+    from rig.model import mechanisms
+
+    if arguments.out is not None and arguments.out.suffix:
+        raise RigError(f"{arguments.out}: --out takes a folder, for three files")
+    calibration = calibration_file.load(arguments.calibration)
+    if calibration.correction.nominal.kind == "chain":
+        raise RigError(f"{arguments.calibration} is of a chain, which comes to most poses in many ways: it has no map of its workspace")
+    if calibration.workspace is None:
+        print(f"{arguments.calibration} was made before a calibration held its workspace: worked out now")
+        calibration = with_workspace(calibration)
+    w, correction = calibration.workspace, calibration.correction
+    assert w is not None
+    certified = None if arguments.certificate is None else _certified(arguments.certificate, arguments.calibration, w)
+    unit = mechanisms.unit(correction.nominal)
+    verdict = judged(w, workspace_sentences.lines(w, unit)[0].removeprefix("workspace: "))
+    print("\n".join([verdict.line, *workspace_sentences.lines(w, unit)]))
+    if certified is not None:
+        print(workspace_sentences.certified_line(certified))
+    if correction.extension is not None or any(correction.remainder):
+        print("beyond the recorded configurations what is corrected on top of the geometry is extrapolated; its bound grows there")
+    arguments.result = {"verdict": verdict.tree(), **workspace_out(w), "room_of": turned_home(correction)}
+    if arguments.out is not None:
+        _write(arguments, w, unit, turned_home(correction), certified)
+
+
+def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certified: np.ndarray | None) -> None:
+    """Write the map as data, as a table and as a page."""
+    import json
+
+    from calib.workspace.workspace_file import COLUMNS, workspace_rows
+    from calib.report.workspace_page import workspace_page
+    from rig.formats.output_files import write_text
+    from rig.recording.recording_tables import write_table
+
+    folder = arguments.outputs.folder(arguments.out)
+    write_text(folder / "workspace.json", json.dumps(arguments.result, allow_nan=False) + "\n")
+    write_table(folder / "workspace.csv", COLUMNS, workspace_rows(w))
+    workspace_page(folder / "workspace.html", arguments.calibration.name, w, unit, room_of, certified,
+                   near(arguments, arguments.out / "workspace.html"))
+    print(f"written: {arguments.out}; look at {arguments.out / 'workspace.html'}")
+
+
+def _certified(path: Path, calibration: Path, w: Workspace) -> np.ndarray:
+    """(c, 2) m and rad that a certificate promises in the cells of a Workspace; NaN where it does not speak of them.
+
+    Raises FileError for a file that is no certificate, or one of another calibration
+    """
+    from calib.workspace.certified_cells import certified
+    from rig.formats import json_file
+
+    tree = json_file.load(path, "certificate", "certificate/1")
+    marks = tree.table("inputs_sha256")
+    mine = hashlib.sha256(calibration.read_bytes()).hexdigest()
+    if mine not in {marks.table(name).text("file", default=None) for name in marks.tree}:
+        raise FileError(path, f"certifies another calibration than {calibration}: its hash is not among inputs_sha256")
+    return certified(w, tree)

@@ -1,0 +1,162 @@
+"""Calls done by the workers of a Dask cluster, which have this package and see the same folders; what one that is gone was at, others do again."""
+
+import hashlib
+import pickle
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rig.formats import remote_folders
+from rig.errors import MissingLibrary, RigError
+from rig.compute.worker_processes import parts
+
+WAIT = 20  # s for a scheduler, and for its first worker
+PATIENCE = 3  # such times for another worker, when the last one is gone
+LARGE = "1GiB"  # what a function may carry to the workers before Dask warns of it
+
+Progress = Callable[[int, int], None]  # called with (done, of)
+
+_here = threading.local()  # of a worker: whether this thread is at work for a cluster, and what it last opened
+_at_work: "Cluster | None" = None
+
+
+class Cluster:
+    """Workers behind a scheduler. address : of that scheduler"""
+
+    def __init__(self, client: Any, address: str) -> None:
+        self._client, self.address = client, address
+
+    def map(self, function: Callable[[Any], Any], things: Sequence, progress: Progress | None = None) -> list:
+        """[function(thing)] in the things' order; of what they raise the first in that order is raised.
+
+        Raises RigError where the cluster or all its workers are gone, or where workers end again and again at the same things
+        """
+        import cloudpickle
+
+        data = cloudpickle.dumps(function)
+        with self._said():
+            carried = self._client.submit(bytes, data, pure=False)  # a call and no mere data: it is done again where who held it is gone
+            digest, shares = hashlib.sha256(data).hexdigest(), parts(things, max(self._workers(), 1))
+            futures = [self._client.submit(_done, carried, digest, share, pure=False) for share in shares]
+        out: list = []
+        try:
+            for future in futures:
+                for result in self._result(future):
+                    out.append(result)
+                    if progress:
+                        progress(len(out), len(things))
+        finally:
+            with self._said():
+                self._client.cancel([future for future in futures if not future.done()])
+        return out
+
+    def _result(self, future: Any) -> list:
+        """What comes of a part. What the work raises is raised as it is, and not said of the cluster."""
+        from dask.distributed import KilledWorker
+
+        with self._said():
+            try:
+                return self._waited_for(future)
+            except Exception:
+                raised = future.exception() if future.status == "error" else None
+                if raised is None or isinstance(raised, (KilledWorker, ImportError)):
+                    raise
+        raise raised
+
+    def _waited_for(self, future: Any) -> list:
+        """What comes of a part. Raises RigError where for long nobody is left to do it"""
+        alone = 0
+        while alone < PATIENCE:
+            try:
+                return future.result(timeout=WAIT)
+            except TimeoutError:
+                if future.status == "error":
+                    raise
+                alone = 0 if self._workers() else alone + 1
+        raise RigError(f"the cluster at {self.address} has had no worker for {PATIENCE * WAIT} s")
+
+    def executor(self) -> Executor:
+        """What single calls are submitted to."""
+        return self._client.get_executor(pure=False)
+
+    def _workers(self) -> int:
+        return sum(self._client.nthreads().values())
+
+    @contextmanager
+    def _said(self) -> Iterator[None]:
+        """Within it what Dask raises of the cluster itself is said in a line."""
+        from dask import config
+        from dask.distributed import CancelledError, KilledWorker
+
+        try:
+            with config.set({"distributed.admin.large-graph-warning-threshold": LARGE}):
+                yield
+        except KilledWorker as error:
+            raise RigError(f"workers of the cluster at {self.address} ended one after the other at the same work, as a system does that is short of "
+                           f"memory: {error}") from None
+        except ImportError as error:
+            raise RigError(f"a worker of the cluster at {self.address} lacks what this computer has: {error}; install the same rig there") from None
+        except (OSError, CancelledError) as error:  # those of its connections and waits that are over are OSErrors
+            raise RigError(f"the cluster at {self.address} is gone: {error}") from None
+
+
+@contextmanager
+def cluster(address: str | None) -> Iterator[Cluster | None]:
+    """Within it `at_work` is the Cluster of the scheduler at an address, tcp://HOST:PORT; None leaves it at what there is.
+
+    Raises MissingLibrary without Dask, RigError where no scheduler answers or it has no worker
+    """
+    global _at_work
+    if address is None:
+        yield _at_work
+        return
+    try:
+        from dask.distributed import Client
+    except ImportError:
+        raise MissingLibrary("--scheduler needs Dask: pip install 'rig[cluster]'") from None
+    try:
+        client = Client(address, timeout=WAIT, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise RigError(f"no Dask scheduler answers at {address}: {error}") from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=WAIT)
+        except TimeoutError:
+            raise RigError(f"the Dask scheduler at {address} has no worker; start some: dask worker {address} --nthreads 1") from None
+        before, _at_work = _at_work, Cluster(client, address)
+        try:
+            yield _at_work
+        finally:
+            _at_work = before
+
+
+def at_work() -> Cluster | None:
+    """The cluster that works for this process, None where it has none."""
+    return _at_work
+
+
+def everywhere(path: Path) -> Path:
+    """A path as workers that stand elsewhere find the same."""
+    return path if _at_work is None else remote_folders.absolute(path)
+
+
+def is_worker() -> bool:
+    """Whether this thread is at work for a cluster, and shares out nothing itself."""
+    return getattr(_here, "busy", False)
+
+
+def _done(data: bytes, digest: str, part: Sequence) -> list:
+    """[function(thing)] of a part of the things, in a worker. data : of the function, opened once by each thread"""
+    from threadpoolctl import threadpool_limits
+
+    if getattr(_here, "digest", None) != digest:
+        _here.function, _here.digest = pickle.loads(data), digest
+    _here.busy = True
+    try:
+        with threadpool_limits(1):  # products are rounded by how many threads share them
+            return [_here.function(thing) for thing in part]
+    finally:
+        _here.busy = False

@@ -1,0 +1,1 @@
+"""How a machine is driven: link, protocols, cameras, driver, journal, the operator's loop, emulators."""

@@ -1,0 +1,113 @@
+"""UVC and GStreamer cameras through OpenCV: fresh frames only, and times from the driver's stamps where it gives them."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import TYPE_CHECKING, Any
+
+from rig.driving.cameras.clock_offset import UNIFORM, Offset
+from rig.driving.cameras.camera_interface import CameraError, Frame
+from rig.driving.clock import Clock
+from rig.driving.cameras.gstreamer_pipelines import complaint
+
+if TYPE_CHECKING:
+    import numpy as np
+
+FLUSHED = 8  # frames that may wait in a driver's queue
+WAIT = 5.0  # s without a frame after which a camera counts as gone
+MANUAL = 1  # V4L2_EXPOSURE_MANUAL
+BLOCKED = 2e-3  # s; a frame that was not waiting in the queue takes longer to come
+UVC_STEP = 1e-4  # s; V4L2's exposure_time_absolute counts these
+
+
+class VideoSource:
+    """A camera that OpenCV opens. Without stamps of its own, an image was exposed between the one before it and its arrival."""
+
+    def __init__(self, name: str, capture: Any, clock: Clock, size: tuple[int, int], uvc: bool = True) -> None:
+        """capture : an open cv2.VideoCapture; size : (width, height) px that its images must have; uvc : whether it takes UVC's controls"""
+        import cv2
+
+        self.name, self.can_set_exposure = name, uvc
+        self._cv2, self._capture, self._clock, self._size, self._offset = cv2, capture, clock, size, Offset()
+        self._exposure = 0.0
+
+    def grab(self) -> Frame:
+        """A frame exposed after this call: what waits in the driver's queue is let go by. Raises CameraError where none comes."""
+        asked, last = self._clock.now(), None
+        for _ in range(FLUSHED + 3):
+            before = self._clock.now()
+            if not self._capture.grab():
+                raise CameraError(f"camera {self.name!r} gives no frame; is it plugged in, and free?")
+            after = self._clock.now()
+            if after - asked > WAIT:
+                raise CameraError(f"camera {self.name!r} gave no fresh frame in {after - asked:.1f} s")
+            last, (begin, t, sigma) = after if after - before >= BLOCKED else None, self._time(before, after, last)
+            if begin >= asked:
+                return Frame(self._image(), t, sigma)
+        raise CameraError(f"camera {self.name!r} gave {FLUSHED + 3} frames, none of them known to be exposed after it was asked for")
+
+    def _time(self, before: float, after: float, last: float | None) -> tuple[float, float, float]:
+        """(earliest start, t, sigma) s of the exposure of the frame just grabbed, between two readings of the clock; start -inf if unknown.
+
+        last : s, when the frame before it arrived, or None. A frame for which grabbing had to wait arrived then and there.
+        """
+        blocked, stamp = after - before >= BLOCKED, float(self._capture.get(self._cv2.CAP_PROP_POS_MSEC)) / 1e3
+        if stamp <= 0:  # this driver stamps nothing: exposed between the arrival of the frame before it and its own
+            return (last, (last + after) / 2, (after - last) / UNIFORM) if blocked and last is not None else (-math.inf, after, math.inf)
+        if blocked:
+            self._offset.learn(before, stamp, after)
+        if self._offset.bound is None:
+            return -math.inf, after, math.inf
+        end, sigma = self._offset.host(stamp, after)  # drivers stamp what arrives, at the exposure's end or somewhat later
+        return end - self._exposure, end - self._exposure / 2, math.hypot(sigma, self._exposure / UNIFORM)
+
+    def _image(self) -> np.ndarray:
+        good, image = self._capture.retrieve()
+        if not good or image is None:
+            raise CameraError(f"camera {self.name!r}: a frame could not be decoded")
+        if (image.shape[1], image.shape[0]) != self._size:
+            raise CameraError(f"camera {self.name!r} gives {image.shape[1]} x {image.shape[0]} px, but rig.toml has "
+                              f"{self._size[0]} x {self._size[1]} px")
+        return image
+
+    def set_exposure(self, seconds: float) -> float:
+        """Turn UVC's automatic exposure off and expose for so long (steps of 0.1 ms). Raises CameraError where the camera does not take it."""
+        cv2 = self._cv2
+        steps = max(1, round(seconds / UVC_STEP))
+        self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL)
+        if not self._capture.set(cv2.CAP_PROP_EXPOSURE, steps):
+            raise CameraError(f"camera {self.name!r} does not take an exposure of {seconds * 1e3:g} ms")
+        self._exposure = steps * UVC_STEP
+        return self._exposure
+
+    def close(self) -> None:
+        """Release the device."""
+        self._capture.release()
+
+
+def open_video(name: str, kind: str, place: str, clock: Clock, size: tuple[int, int]) -> VideoSource:
+    """A camera of kind "uvc" (place : number or device path) or "gstreamer" (place : a pipeline that ends in appsink).
+
+    size : (width, height) px, as rig.toml has them. Raises CameraError where it does not open, and for a pipeline that may write (see
+    rig.driving.cameras.gstreamer_pipelines).
+    """
+    import cv2
+
+    if kind == "uvc":
+        device = int(place) if place.isdigit() else place
+        capture = cv2.VideoCapture(device, cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY)
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+    else:
+        wrong = complaint(place)
+        if wrong is not None:
+            raise CameraError(f"camera {name!r}: gstreamer:{place} {wrong}")
+        if cv2.CAP_GSTREAMER not in cv2.videoio_registry.getBackends():
+            raise CameraError(f"camera {name!r}: this build of OpenCV has no GStreamer; Debian's python3-opencv has")
+        capture = cv2.VideoCapture(place, cv2.CAP_GSTREAMER)
+    if not capture.isOpened():
+        capture.release()
+        raise CameraError(f"camera {name!r}: {kind}:{place} cannot be opened; is it there, and free?")
+    return VideoSource(name, capture, clock, size, kind == "uvc")

@@ -1,0 +1,299 @@
+"""The one way by which struts move: checked before a byte leaves, watched until the read-back says done, stopped by whatever fails."""
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any, TextIO, TypeVar
+
+import numpy as np
+
+from rig.model import mechanisms
+from rig.driving import path_check, protocols
+from rig.driving.operator_advice import ANEW, CANNOT_HOME, OUT_OF_RANGE, TRUST, advice
+from rig.driving.clock import Clock, SystemClock
+from rig.model.design import Design
+from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
+from rig.model.mechanism_kinds import struts_of
+from rig.driving.controller_link import Link, Port
+from rig.driving.serial_port import SerialPort, found
+from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
+from rig.driving.straight_move import straight
+
+T = TypeVar("T")
+PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop
+POLL = 0.01  # s between looks at a moving rig
+STILL = 1.0  # s without coming nearer: standing
+PROGRESS = 1e-7  # m; less is noise of the read-back
+STANDING = 1e-6  # m by which a rig that stands may seem to come nearer from one look to the next
+TRIES = 3  # times that a move is sent which the read-back shows was never begun
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Status:
+    """activity : as rig.driving.protocols.protocol_interface.State; lengths : (n,) m; known : whether the lengths can be believed; fault, said :
+    text."""
+
+    activity: str
+    lengths: np.ndarray
+    known: bool
+    fault: str
+    said: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrival:
+    """A move that is done. lengths : (n,) m, as read back; begun, ended : s on the clock; note : what went wrong on the way, or ""."""
+
+    lengths: np.ndarray
+    begun: float
+    ended: float
+    note: str
+
+
+class Driver:
+    """A rig's struts. `with Driver(design) as driver: driver.home(); driver.move(lengths)`.
+
+    design : with a controller; clock : SystemClock by default; opener : makes the port, by default what [controller] port names
+    trace : takes every byte with its time; say : takes a line of text when something was noticed or recovered
+    """
+
+    def __init__(self, design: Design, clock: Clock | None = None, opener: Callable[[], Port] | None = None,
+                 trace: TextIO | None = None, say: Callable[[str], None] | None = None) -> None:
+        c = design.driver()
+        if opener is None and not (c.port or c.usb):
+            raise RigError("[controller] names no port")
+        self.design, self.controller, self.mechanism = design, c, struts_of(design.mechanism)
+        self.clock = clock or SystemClock()
+        self._protocol = protocols.of(c, len(design.mechanism.axes))
+        self.link = Link(self._protocol, opener or (lambda: SerialPort(found(c.port, c.usb), c.baudrate, self.clock)), self.clock, c.timeout, trace)
+        self._say = say or (lambda text: None)
+        self._busy = threading.RLock()
+        self._known = False  # whether the lengths can be believed
+        self._homed: bool | None = None  # what the controller said of that
+        self._left: np.ndarray | None = None  # (n,) m where the struts were left
+
+    def __enter__(self) -> "Driver":
+        self.open()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()
+
+    def open(self, stopping: bool = False) -> Status:
+        """Connect, and read what the controller is and where the struts stand. Raises LinkLost, NoAnswer, ControllerFault.
+
+        stopping : the struts are stopped before anything is asked: a controller that homes may answer nothing
+        """
+        self.link.connect(0.0)
+        if stopping:
+            self._told_to_stop(self.link.run(self._protocol.stop(), stoppable=False))
+        self._say(self.link.greeting())
+        state = self._state()
+        self._left, self._homed = self._lengths(state), state.homed
+        within = not mechanisms.of(self.mechanism).limits(self._left, self.mechanism).any()
+        self._known = bool(state.homed) or (not self.controller.homing and within and state.activity != "alarm")
+        return self._status(state)
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self.link.close()
+
+    def status(self) -> Status:
+        """What the controller says now. Raises LinkLost, NoAnswer."""
+        return self._status(self._state())
+
+    def lengths(self) -> np.ndarray:
+        """(n,) m, as read back now."""
+        return self._lengths(self._state())
+
+    def trust(self) -> None:
+        """The operator says that the lengths read back are true, after a start without homing or PositionLost. Raises Unreachable beyond ranges."""
+        self._asked(self._protocol.hello)
+        try:
+            self._left = path_check.check_lengths(self.lengths(), self.mechanism)
+        except Unreachable as error:
+            raise Unreachable("what the controller reads cannot be believed", error.index, [str(error), OUT_OF_RANGE]) from None
+        self._known, self._homed = True, None
+
+    def unlock(self) -> Status:
+        """Clear the controller's alarm, because the operator says so."""
+        self._asked(self._protocol.hello)
+        self._accepted(self.link.run(self._protocol.unlock()), "unlocking")
+        return self.status()
+
+    def home(self) -> Status:
+        """Home every axis and wait. Raises ControllerFault with the controller's reason, MotionError where it is not at home then."""
+        if not self.controller.homing:
+            raise ControllerFault(CANNOT_HOME)
+        with self._busy, self._guarded():
+            self._asked(self._protocol.hello)
+            self._known = False
+            self._accepted(self.link.run(self._protocol.home(self.controller.home_timeout)), "homing")
+            state = self._state()
+            if state.activity != "idle" or state.fault or state.homed is False:
+                raise ControllerFault(f"not at home: {state.said}" + (f": {state.fault}" if state.fault else ""))
+            lengths, home = self._lengths(state), self.controller.home
+            if home is not None and np.abs(lengths - home).max() > self.controller.tolerance:
+                raise PositionLost(f"after homing the struts read {lengths.round(6).tolist()} m, [controller] home says {home.round(6).tolist()} m")
+            self._known, self._homed, self._left = True, state.homed, lengths
+            return self._status(state)
+
+    def check(self, lengths: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """Lengths (n,) m that may be gone to from start (n,) m: ranges, step, workspace, singularities. Raises Unreachable."""
+        lengths = path_check.check_lengths(lengths, self.mechanism)
+        path_check.check_path(start, lengths, self.mechanism, self.controller.margin, self.controller.max_step)
+        return lengths
+
+    def move(self, lengths: np.ndarray, share: float = 1.0) -> Arrival:
+        """Move all struts to lengths (n,) m, together, at a share of their greatest speeds, and wait until the read-back agrees.
+
+        Raises Unreachable before anything moves; PositionLost, ControllerFault, Stalled, LinkLost, NoAnswer, Stopped with the struts
+        stopped. Nothing is clipped.
+        """
+        if not 0 < share <= 1:
+            raise ValueError(f"share must be above 0 and at most 1, got {share}")
+        target = path_check.check_lengths(lengths, self.mechanism)
+        with self._busy:
+            start = self._ready()
+            self.check(target, start)
+            begun = self.clock.now()
+            with self._guarded():
+                note = self._go(straight(start, target, share, self.controller, self.mechanism), start, target)
+                self._left = arrived = self.lengths()
+            return Arrival(arrived, begun, self.clock.now(), note)
+
+    def stop(self) -> Status:
+        """Stop every strut, from any thread; a move under way elsewhere ends with Stopped."""
+        with suppress(LinkLost):  # then connecting anew is tried below
+            self.link.interrupt()
+        with self._busy:
+            self.link.resume()
+            self._halt()
+            return self.status()
+
+    def _ready(self) -> np.ndarray:
+        """(n,) m from which a move may start. Raises PositionLost, ControllerFault."""
+        same, state = self._asked(self._protocol.fence), self._state()
+        self._known = self._known and same and not (self._homed and state.homed is False)
+        if state.activity != "idle" or state.fault:  # what keeps it from homing, too, is said before what homing would mend
+            raise ControllerFault(f"not ready to move: {self._trouble(state)}")
+        if not same:
+            raise PositionLost(ANEW)
+        if not self._known:
+            raise PositionLost(f"where the struts stand is not known; {TRUST}")
+        lengths = self._lengths(state)
+        if self._left is not None and np.abs(lengths - self._left).max() > self.controller.tolerance:
+            self._known = False
+            raise PositionLost(f"the struts read {lengths.round(6).tolist()} m, they were left at {self._left.round(6).tolist()} m; {TRUST}")
+        return lengths
+
+    def _go(self, segment: Segment, start: np.ndarray, target: np.ndarray) -> str:
+        """Send a move and watch it; a move that the read-back shows was never begun is sent again. Returns a note."""
+        note = ""
+        for _ in range(TRIES):
+            try:
+                verdict = self.link.run(self._protocol.move(segment))
+            except LinkLost as error:
+                verdict = Verdict(None, str(error))
+            if self._watch(start, target, verdict):
+                return note or ("" if verdict.accepted else f"lost reply, found done: {verdict.reason}")
+            note = f"sent again, nothing had moved: {verdict.reason}"
+            self._say(note)
+        raise Stalled(f"sent {TRIES} times, and nothing moved: {verdict.reason}")
+
+    def _watch(self, start: np.ndarray, target: np.ndarray, verdict: Verdict) -> bool:
+        """True when the struts have arrived, False when they never began and no answer came."""
+        if verdict.accepted is False:
+            raise ControllerFault(f"the move was refused: {verdict.reason}")
+        begun = since = self.clock.now()
+        closest = before = np.inf
+        while True:
+            state = self._state()
+            lengths = self._lengths(state)
+            off = np.abs(lengths - target).max()
+            if any(t >= begun and text == "restarted" for t, text in list(self.link.events)):
+                self._same()
+            if state.fault or state.activity in ("alarm", "off", "held", "homing"):
+                raise ControllerFault(f"while moving: {self._trouble(state)}{self._lately(begun)}")
+            if state.activity == "idle" and off <= self.controller.tolerance and (off <= STANDING or before - off <= STANDING):
+                return True
+            before = off
+            if off < closest - PROGRESS:
+                closest, since = off, self.clock.now()
+            elif self.clock.now() - since > STILL:
+                self._same()  # what was sent has been dealt with, and what is read now is no older answer
+                state = self._state()
+                lengths = self._lengths(state)
+                if np.abs(lengths - target).max() < closest - PROGRESS:
+                    continue
+                if state.activity == "idle" and verdict.accepted is None and np.abs(lengths - start).max() < self.controller.tolerance:
+                    return False
+                raise Stalled(f"the struts stand at {lengths.round(6).tolist()} m, {1e3 * off:.3f} mm from where they were told to go "
+                              f"({state.said}){self._lately(begun)}")
+            self.clock.sleep(POLL)
+
+    def _same(self) -> None:
+        """Have all that was sent dealt with. Raises PositionLost where the controller has started anew."""
+        if not self._asked(self._protocol.fence):
+            self._known = False
+            raise PositionLost(ANEW)
+
+    def _asked(self, question: Callable[[], Dialogue[T]], stoppable: bool = True, patience: float = PATIENCE) -> T:
+        """What a dialogue that moves nothing comes to, connecting anew where the connection is lost."""
+        try:
+            return self.link.run(question(), stoppable)
+        except LinkLost as error:
+            self._say(f"{error}; connecting anew")
+        self.link.connect(patience)
+        same = self.link.run(self._protocol.fence(), stoppable)
+        self._say(f"connected anew: {self.link.run(self._protocol.hello(), stoppable)}")
+        if not same:
+            self._known = False
+            raise PositionLost(f"the connection was lost and the controller has started anew; {TRUST}")
+        return self.link.run(question(), stoppable)
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Stops the struts when anything is raised within, an interrupt from the keyboard too."""
+        try:
+            yield
+        except BaseException as error:
+            try:
+                self._halt()
+            except MotionError as failed:
+                self._left = None
+                error.add_note(f"the struts could not be told to stop: {failed}")
+                self._say(error.__notes__[-1])
+            raise
+
+    def _halt(self) -> None:
+        """Stop the struts, and note where they stand."""
+        self._told_to_stop(self._asked(self._protocol.stop, stoppable=False, patience=SHORT_PATIENCE))
+        state = self._state(stoppable=False)
+        self._left = self._lengths(state)
+        if state.activity == "alarm":
+            self._known = False
+
+    def _told_to_stop(self, verdict: Verdict) -> None:
+        if verdict.accepted is None:
+            raise ControllerFault(f"the struts may still move: {verdict.reason}")
+
+    def _accepted(self, verdict: Verdict, what: str) -> None:
+        if not verdict.accepted:
+            raise ControllerFault(f"{what} failed: {verdict.reason}")
+
+    def _state(self, stoppable: bool = True) -> State:
+        return self._asked(self._protocol.state, stoppable)
+
+    def _lengths(self, state: State) -> np.ndarray:
+        return state.positions + self.controller.zero
+
+    def _status(self, state: State) -> Status:
+        return Status(state.activity, self._lengths(state), self._known, state.fault, state.said)
+
+    def _trouble(self, state: State) -> str:
+        return f"{state.fault or state.activity} ({state.said}){advice(state.activity, self.controller.homing)}"
+
+    def _lately(self, since: float) -> str:
+        return "".join(f"; {text}" for t, text in self.link.events if t >= since)

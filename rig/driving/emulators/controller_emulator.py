@@ -1,0 +1,170 @@
+"""A controller at the far end of a line: what it receives, what it answers and when, and what the line makes of both."""
+
+import heapq
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+
+from rig.driving.clock import Clock
+from rig.driving.emulators.controller_faults import Faults
+from rig.driving.emulators.emulated_machine import Machine
+from rig.errors import LinkLost
+
+UNPLUGGED = 0.7  # s that the line is cut
+LATE = (0.3, 5.0)  # s
+LONGEST = 4096  # bytes kept of a line that does not end
+
+
+class Emulator:
+    """Base of the dialects, which take whole lines and single bytes that act at once, and say things.
+
+    machine : Machine; faults : Faults, the machine's; clock : Clock
+    plugged : whether the line is whole; replugged : how often it came back
+    """
+
+    ends = b"\n\r"
+    buffer = 1024
+
+    def __init__(self, machine: Machine, faults: Faults, clock: Clock) -> None:
+        self.machine, self.faults, self.clock = machine, faults, clock
+        self.replugged = 0
+        self._cut_until: float | None = None
+        self._in = b""
+        self._out: list[tuple[float, int, bytes | Callable[[], None], int]] = []
+        self._number = itertools.count()
+        self._last = -np.inf  # s, when the last byte queued goes out
+        self._generation = 0
+        if faults.always("buffer-64"):
+            self.buffer = 64
+        elif faults.always("buffer-128"):
+            self.buffer = 128
+
+    @property
+    def now(self) -> float:
+        return self.clock.now()
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the cable is in; it is again once the time of a cut has passed."""
+        if self._cut_until is not None and self.now >= self._cut_until:
+            self._cut_until = None
+            self.replugged += 1
+        return self._cut_until is None
+
+    def lengths_at(self, t: np.ndarray | float) -> np.ndarray:
+        """(..., n) m at which the axes truly stood at t (...) s."""
+        return self.machine.axes.lengths_at(t)
+
+    def path(self, since: float = -np.inf) -> tuple[np.ndarray, np.ndarray]:
+        """(k,) s and (k, n) m: what the axes truly did from `since` on, linear in between, as commands.csv has it."""
+        return self.machine.axes.knots(since)
+
+    def receive(self, data: bytes) -> None:
+        """Bytes that come in. Raises LinkLost while the line is cut."""
+        if not self.plugged:
+            raise LinkLost("unplugged")
+        self._run_due()
+        kept = bytearray()
+        for byte in data:
+            if not self.at_once(byte) and len(kept) < self.buffer:  # what comes in one go; in between it is read
+                kept.append(byte)
+        self._in = (self._in + bytes(kept))[-LONGEST:]
+        while (cut := min((at for at in (self._in.find(end) for end in self.ends) if at >= 0), default=-1)) >= 0:
+            line, self._in = self._in[:cut], self._in[cut + 1:]
+            self.line(line)
+
+    def due(self) -> bytes:
+        """Bytes that have come out by now. Raises LinkLost while the line is cut."""
+        if not self.plugged:
+            raise LinkLost("unplugged")
+        return self._run_due()
+
+    def next(self) -> float | None:
+        """s when something will come out or happen, None for never."""
+        return self._out[0][0] if self._out else None
+
+    def at_once(self, byte: int) -> bool:
+        """Whether a byte acts at once and is no part of a line; if so, it has acted."""
+        return False
+
+    def line(self, line: bytes) -> None:
+        """Carry out a line, without its end."""
+        raise NotImplementedError
+
+    def greet(self) -> None:
+        """What is said when the power comes on."""
+
+    def power_cycle(self) -> None:
+        """Switch off and on."""
+        self.machine.restart(self.now)
+        self._in = b""
+        self.forget()
+        self.greet()
+
+    def forget(self) -> None:
+        """Drop what is queued to be said or done."""
+        self._generation += 1
+
+    def say(self, text: str, acknowledges: bool = False) -> None:
+        """Queue text for the line; the faults armed for answers act on it, and acknowledgements may be lost or doubled."""
+        data = text.encode("latin-1")
+        take, rng = self.faults.take, self.faults.rng
+        if acknowledges and take("lost-ok"):
+            return
+        if acknowledges and take("two-ok"):
+            data *= 2
+        delay = rng.uniform(*LATE) if take("late") else 0.0
+        if take("garbage"):
+            noise = bytes(rng.integers(0, 256, rng.integers(1, 12), dtype=np.uint8))
+            at = int(rng.integers(len(data) + 1))
+            data = data[:at] + noise + data[at:]
+        if take("half-line"):
+            half = len(data) // 2
+            self._queue(delay, data[:half])
+            if rng.random() < 0.5:
+                self._queue(delay + 0.3, data[half:])
+            return
+        self._queue(delay, data)
+
+    def later(self, t: float, act: Callable[[], None]) -> None:
+        """Have something done at t (s), unless `forget` comes between."""
+        heapq.heappush(self._out, (t, next(self._number), act, self._generation))
+
+    def unplug(self, seconds: float = UNPLUGGED) -> None:
+        """Cut the line for a while; what was under way is lost."""
+        self._cut_until = self.now + seconds
+        self._in = b""
+        self._out = [each for each in self._out if not isinstance(each[2], bytes)]
+        heapq.heapify(self._out)
+
+    def strikes_on_move(self, duration: float) -> None:
+        """Faults that come while a move is under way or after it, as armed."""
+        take, rng = self.faults.take, self.faults.rng
+        at = self.now + rng.uniform(0.1, 0.9) * duration
+        if take("unplug"):
+            self.later(at, self.unplug)
+        if take("restart"):
+            self.later(at, self.power_cycle)
+        if take("drift"):
+            self.later(self.now + duration + 0.2, self.machine.drift)
+        if take("reset-ignored"):
+            self.later(at, self.deaf_alarm)
+
+    def deaf_alarm(self) -> None:
+        """An alarm that only switching off and on ends."""
+        self.machine.deafen(self.now)
+
+    def _queue(self, delay: float, data: bytes) -> None:
+        self._last = max(self._last, self.now + delay)
+        heapq.heappush(self._out, (self._last, next(self._number), data, -1))
+
+    def _run_due(self) -> bytes:
+        out = b""
+        while self._out and self._out[0][0] <= self.now:
+            _, _, what, generation = heapq.heappop(self._out)
+            if isinstance(what, bytes):
+                out += what
+            elif generation == self._generation:
+                what()
+        return out

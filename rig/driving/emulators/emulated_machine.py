@@ -1,0 +1,136 @@
+"""The machine behind a controller: true axes, the counters that the controller believes, homing, faults, and a log of what was done."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.driving.emulators.moving_axes import Axes
+from rig.driving.emulators.controller_faults import Faults
+
+FINE_APPROACH = (2e-4, 0.4)  # m, s: what an early stop leaves to be crept
+HOMING_SHARE = 0.5  # of the greatest speed
+WANDER = 5e-5  # m by which a zero drifts
+MOTOR = "motor"  # what is wrong with an axis in error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Executed:
+    """A move that was carried out: when it began (s), to which true lengths (n,) m it was told."""
+
+    t: float
+    target: np.ndarray
+
+
+class Machine:
+    """axes : as they truly are, lengths in m; zero : (n,) m, length where a counter reads 0; home : (n,) m, lengths after homing
+    faults : dice; known : whether the counters are true when the power comes on
+
+    executed : every move carried out; homed : whether the counters are true, as the controller believes
+    deaf : whether it is in an error that only switching off and on ends; session : counts how often it was switched on
+    """
+
+    def __init__(self, axes: Axes, zero: np.ndarray, home: np.ndarray, faults: Faults, known: bool) -> None:
+        self.axes, self.zero, self.home, self.faults = axes, np.array(zero, float), np.array(home, float), faults
+        self.executed: list[Executed] = []
+        self.homed, self.deaf = known, False
+        self._error = (0.0, "")  # from when (s) an axis is in error, and for what
+        self.session = 1
+        self._known = known
+        self._off = -self.zero if known else -axes.at(axes.until)  # (n,) m, counter less true length
+        self._lie: tuple[float, np.ndarray] | None = None
+        self._busy_until: float | None = None  # s until which it is said to move, where that is not so long as it moves
+        self._homing: tuple[float, np.ndarray | None] | None = None
+
+    def counters(self, t: float) -> np.ndarray:
+        """(n,) m as the controller counts."""
+        self.settle(t)
+        lie = self._lie[1] * np.clip((t - self._lie[0]) / 0.1, 0, 1) if self._lie else 0.0
+        return self.axes.at(t) + self._off + lie
+
+    def moving(self, t: float) -> bool:
+        """Whether the controller says that it moves."""
+        self.settle(t)
+        return t < (self.axes.until if self._busy_until is None else self._busy_until)
+
+    def fault(self, t: float) -> str:
+        """What an axis is in error for, or ""."""
+        return self._error[1] if t >= self._error[0] else ""
+
+    def fail(self, t: float, what: str) -> None:
+        """An axis is in error from now on."""
+        self._error = (t, what)
+
+    def deafen(self, t: float) -> None:
+        """Stop, and be in an error that only switching off and on ends."""
+        self.halt(t)
+        self.deaf, self._error = True, (t, "critical")
+
+    def homing(self, t: float) -> bool:
+        """Whether it is homing, or what is left of that."""
+        return self._homing is not None and t < self.axes.until
+
+    def go(self, t: float, target: np.ndarray, duration: float) -> None:
+        """A move to counters (n,) m, in at least so long (s); the faults that are armed go with it."""
+        target = np.asarray(target, float) - self._off
+        start = self.axes.at(max(t, self.axes.until))
+        self.executed.append(Executed(t, target))
+        self._busy_until, self._lie = None, None
+        take = self.faults.take
+        if take("stall"):
+            worst = int(np.argmax(np.abs(target - start)))
+            target = target.copy()
+            target[worst] = start[worst] + 0.5 * (target - start)[worst]
+            self.axes.go(t, target, duration)
+            if self.faults.rng.random() < 0.5:
+                self._busy_until = np.inf
+        elif take("done-in-error"):
+            worst = int(np.argmax(np.abs(target - start)))
+            short = 0.3 * (target - start) * (np.arange(len(target)) == worst)
+            end = self.axes.go(t, target - short, duration)
+            self._lie, self._error = (end - 0.1, short), (end, f"{MOTOR} {worst + 1}")
+        elif take("early-stop"):
+            way = target - start
+            rest = way * min(FINE_APPROACH[0] / max(np.abs(way).max(), 1e-9), 0.5)
+            self._busy_until = self.axes.go(t, target - rest, duration)
+            self.axes.go(t, target, FINE_APPROACH[1])
+        else:
+            self.axes.go(t, target, duration)
+
+    def drift(self) -> None:
+        """One counter wanders."""
+        self._off = self._off + WANDER * np.eye(len(self._off))[self.faults.rng.integers(len(self._off))]
+
+    def halt(self, t: float) -> float:
+        """Slow down and drop what is queued; returns when it stands."""
+        self._busy_until, self._homing = None, None
+        return self.axes.halt(t)
+
+    def start_homing(self, t: float) -> tuple[float, bool]:
+        """Begin to home all axes; returns when the controller knows how that went, and whether it went well."""
+        self.axes.halt(t)
+        self.homed, self._error, self._lie, self._busy_until = False, (0.0, ""), None, None
+        speed = HOMING_SHARE * self.axes.speed
+        way = self.home - self.axes.at(t)
+        if self.faults.take("homes-on"):
+            way = way * (np.arange(len(way)) > 0)  # the first axis does not move
+            end = self.axes.go(t, self.axes.at(t) + way, float((np.abs(way) / speed).max()))
+            self._homing = (end, None)
+            return t + 0.5 * (end - t), False
+        end = self.axes.go(t, self.home, float((np.abs(way) / speed).max()))
+        self._homing = (end, self.home)
+        return end, True
+
+    def settle(self, t: float) -> None:
+        """Take note of a homing that has come to its end."""
+        if self._homing is not None and t >= self._homing[0]:
+            done, self._homing = self._homing[1] is not None, None
+            if done:
+                self._off, self.homed = -self.zero, True
+
+    def restart(self, t: float) -> None:
+        """The power goes and comes: axes stand at once, counters begin at 0 unless they are absolute."""
+        self.axes.freeze(t)
+        self._error, self.deaf, self._lie, self._busy_until, self._homing = (0.0, ""), False, None, None, None
+        self.session += 1
+        self.homed = self._known
+        self._off = -self.zero if self._known else -self.axes.at(t)

@@ -1,0 +1,193 @@
+"""A PI controller at the far end of a line: GCS 2.0 as its manuals have it, closed-loop axes in mm."""
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from rig.driving.clock import Clock
+from rig.driving.emulators.controller_emulator import Emulator
+from rig.driving.emulators.controller_faults import Faults
+from rig.driving.emulators.emulated_machine import Machine
+
+MM = 1e3
+IDENTITY = "(c)2026 Physik Instrumente (PI) GmbH & Co. KG, C-EMULATED, 0, 1.000"
+READY, NOT_READY = "\xb1", "\xb0"
+
+
+class GCS(Emulator):
+    """axes : names; limits : (n, 2) m of the counters"""
+
+    ends = b"\n"
+
+    def __init__(self, machine: Machine, faults: Faults, clock: Clock, axes: tuple[str, ...], limits: np.ndarray) -> None:
+        super().__init__(machine, faults, clock)
+        self.axes, self.limits = axes, np.asarray(limits, float)
+        self.velocity, self.acceleration = machine.axes.speed.copy(), machine.axes.acceleration.copy()
+        self.servo, self.error = np.zeros(len(axes), bool), 0
+        self.greet()
+        self._moved = False  # whether the next ERR? answers a move
+
+    def greet(self) -> None:
+        self.servo[:], self.error = False, 0
+        self._hold(self.now)
+
+    def at_once(self, byte: int) -> bool:
+        if byte == 5:
+            self.say(f"{(1 << len(self.axes)) - 1 if self._moving() else 0:X}\n")
+        elif byte == 7:
+            self.say(f"{NOT_READY if self.machine.homing(self.now) else READY}\n")
+        elif byte == 24:
+            self._halt()
+        return byte in (5, 7, 24)
+
+    def line(self, line: bytes) -> None:
+        words = line.decode("latin-1").strip().split()
+        if not words:
+            return
+        word, arguments = words[0].upper(), words[1:]
+        if word == "ERR?":
+            self._tell_error()
+        elif word in ("*IDN?", "SAI?", "HLP?", "VER?", "CSV?", "RDY?"):
+            self.say({"*IDN?": IDENTITY + "\n", "SAI?": _lines(self.axes), "CSV?": "2.0\n", "VER?": IDENTITY + "\n", "RDY?": "1\n",
+                      "HLP?": _lines(("*IDN?", "#5", "#7", "#24", "ERR?", "MOV", "POS?", "ONT?", "SVO", "FRF", "HLT", "STP"))}[word])
+        elif word.endswith("?"):
+            self._ask(word, arguments)
+        elif word in ("HLT", "STP"):
+            self._halt()
+        elif word in ("SVO", "VEL", "ACC", "DEC", "MOV"):
+            self._set(word, arguments)
+        elif word in ("FRF", "FNL", "FPL"):
+            self._reference(arguments)
+        elif word != "RON":
+            self.error = 2
+
+    def deaf_alarm(self) -> None:
+        super().deaf_alarm()
+        self.servo[:], self.error = False, -1024
+
+    def _moving(self) -> bool:
+        return self.machine.moving(self.now) or self.machine.homing(self.now)
+
+    def _halt(self) -> None:
+        self._hold(self.machine.halt(self.now))
+        self.error = 10
+
+    def _hold(self, t: float) -> None:
+        """What is aimed at is where the axes stand at t (s)."""
+        self.target, self._goal = self.machine.counters(t), self.machine.axes.at(t)
+
+    def _tell_error(self) -> None:
+        t = self.now
+        if self.machine.fault(t) and not self._moving():
+            self.error, self.servo = -1024, self.servo & False
+        self.say(f"{self.error}\n", acknowledges=self._moved)
+        self.error = 0
+        if self._moved and self.faults.take("stale-alarm"):
+            self.say("0")  # a piece of an older answer, which runs into the next
+        self._moved = False
+
+    def _ask(self, word: str, arguments: list[str]) -> None:
+        if any(axis not in self.axes for axis in arguments):
+            self.error = 15
+            return
+        t, n = self.now, len(self.axes)
+        known = {"POS?": lambda: MM * self.machine.counters(t), "MOV?": lambda: MM * self.target, "VEL?": lambda: MM * self.velocity,
+                 "ACC?": lambda: MM * self.acceleration, "DEC?": lambda: MM * self.acceleration, "TMN?": lambda: MM * self.limits[:, 0],
+                 "TMX?": lambda: MM * self.limits[:, 1]}
+        flags = {"ONT?": lambda: np.full(n, not self._moving() and self._on_target()), "SVO?": lambda: self.servo,
+                 "FRF?": lambda: np.full(n, self.machine.homed and not self.machine.homing(t)) & self._referenced()}
+        if word in known:
+            values = [f"{value:.6f}" for value in known[word]()]
+        elif word in flags:
+            values = [str(int(value)) for value in flags[word]()]
+        elif word == "PUN?":
+            values = ["MM"] * n
+        else:
+            self.error = 2
+            return
+        self.say(_lines([f"{axis}={value}" for axis, value in zip(self.axes, values) if not arguments or axis in arguments]))
+
+    def _referenced(self) -> np.ndarray:
+        self.machine.settle(self.now)
+        return np.full(len(self.axes), self.machine.homed)
+
+    def _on_target(self) -> bool:
+        return bool(np.abs(self.machine.axes.at(self.now) - self._goal).max() < 2e-6)
+
+    def _set(self, word: str, arguments: list[str]) -> None:
+        if len(arguments) % 2 or not arguments or not all(re.fullmatch(r"[-+]?\d+(\.\d*)?", value) for value in arguments[1::2]):
+            self.error = 24 if len(arguments) % 2 or not arguments else 25
+            return
+        names = arguments[::2]
+        if any(axis not in self.axes for axis in names):
+            self.error = 15
+            return
+        index = [self.axes.index(axis) for axis in names]
+        values = np.array([float(value) for value in arguments[1::2]])
+        if word == "SVO":
+            if self.machine.deaf:
+                self.error = -1024
+                return
+            self.servo[index] = values != 0
+            self.machine.fail(0.0, "")
+            self._hold(self.now)
+        elif word == "MOV":
+            target = self.target.copy()
+            target[index] = values / MM
+            self._move(target, index)
+        elif (values <= 0).any():
+            self.error = 8 if word == "VEL" else 17
+        else:
+            (self.velocity if word == "VEL" else self.acceleration)[index] = values / MM
+
+    def _move(self, target: np.ndarray, index: list[int]) -> None:
+        low, high = self.limits.T
+        self._moved = True
+        if not self.servo[index].all() or not self._referenced().all():
+            self.error = 5
+        elif ((target < low - 1e-9) | (target > high + 1e-9)).any():
+            self.error = 7
+        else:
+            self._begin(target)
+
+    def _begin(self, target: np.ndarray) -> None:
+        self.faults.begin()
+        take = self.faults.take
+        if take("ok-after-error"):
+            self.say("24\n0\n")
+            return
+        if take("resend"):
+            self._in = b""  # the line came broken, and what came with it
+            return
+        asks, fails = take("resend-moving"), take("runs-after-error")
+        self.target = target
+        duration = (np.abs(target - self.machine.counters(self.now)) / self.velocity).max()
+        self.machine.go(self.now, target, duration)
+        self._goal = self.machine.executed[-1].target
+        self.strikes_on_move(self.machine.axes.until - self.now)
+        if asks:
+            self._in = b""
+        if fails:
+            self.error = 25
+
+    def _reference(self, arguments: list[str]) -> None:
+        if any(axis not in self.axes for axis in arguments):
+            self.error = 15
+        elif not self.servo.all():
+            self.error = 5
+        else:
+            self.faults.begin(homing=True)
+            end, well = self.machine.start_homing(self.now)
+            self.later(end, self._end_reference if well else self._fail_reference)
+
+    def _end_reference(self) -> None:
+        self._hold(self.now)
+
+    def _fail_reference(self) -> None:
+        self.error = 216
+
+
+def _lines(texts: Iterable[str]) -> str:
+    """An answer: a blank before every line feed but the last."""
+    return " \n".join(texts) + "\n"

@@ -1,0 +1,203 @@
+"""The operator's loop: move, settle, grab, journal; every row is on disk before the next move, and no move is sent twice unread."""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from rig.driving.cameras.settling_check import Settling
+from rig.driving.cameras.camera_interface import Frame
+from rig.driving.cameras.camera_synchronisation import Shutter
+from rig.driving.clock import Clock
+from rig.errors import RigError, Stopped
+from rig.driving.live_recording import Growing
+from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Journal, Readings, Remark, Resumed, Row, sync_folder
+from rig.driving.run_progress import Progress, progress, verdict
+from rig.driving.run_steps import Step
+from rig.driving.trapezoidal_profile import Way
+
+class Machine(Protocol):
+    """What the loop needs of a driver; see rig.driving.driver.Driver."""
+
+    def lengths(self) -> np.ndarray:
+        """(axes,) m, as the controller reads them."""
+
+    def move(self, lengths: np.ndarray) -> object:
+        """Go there; returns once the axes stand and were read back within tolerance. Raises MotionError otherwise."""
+
+    def stop(self) -> object:
+        """Stop the axes now."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """One frame: its number, step, time (s), the lengths commanded (axes,) m, and {camera: Frame}."""
+
+    number: int
+    step: int
+    t: float
+    commanded: np.ndarray
+    frames: dict[str, Frame]
+
+
+class Watcher(Protocol):
+    """Who looks on: told of every row that is on disk and of every frame; may ask for a stop."""
+
+    def happened(self, row: Row) -> None:
+        """A row is on disk."""
+
+    def seen(self, shot: Shot) -> None:
+        """A frame was exposed, and is on disk."""
+
+    def stop(self) -> str:
+        """Why the run should stop, "" while it should not."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """What a run works with. tolerance : m, of a read-back; way : (start, goal (axes,) m, from, until s) -> share of the way through time
+    readings : {channel: value} of sensors now, or None; limbs : their (6,) m, or None; save : (path, image) puts an image on disk"""
+
+    machine: Machine
+    shutter: Shutter | None
+    clock: Clock
+    settling: Settling
+    tolerance: float
+    way: Callable[[np.ndarray, np.ndarray, float, float], Way]
+    save: Callable[[Path, np.ndarray], None]
+    readings: Callable[[], dict[str, float]] | None = None
+    limbs: Callable[[], np.ndarray] | None = None
+
+
+class Operator:
+    """One process that carries a run on. planned : Steps; origin : s, the clock's time at t = 0 of the recording."""
+
+    def __init__(self, bench: Bench, planned: tuple[Step, ...], journal: Journal, axes: tuple[str, ...], origin: float, watcher: Watcher) -> None:
+        self.bench, self.planned, self.watcher = bench, planned, watcher
+        self._journal, self._origin, self._folder = journal, origin, journal.path.parent
+        self._growing, self._writing = Growing(self._folder, axes, journal.rows), threading.RLock()
+
+    def now(self) -> float:
+        """s on the recording's clock."""
+        return self.bench.clock.now() - self._origin
+
+    def run(self) -> None:
+        """Carry on to the end of the plan. Whatever ends it early stops the struts, is written down with its reason, and raised."""
+        try:
+            state = progress(self._journal.rows, self.planned)
+            for index in range(state.step, len(self.planned)):
+                if index != state.step:
+                    state = self._next(index)
+                self._do(state)
+                state = progress(self._journal.rows, self.planned)
+            self.write(Ended(self.now(), ""))
+        except BaseException as error:
+            self._end(error)
+            raise
+
+    def go_on(self, homed: bool = False) -> str:
+        """Read the position after another process ended, and write down what it says of the move that was under way; returns that.
+
+        homed : whether the struts were homed before, so that their position says nothing of it
+        """
+        state = progress(self._journal.rows, self.planned)
+        position = self._read()
+        if homed:
+            found, there = f"the struts had to be homed; step {state.step + 1} is gone to from there", False
+        else:
+            found, there = verdict(state, self.planned, np.array(position), self.bench.tolerance)
+        goal = tuple(self.planned[state.step].goal.tolist())
+        self.write(Resumed(self.now(), goal if there else position, found))
+        if state.pending is not None:
+            self.write(Arrival(self.now(), state.step, goal if there else position, there))
+        return found
+
+    def remark(self, text: str) -> None:
+        """Have something that the operator is told in the journal; from any thread."""
+        self.write(Remark(self.now(), text))
+
+    def write(self, row: Row) -> None:
+        """A row on disk, then in the recording's files, then before those who look on; from any thread."""
+        with self._writing:
+            self._journal.append(row)
+            self._growing.add(row)
+            self.watcher.happened(row)
+
+    def _read(self) -> tuple[float, ...]:
+        return tuple(float(value) for value in self.bench.machine.lengths())
+
+    def _next(self, index: int) -> Progress:
+        """Progress at the start of a step."""
+        now = progress(self._journal.rows, self.planned)
+        return Progress(index, 0, now.number, now.position, None, False, now.t, None)
+
+    def _do(self, state: Progress) -> None:
+        """One step from where it stands: the move unless it is done, the frames that are missing."""
+        step = self.planned[state.step]
+        if step.frames and state.frames >= step.frames:
+            return  # wherever the struts stand by now
+        if not state.arrived:
+            self._wanted()
+            self._move(state.step, state.position, step.goal)
+        number = state.number
+        for k in range(state.frames, step.frames):
+            self._wanted()
+            self._settle()
+            self._expose(state.step, number + k - state.frames)
+
+    def _wanted(self) -> None:
+        reason = self.watcher.stop()
+        if reason:
+            raise Stopped(reason)
+
+    def _move(self, index: int, start: np.ndarray, goal: np.ndarray) -> None:
+        self.write(Departure(self.now(), index, tuple(start.tolist()), tuple(goal.tolist())))
+        begun = self.now()
+        self.bench.machine.move(goal)
+        ended = self.now()
+        self.write(Arrival(ended, index, tuple(goal.tolist()), True, self.bench.way(start, goal, begun, ended)))
+
+    def _settle(self) -> None:
+        bench, shutter = self.bench, self.bench.shutter
+        images = (lambda: [frame.image for frame in shutter.grab().values()]) if shutter else None
+        bench.settling.wait(bench.clock, images, bench.limbs)
+
+    def _look(self) -> None:
+        """Sensors' readings written down; before and after an exposure, so that their log covers it."""
+        if self.bench.readings is not None:
+            values = self.bench.readings()
+            self.write(Readings(self.now(), tuple(values), tuple(values.values())))
+
+    def _expose(self, index: int, number: int) -> None:
+        """Grab a frame, put its images on disk, and then write that it is there."""
+        bench = self.bench
+        self._look()
+        frames = bench.shutter.grab() if bench.shutter else {}
+        self._look()
+        names = {camera: f"images/{camera}/{number:05d}.png" for camera in frames}
+        with ThreadPoolExecutor(max(len(frames), 1)) as pool:  # packing an image takes as long as reading it
+            list(pool.map(lambda camera: bench.save(self._folder / names[camera], frames[camera].image), frames))
+        for folder in {place for name in names.values() for place in (self._folder / name).parents if self._folder in place.parents}:
+            sync_folder(folder)
+        t = float(np.mean([frame.t for frame in frames.values()])) - self._origin if frames else self.now()
+        self.write(Exposed(t, index, number, tuple(float(f.t_sigma) for f in frames.values()), tuple(frames), tuple(names.values())))
+        goal = self.planned[index].goal
+        self.watcher.seen(Shot(number, index, t, goal, frames))
+
+    def _end(self, error: BaseException) -> None:
+        """Stop the struts, say why in the journal, and where they stand if that can be read."""
+        reason = str(error) or type(error).__name__
+        try:
+            self.bench.machine.stop()
+            pending = progress(self._journal.rows, self.planned).pending
+            if pending is not None:
+                position = self._read()
+                near = bool(np.abs(np.array(position) - np.array(pending.goal)).max() <= self.bench.tolerance)
+                self.write(Arrival(self.now(), pending.step, pending.goal if near else position, near))
+        except RigError as further:  # the first reason stands; this one is told beside it
+            reason += f"; and stopping: {further}"
+        self.write(Ended(self.now(), reason))

@@ -1,0 +1,6 @@
+"""Kinds of controllers, one module each, all offering rig.driving.protocols.protocol_interface.Protocol."""
+
+from rig.driving.protocols.protocol_interface import Protocol
+from rig.driving.protocols.protocol_selection import of
+
+__all__ = ["Protocol", "of"]

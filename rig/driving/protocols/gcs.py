@@ -1,0 +1,193 @@
+"""PI's General Command Set 2.0: struts as axes in closed loop; a command gets no answer, so each is followed by `ERR?`.
+
+Answers carry no number. After a silence the line is brought in step by `*IDN?`, whose answer cannot be taken for another. Source: PI
+GCS 2.0 manuals (e.g. SM151E, MS204E): `#5`, `#7`, `#24` are single bytes; an answer of several lines has a blank before all line feeds
+but the last.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rig.errors import ControllerFault, NoAnswer
+from rig.driving.protocols.protocol_interface import TRIES, Dialogue, Exchange, Lines, Segment, State, Verdict
+
+UNITS = {"M": 1.0, "MM": 1e3, "UM": 1e6, "µM": 1e6}  # of a metre
+POLL = 0.05  # s between looks at axes that are to come to rest
+REST = 20.0  # s that a halt may take
+STOPPED = 10  # the error that every stop leaves
+_AXIS = r"[A-Za-z0-9_-]+"
+_NUMBER = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?"
+ERRORS = {1: "parameter syntax", 2: "unknown command", 5: "not referenced, or servo off", 7: "position out of limits", 8: "velocity out of limits",
+          STOPPED: "stopped by command", 15: "invalid axis", 17: "parameter out of range", 23: "illegal axis", 24: "wrong number of parameters",
+          25: "invalid number", 216: "on a limit switch", -1024: "motion error: position error too large, servo switched off"}
+
+
+class GCS:
+    """See rig.driving.protocols.protocol_interface.Protocol. axes : the controller's names, () for the first `count` that it lists itself."""
+
+    name = "gcs"
+    urgent_stop = b"\x18"
+
+    def __init__(self, axes: Sequence[str], count: int) -> None:
+        self.axes, self._count = tuple(axes), count
+        self._identity = ""
+        self._unit = 1e3
+
+    def hello(self) -> Dialogue[str]:
+        for _ in range(TRIES):
+            lines = yield Exchange(b"*IDN?\n", lambda lines: lines[-1].count(",") >= 2)
+            if lines is not None:
+                break
+        else:
+            raise NoAnswer(f"no answer to *IDN?, asked {TRIES} times")
+        self._identity = lines[-1].strip()
+        listed = tuple(line.strip() for line in (yield from self._ask(b"SAI?\n", _whole(_AXIS))))
+        self.axes = self.axes or listed[: self._count]
+        missing = [axis for axis in self.axes if axis not in listed]
+        if missing or len(self.axes) != self._count:
+            raise ControllerFault(f"the controller has the axes {' '.join(listed)}; the rig needs {' '.join(missing) or self._count}")
+        yield from self._error()  # what was left by whoever came before
+        yield from self._learn_unit()
+        servo = yield from self._values("SVO?")
+        if not servo.all():
+            verdict = yield from self._command("SVO " + " ".join(f"{axis} 1" for axis in self.axes))
+            if not verdict.accepted:
+                raise ControllerFault(f"the servos cannot be switched on: {verdict.reason}")
+        return f"{self._identity}, axes {' '.join(self.axes)}"
+
+    def fence(self) -> Dialogue[bool]:
+        yield from self._in_step()
+        return bool((yield from self._values("SVO?")).any())
+
+    def state(self) -> Dialogue[State]:
+        moving = yield from self._moving()
+        positions = (yield from self._values("POS?")) / self._unit
+        error = yield from self._error()
+        fault = "" if error == 0 else _reason(error)
+        if moving:
+            return State("moving", positions, None, fault, f"moving {moving:X}")
+        on_target, servo, referenced = (yield from self._values("ONT?")), (yield from self._values("SVO?")), (yield from self._values("FRF?"))
+        off = [axis for axis, on in zip(self.axes, servo) if not on]
+        if off:
+            fault = "; ".join(filter(None, (fault, f"the servo of {' '.join(off)} is off")))
+        said = f"ONT {on_target.astype(int).tolist()} SVO {servo.astype(int).tolist()} FRF {referenced.astype(int).tolist()} ERR {error}"
+        return State("off" if off else "idle" if on_target.all() else "moving", positions, bool(referenced.all()), fault, said)
+
+    def move(self, segment: Segment) -> Dialogue[Verdict]:
+        going = segment.speed > 0
+        for word, values in (("VEL", segment.speed), ("ACC", segment.acceleration), ("DEC", segment.acceleration)):
+            if values is not None and going.any():
+                verdict = yield from self._command(f"{word} " + self._pairs(values, going))
+                if not verdict.accepted:
+                    return verdict
+        return (yield from self._command("MOV " + self._pairs(segment.target, np.ones(len(self.axes), bool))))
+
+    def home(self, timeout: float) -> Dialogue[Verdict]:
+        verdict = yield from self._command("FRF " + " ".join(self.axes))
+        for _ in range(max(int(timeout / POLL), 1)):
+            if not verdict.accepted:
+                return verdict
+            moving = yield from self._moving()
+            error = yield from self._error()
+            if error:
+                return Verdict(False, _reason(error))
+            if not moving:
+                referenced = yield from self._values("FRF?")
+                missing = [axis for axis, done in zip(self.axes, referenced) if not done]
+                return Verdict(not missing, f"not referenced: {' '.join(missing)}" if missing else "")
+            yield Exchange(b"", _never, POLL)
+        return Verdict(None, f"not referenced after {timeout:g} s")
+
+    def stop(self) -> Dialogue[Verdict]:
+        yield Exchange(b"HLT\n", _never, 0.0)
+        for _ in range(int(REST / POLL)):
+            if not (yield from self._moving()):
+                error = yield from self._error()
+                return Verdict(True) if error in (0, STOPPED) else Verdict(False, _reason(error))
+            yield Exchange(b"", _never, POLL)
+        return Verdict(None, f"still moving {REST:g} s after HLT")
+
+    def unlock(self) -> Dialogue[Verdict]:
+        yield from self._error()
+        return (yield from self._command("SVO " + " ".join(f"{axis} 1" for axis in self.axes)))
+
+    def event(self, line: str) -> str:
+        return ""
+
+    def _pairs(self, metres: np.ndarray, which: np.ndarray) -> str:
+        return " ".join(f"{axis} {value:.6f}" for axis, value, on in zip(self.axes, self._unit * metres, which) if on)
+
+    def _learn_unit(self) -> Dialogue[None]:
+        lines = yield Exchange(b"PUN?\n", _whole(rf"{_AXIS}=\S+"))
+        if lines is None:  # older controllers know no other than mm
+            yield from self._in_step()
+            yield from self._error()
+            return
+        units = {match[2].upper() for line in lines if (match := re.search(rf"({_AXIS})=(\S+)", line)) and match[1] in self.axes}
+        if len(units) != 1 or not units <= set(UNITS):
+            raise ControllerFault(f"the axes count in {' '.join(sorted(units))}; they must all count in one of {' '.join(UNITS)}")
+        self._unit = UNITS[units.pop()]
+
+    def _moving(self) -> Dialogue[int]:
+        lines = yield from self._ask(b"\x05", lambda lines: re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", lines[-1].strip()) is not None)
+        return int(lines[-1].strip(), 16)
+
+    def _error(self) -> Dialogue[int]:
+        lines = yield from self._ask(b"ERR?\n", _is_error)
+        return int(lines[-1].strip())
+
+    def _values(self, question: str) -> Dialogue[np.ndarray]:
+        """(n,) what a question about axes is answered with. Raises NoAnswer where axes are missing in the answer."""
+        for _ in range(TRIES):
+            lines = yield from self._ask(f"{question} {' '.join(self.axes)}\n".encode(), _whole(rf"{_AXIS}={_NUMBER}"))
+            pairs = [re.fullmatch(rf"({_AXIS})=({_NUMBER})", line.strip()) for line in lines]
+            found = {pair[1]: float(pair[2]) for pair in pairs if pair}
+            if set(found) == set(self.axes):
+                return np.array([found[axis] for axis in self.axes])
+            yield from self._in_step()
+        raise NoAnswer(f"{question} was answered by {lines!r}")
+
+    def _ask(self, data: bytes, complete: Callable[[Sequence[str]], bool]) -> Dialogue[tuple[str, ...]]:
+        for _ in range(TRIES):
+            lines = yield Exchange(data, complete)
+            if lines is not None:
+                return lines
+            yield from self._in_step()
+        error = yield Exchange(b"ERR?\n", _is_error)
+        raise NoAnswer(f"no answer to {data!r}, asked {TRIES} times" + (f"; the controller's error is {_reason(int(error[-1].strip()))}" if error
+                                                                        else ""))
+
+    def _command(self, line: str) -> Dialogue[Verdict]:
+        """A command and the error that it leaves, sent together and once."""
+        lines: Lines = yield Exchange(f"{line}\nERR?\n".encode(), _is_error)
+        if lines is None:
+            yield from self._in_step()
+            return Verdict(None, f"no answer to ERR? after {line}")
+        error = int(lines[-1].strip())
+        return Verdict(error == 0, "" if error == 0 else f"{line.split()[0]}: {_reason(error)}")
+
+    def _in_step(self) -> Dialogue[None]:
+        """Have every older answer come and go."""
+        for _ in range(TRIES):
+            if (yield Exchange(b"*IDN?\n", lambda lines: lines[-1].strip() == self._identity)) is not None:
+                return
+        raise NoAnswer(f"no answer to *IDN?, asked {TRIES} times")
+
+
+def _whole(pattern: str) -> Callable[[Sequence[str]], bool]:
+    """Whether the last line of an answer is there: it fits, and has no blank before its line feed."""
+    return lambda lines: not lines[-1].endswith(" ") and re.fullmatch(pattern, lines[-1].strip()) is not None
+
+
+def _is_error(lines: Sequence[str]) -> bool:
+    return re.fullmatch(r"-?\d{1,5}", lines[-1].strip()) is not None
+
+
+def _never(lines: Sequence[str]) -> bool:
+    return False
+
+
+def _reason(error: int) -> str:
+    return f"error {error} ({ERRORS.get(error, 'see its manual')})"

@@ -1,0 +1,256 @@
+"""grblHAL and Grbl 1.1: struts as linear axes in mm, lines answered by `ok` or `error:N`, real-time bytes `?`, `!` and 0x18.
+
+Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. After `hello` the feed word is
+never 0; a controller that says F0 has started anew. Source: Grbl 1.1 Interface and Commands (gnea/grbl wiki); grblHAL core, report.c,
+gcode.c and system.c.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rig.errors import ControllerFault, NoAnswer
+from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Segment, State, Verdict, ask
+
+MM = 1e3
+INCH = 25.4  # mm
+LINE = 78  # characters that every Grbl takes in a line
+BUFFER = 64  # bytes of the receive buffer, where the controller does not say
+REPORTS = 12  # within which a controller says whether it is homed, if it ever does
+STANDS, AGAIN = 60.0, 0.1  # s in which a move that another process began may end; s between looks
+HOLD = 10.0  # s that a feed hold may take
+ASKED = (0.5, 2)  # s, times: a status report in order to stop; a controller that homes gives none and heeds no hold
+READY = "G21G90G94F100"
+_STATUS = re.compile(r"<([A-Za-z]+(?::\d+)?)((?:\|[^<>|]*)*)>")
+_NUMBERS = r"-?\d+\.\d+(?:,-?\d+\.\d+)*"
+_END = re.compile(r"ok|error:\d+")
+_ALARM = re.compile(r"ALARM:(\d+)")
+_BANNER = re.compile(r"Grbl(HAL)? \d+\.\d+", re.IGNORECASE)
+_ACTIVITY = {"Idle": "idle", "Run": "moving", "Jog": "moving", "Home": "homing", "Hold": "held", "Tool": "held", "Door": "held",
+             "Alarm": "alarm", "Check": "off", "Sleep": "off"}
+_PINS = {"M": "a motor driver is in fault", "E": "emergency stop is pressed"}
+_WAITS = {"Door": "a safety door is open", "Tool": "it waits for a tool change", "Check": "it checks what it is sent and moves nothing ($C): "
+          "rig stop ends that", "Sleep": "it sleeps: rig stop wakes it, and its position is not known then"}
+_DEAF = {"Hold", "Door", "Tool"}  # takes no line until it is told to go on
+_SLOWING = {"Run", "Jog", "Hold:1", "Door:2", "Door:3"}  # a reset then is an alarm, and the position is lost
+_HOMING_OFF = "homing is not enabled there: set $22=1, or state homing = false in [controller] where there are no switches"
+ERRORS = {5: _HOMING_OFF, 8: "not while it moves", 9: "locked by an alarm: home, or unlock", 10: "soft limits take homing: $22=1",
+          11: "line too long", 13: "a safety door is open", 14: "line too long", 15: "beyond the soft limits", 18: "no homing cycles are set",
+          45: "on a limit switch", 46: "it must be homed first, without unlocking", 50: "emergency stop is pressed", 51: "a motor driver is in fault",
+          79: "not while an alarm is critical"}
+ALARMS = {1: "a limit switch was hit, position lost", 2: "beyond the soft limits", 3: "reset while moving, position lost", 6: "homing was reset",
+          7: "door opened while homing", 8: "homing could not leave the switch", 9: "homing found no switch", 10: "emergency stop",
+          11: "homing is required", 17: "a motor driver is in fault"}
+
+
+class GrblHAL:
+    """See rig.driving.protocols.protocol_interface.Protocol. axes : letters of the axes, in the struts' order."""
+
+    name = "grblhal"
+    urgent_stop = b"!"
+
+    def __init__(self, axes: Sequence[str]) -> None:
+        self.axes = tuple(axes)
+        self._settings: dict[int, float] = {}
+        self._letters = "XYZABCUVW"[: len(self.axes)]
+        self._buffer = BUFFER
+        self._offset: np.ndarray | None = None  # mm, WCO
+        self._homed: bool | None = None
+        self._whole_report = b"?"
+        self._homing = False
+
+    def hello(self) -> Dialogue[str]:
+        report = _STATUS.search((yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None))[-1])
+        if report is not None and report[1].split(":")[0] in _DEAF:
+            raise ControllerFault(f"the controller is held and takes nothing ({report[0]}): see why, then rig stop drops what is held")
+        build = yield from _told(b"$I\n", patience=STANDS)
+        version = next((line[5:-1].rstrip(":") for line in build if line.startswith("[VER:")), "unknown version")
+        for line in build:
+            if match := re.fullmatch(r"\[OPT:[^,\]]*,\d+,(\d+).*\]", line):
+                self._buffer = int(match[1])
+            if match := re.fullmatch(r"\[AXS:(\d+):(\w+)\]", line):
+                self._letters = match[2]
+        missing = [axis for axis in self.axes if axis not in self._letters]
+        if missing:
+            raise ControllerFault(f"the controller has the axes {self._letters}, not {''.join(missing)}: [controller] axes names one for each strut "
+                                  "in their order, and the firmware must be built with so many")
+        settings = yield from _told(b"$$\n", patience=STANDS)
+        self._settings = {int(match[1]): float(match[2]) for line in settings if (match := re.fullmatch(r"\$(\d+)=(-?\d+(?:\.\d+)?)", line))}
+        if self._turning() and int(self._settings.get(680, 0)) & 1:
+            raise ControllerFault(f"the controller takes {self._turning()} for rotary axes whose feed is that of the others ($376, $680): set $376=0")
+        ready = yield from _told(READY.encode() + b"\n", locked=True)
+        if _scaled((yield from _modes())):
+            yield from _told(b"G50\n", locked=True)
+        self._whole_report = b"\x87" if "[FIRMWARE:grblHAL]" in build else b"?"
+        yield from self._learn_homed()
+        return f"grblHAL {version}, axes {self._letters}" + (f", {ready[-1]}" if ready[-1] != "ok" else "")
+
+    def fence(self) -> Dialogue[bool]:
+        words = yield from _modes()
+        return {"G21", "G90", "G94"} <= words and not _scaled(words) and not any(re.fullmatch(r"F0+(\.0*)?", word) for word in words)
+
+    def state(self) -> Dialogue[State]:
+        for _ in range(40):  # the work offset comes with every 30th report, at the latest
+            lines = yield from ask(b"?", lambda lines: self._read(lines[-1]) is not None)
+            state = self._read(lines[-1])
+            if state is not None and state.positions is not None:
+                return state
+        raise NoAnswer("status reports give work positions and never their offset WCO: set $10=511 (Grbl 1.1: $10=1) on the controller")
+
+    def move(self, segment: Segment) -> Dialogue[Verdict]:
+        speed = MM * 60 * np.linalg.norm(segment.target - segment.start) / max(segment.duration, 1e-6)
+        feed = f"F{max(speed, 0.1):.1f}"
+        for digits, apart in ((4, False), (4, True), (3, False), (3, True)):
+            words = "".join(f"{axis}{value:.{digits}f}" for axis, value in zip(self.axes, MM * segment.target))
+            line = f"G53G1{words}" + ("" if apart else feed)
+            if len(line) < min(LINE, self._buffer - 1):
+                break
+        else:
+            raise ValueError(f"{line!r} does not fit into the controller's receive buffer of {self._buffer} bytes")
+        if apart:
+            verdict = yield from _command(feed)
+            if not verdict.accepted:
+                return verdict
+        return (yield from _command(line))
+
+    def home(self, timeout: float) -> Dialogue[Verdict]:
+        if 22 in self._settings and not int(self._settings[22]) & 1:
+            return Verdict(False, _HOMING_OFF)
+        if left := self._never_homed():
+            return Verdict(False, f"its homing cycles ($44 .. $49) leave out {left}: give each a cycle, and set $376=0 where they are rotary")
+        self._homing = True
+        verdict = yield from _command("$H", timeout)
+        if verdict.accepted is None:
+            return Verdict(None, f"not home within {timeout:g} s ([controller] home_timeout)")
+        self._homing, self._homed = False, None
+        yield from self._learn_homed()
+        return verdict
+
+    def stop(self) -> Dialogue[Verdict]:
+        word, self._homing = "Home" if self._homing else "Run", False
+        yield Exchange(b"!", lambda lines: False, 0.0)
+        for _ in range(int(HOLD / 0.05) if word != "Home" else 0):
+            try:
+                lines = yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *ASKED)
+            except NoAnswer:
+                break
+            status = _STATUS.search(lines[-1])
+            word = status[1] if status is not None else word
+            if word not in _SLOWING:
+                break
+            yield Exchange(b"", lambda lines: False, 0.05)
+        if word != "Idle":
+            yield Exchange(b"\x18", lambda lines: bool(_BANNER.match(lines[-1])))
+            yield from _told(READY.encode() + b"\n", locked=True)
+        return Verdict(True)
+
+    def unlock(self) -> Dialogue[Verdict]:
+        return (yield from _command("$X"))
+
+    def event(self, line: str) -> str:
+        line = line.strip()
+        if _BANNER.match(line):
+            self._homed = None
+            return "restarted"
+        if match := _ALARM.search(line):
+            return f"ALARM:{match[1]}" + (f" ({ALARMS[int(match[1])]})" if int(match[1]) in ALARMS else "")
+        if re.fullmatch(r"error:\d+", line):
+            return _reason(line)
+        return ""
+
+    def _learn_homed(self) -> Dialogue[None]:
+        """Ask until it says whether it is homed, which comes with a whole report, or with every tenth, or never."""
+        for _ in range(REPORTS if int(self._settings.get(22, 0)) & 1 else 0):
+            if self._homed is None:
+                yield Exchange(self._whole_report, lambda lines: self._read(lines[-1]) is not None)
+
+    def _turning(self) -> str:
+        """Letters of the struts' axes that the controller takes for rotary ones."""
+        rotary = int(self._settings.get(376, 0)) << 3
+        return "".join(axis for axis in self.axes if rotary >> self._letters.index(axis) & 1)
+
+    def _never_homed(self) -> str:
+        """Letters of the struts' axes that no homing cycle holds; "" where all have one, or the controller states no cycles."""
+        cycles = [int(self._settings[number]) for number in range(44, 50) if number in self._settings]
+        return "".join(axis for axis in self.axes if any(cycles) and not any(cycle >> self._letters.index(axis) & 1 for cycle in cycles))
+
+    def _read(self, line: str) -> State | None:
+        """State of a status report, positions None while the work offset is not known; None for what is no report."""
+        match = _STATUS.search(line)
+        if match is None or match[1].split(":")[0] not in _ACTIVITY:
+            return None
+        fields = dict(field.partition(":")[::2] for field in match[2].split("|")[1:])
+        if "WCO" in fields:
+            self._offset = self._numbers(fields["WCO"])
+        machine, work = self._numbers(fields.get("MPos", "")), self._numbers(fields.get("WPos", ""))
+        if machine is None and work is None:
+            return None
+        if machine is None and self._offset is not None:
+            machine = work + self._offset
+        word, _, number = match[1].partition(":")
+        fault = "; ".join(text for pin, text in _PINS.items() if pin in fields.get("Pn", ""))
+        if word == "Alarm":
+            fault = f"alarm {number} ({ALARMS.get(int(number or 0), 'see its manual')})" if number else fault or "alarm"
+        elif word in _WAITS:
+            fault = _WAITS[word]
+        if "H" in fields:
+            self._homed = fields["H"].startswith("1") and not self._never_homed()
+        chosen = None if machine is None else machine[[self._letters.index(axis) for axis in self.axes]] / MM
+        return State("moving" if match[1] == "Hold:1" else _ACTIVITY[word], chosen, self._homed, fault, match[0])
+
+    def _numbers(self, text: str) -> np.ndarray | None:
+        """(axes,) mm, or None where they are not as many as the controller has axes."""
+        if not re.fullmatch(_NUMBERS, text) or text.count(",") != len(self._letters) - 1:
+            return None
+        values = np.array([float(word) for word in text.split(",")])
+        if self._settings.get(13):  # reports in inches, but for rotary axes
+            rotary = int(self._settings.get(376, 0)) << 3
+            values *= [1.0 if rotary >> i & 1 else INCH for i in range(len(values))]
+        return values
+
+
+def _told(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[tuple[str, ...]]:
+    """The lines of an answer that ends with ok. Raises ControllerFault for an error.
+
+    locked : error:9 will do; patience : s for which it is asked again where the axes still move (error:8), as whoever came before told them
+    """
+    for _ in range(1 + int(patience / AGAIN)):
+        lines = yield from ask(data, lambda lines: _END.fullmatch(lines[-1].strip()) is not None)
+        end = lines[-1].strip()
+        if end != "error:8":
+            break
+        yield Exchange(b"", lambda lines: False, AGAIN)
+    if end != "ok" and not (locked and end == "error:9"):
+        raise ControllerFault(f"the controller refuses {data.decode().strip()}: {_reason(end)}")
+    return tuple(line.strip() for line in lines)
+
+
+def _modes() -> Dialogue[set[str]]:
+    """The words of what it takes for granted: units, distances, feed."""
+    lines = yield from ask(b"$G\n", _after("[GC:"))
+    return {*next(line for line in lines if line.startswith("[GC:"))[4:].strip().rstrip("]").split()}
+
+
+def _scaled(words: set[str]) -> bool:
+    """Whether coordinates are multiplied, those of the machine too."""
+    return any(word.startswith("G51") for word in words)
+
+
+def _command(line: str, timeout: float | None = None) -> Dialogue[Verdict]:
+    lines = yield Exchange(line.encode() + b"\n", lambda lines: bool(_END.fullmatch(lines[-1].strip()) or _ALARM.search(lines[-1])), timeout)
+    if lines is None:
+        return Verdict(None, f"no answer to {line}")
+    end = lines[-1].strip()
+    return Verdict(end == "ok", "" if end == "ok" else _reason(end))
+
+
+def _reason(line: str) -> str:
+    kind, _, number = line.rpartition(":")
+    known = (ALARMS if "ALARM" in kind else ERRORS).get(int(number) if number.isdecimal() else -1)
+    return f"{line} ({known})" if known else line
+
+
+def _after(start: str) -> Callable[[Sequence[str]], bool]:
+    """Whether lines end with ok, after one that begins so: an ok before it is older."""
+    return lambda lines: lines[-1].strip() == "ok" and any(line.startswith(start) for line in lines)

@@ -1,0 +1,167 @@
+"""Our own line protocol for one's own firmware: numbered, checked frames, a watchdog, exactly one execution. Described in docs/protocol.md."""
+
+import binascii
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.errors import ControllerFault, NoAnswer
+from rig.driving.protocols.protocol_interface import TRIES, Dialogue, Exchange, Lines, Segment, State, Verdict
+
+NM = 1e9
+VERSION = "struts/1"
+NUMBERS = 65536  # sequence numbers, going round
+POLL = 0.05  # s between looks at a homing
+_FRAME = re.compile(r"([<>])(-|\d{1,5}) ([^*<>!]*)\*([0-9A-F]{4})")
+_ACTIVITY = {"idle": "idle", "moving": "moving", "homing": "homing", "alarm": "alarm"}
+ERRORS = {1: "unknown command", 2: "arguments that do not fit", 3: "not homed", 4: "beyond the limits", 5: "busy", 6: "started anew", 7: "in fault"}
+FAULTS = {"silent": "it stopped because it heard nothing for too long", "motor": "a motor driver is in fault", "home": "an axis could not be homed",
+          "critical": "only switching it off and on helps"}
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """number : of the request, None where a broken frame is complained of; text : without number and checksum."""
+
+    number: int | None
+    text: str
+
+
+def encode(way: str, number: int | None, text: str) -> bytes:
+    """A frame. way : ">" to the controller, "<" from it."""
+    body = f"{'-' if number is None else number} {text}"
+    return f"{way}{body}*{checksum(body)}\n".encode("ascii")
+
+
+def decode(way: str, line: str) -> Frame | None:
+    """The last sound frame in a line, or None; what stands before it is noise."""
+    for match in reversed(list(_FRAME.finditer(line))):
+        if match[1] == way and match[4] == checksum(f"{match[2]} {match[3]}"):
+            return Frame(None if match[2] == "-" else int(match[2]), match[3])
+    return None
+
+
+def checksum(body: str) -> str:
+    """CRC-16/CCITT-FALSE of a frame's body, four hexadecimal digits."""
+    return f"{binascii.crc_hqx(body.encode('latin-1'), 0xFFFF):04X}"
+
+
+class Struts:
+    """See rig.driving.protocols.protocol_interface.Protocol. count : axes; watchdog : s of silence after which the controller stops."""
+
+    name = "struts"
+    urgent_stop = b"!"
+
+    def __init__(self, count: int, watchdog: float) -> None:
+        self.count, self.watchdog = count, watchdog
+        self._number = 0
+        self._boot, self._line = "", 0
+
+    def hello(self) -> Dialogue[str]:
+        words = (yield from self._told("HELLO")).split()
+        match = re.fullmatch(r"axes=(\d+) boot=(\w+) line=(\d+)", " ".join(words[1:4]))
+        if match is None or words[0] != VERSION:
+            raise ControllerFault(f"not a controller of {VERSION}: {' '.join(words)!r}")
+        if int(match[1]) != self.count:
+            raise ControllerFault(f"the controller has {match[1]} axes, the rig {self.count}")
+        self._boot, self._line = match[2], int(match[3])
+        yield from self._told(f"WATCH {round(1e3 * self.watchdog)}")
+        return f"{' '.join(words[4:]) or 'a controller'}, {VERSION}, {self.count} axes"
+
+    def fence(self) -> Dialogue[bool]:
+        return (yield from self._read())[1] == self._boot
+
+    def state(self) -> Dialogue[State]:
+        return (yield from self._read())[0]
+
+    def move(self, segment: Segment) -> Dialogue[Verdict]:
+        cruise, ramp = round(1e3 * segment.duration), 0
+        if segment.acceleration is not None and segment.acceleration.any():
+            ramp = int(np.ceil(1e3 * (segment.speed[segment.acceleration > 0] / segment.acceleration[segment.acceleration > 0]).max()))
+            if ramp > cruise:  # a short way never comes to full speed
+                ramp = cruise = int(np.ceil(np.sqrt(float(ramp) * max(cruise, 1))))
+        nm = " ".join(str(round(value)) for value in NM * segment.target)
+        text = f"MOVE {self._boot} {max(cruise, 1)} {ramp} {nm}"
+        if len(encode(">", NUMBERS - 1, text)) > self._line:
+            raise ControllerFault(f"the controller takes lines of {self._line} bytes, too few for {text!r}; nothing was sent")
+        return (yield from self._command(text))
+
+    def home(self, timeout: float) -> Dialogue[Verdict]:
+        verdict = yield from self._command("HOME")
+        for _ in range(max(int(timeout / POLL), 1)):
+            if verdict.accepted is False:
+                return verdict
+            state, _ = yield from self._read()
+            if state.fault or state.activity == "alarm":
+                return Verdict(False, state.fault or state.said)
+            if state.activity == "idle":
+                return Verdict(bool(state.homed), "" if state.homed else "it stands and is not homed")
+            yield Exchange(b"", _never, POLL)
+        return Verdict(None, f"not home after {timeout:g} s")
+
+    def stop(self) -> Dialogue[Verdict]:
+        yield from self._told("STOP")
+        for _ in range(400):
+            state, _ = yield from self._read()
+            if state.activity not in ("moving", "homing"):
+                return Verdict(True)
+            yield Exchange(b"", _never, POLL)
+        return Verdict(None, "still moving 20 s after STOP")
+
+    def unlock(self) -> Dialogue[Verdict]:
+        return (yield from self._command("UNLOCK"))
+
+    def event(self, line: str) -> str:
+        frame = decode("<", line)
+        if frame is not None and frame.number is None and frame.text.startswith("BOOT"):
+            return "restarted"
+        return ""
+
+    def _read(self) -> Dialogue[tuple[State, str]]:
+        """State, and which start of the controller it belongs to."""
+        for _ in range(TRIES):
+            text = yield from self._told("STATE")
+            words = text.split()
+            if len(words) == 4 + self.count and words[0] in _ACTIVITY and words[1] in "01" and all(re.fullmatch(r"-?\d{1,12}", w) for w in words[4:]):
+                fault = "" if words[3] == "-" else FAULTS.get(words[3], words[3])
+                positions = np.array([int(word) for word in words[4:]]) / NM
+                return State(_ACTIVITY[words[0]], positions, words[1] == "1", fault, text), words[2]
+        raise NoAnswer(f"a state that cannot be read: {text!r}")
+
+    def _told(self, text: str) -> Dialogue[str]:
+        """What the controller answers to a request that moves nothing, asked again under a new number. Raises NoAnswer, ControllerFault."""
+        for _ in range(TRIES):
+            verdict, answer = yield from self._ask(text)
+            if verdict.accepted:
+                return answer
+            if verdict.accepted is False:
+                raise ControllerFault(f"the controller refuses {text}: {verdict.reason}")
+        raise NoAnswer(f"no answer to {text}, asked {TRIES} times")
+
+    def _command(self, text: str) -> Dialogue[Verdict]:
+        return (yield from self._ask(text))[0]
+
+    def _ask(self, text: str) -> Dialogue[tuple[Verdict, str]]:
+        self._number = number = self._number % (NUMBERS - 1) + 1
+        lines: Lines = yield Exchange(encode(">", number, text), lambda lines: _answers(lines[-1], number))
+        frame = None if lines is None else decode("<", lines[-1])
+        if frame is None:
+            return Verdict(None, f"no answer to {text}"), ""
+        word, _, rest = frame.text.partition(" ")
+        if frame.number is None:
+            return Verdict(None, f"{text} arrived broken"), ""
+        if word == "OK":
+            return Verdict(True), rest
+        code = int(rest.split()[0]) if rest and rest.split()[0].isdecimal() else 0
+        return Verdict(False, f"{frame.text} ({ERRORS.get(code, 'see its manual')})"), rest
+
+
+def _answers(line: str, number: int) -> bool:
+    frame = decode("<", line)
+    return frame is not None and (frame.number == number and frame.text.split(" ")[0] in ("OK", "ERR") or frame == Frame(None, "NAK"))
+
+
+def _never(lines: Sequence[str]) -> bool:
+    return False

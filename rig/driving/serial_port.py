@@ -1,0 +1,102 @@
+"""A port as pyserial's serial_for_url opens it (device, socket://, rfc2217://, loop://), found again after replugging."""
+
+import fcntl
+import io
+import os
+import select
+import termios
+from contextlib import suppress
+from typing import Any
+
+import serial
+from serial.tools import list_ports
+
+from rig.driving.clock import Clock
+from rig.model.controller_settings import port_problem
+from rig.errors import LinkLost
+
+PATIENCE = 2.0  # s that a write may take
+MOST = 4096  # bytes of a read
+SLICE = 1e-3  # s between looks at a port that cannot be waited on
+PSEUDO_TERMINALS = range(136, 144)  # majors, /dev/pts/*
+
+
+def _reason(error: Exception) -> str:
+    """Why a port cannot be opened, without pyserial's repetition of its name."""
+    number = getattr(error, "errno", None)
+    return str(error) if number is None else os.strerror(number)
+
+
+def _there(url: str) -> str:
+    """What ports there are, for somebody who named another device."""
+    found = sorted(port.device for port in list_ports.comports())
+    return "" if "://" in url else f"; serial ports here: {', '.join(found) or 'none'} (`rig doctor` lists them)"
+
+
+class SerialPort:
+    """See rig.driving.controller_link.Port. url : see rig.model.controller_settings.port_problem; baudrate : for devices; clock : tells until when to
+    wait.
+
+    A device is opened for this process alone: locked as pyserial and others do, and by TIOCEXCL, which no user but root passes
+    """
+
+    def __init__(self, url: str, baudrate: int, clock: Clock) -> None:
+        self._url, self._clock = url, clock
+        if problem := port_problem(url):
+            raise LinkLost(problem)
+        alone: dict[str, Any] = {} if "://" in url else {"exclusive": True}
+        try:
+            self._serial = serial.serial_for_url(url, baudrate=baudrate, timeout=0, write_timeout=PATIENCE, **alone)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise LinkLost(f"cannot open {url}: {_reason(error)}{_there(url)}") from None
+        try:
+            self._waitable: int | None = self._serial.fileno()
+        except (io.UnsupportedOperation, AttributeError):  # rfc2217:// and loop:// have none
+            self._waitable = None
+        self._device = None if "://" in url else self._waitable
+        if self._device is not None and _ends_with_us(self._device):
+            fcntl.ioctl(self._device, termios.TIOCEXCL)
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._serial.write(data)
+        except (serial.SerialException, OSError) as error:
+            raise LinkLost(f"{self._url}: cannot be written to: {error}") from None
+
+    def read(self, until: float) -> bytes:
+        try:
+            while not (data := self._serial.read(MOST)):
+                left = until - self._clock.now()
+                if left <= 0:
+                    break
+                if self._waitable is None:
+                    self._clock.sleep(min(left, SLICE))
+                else:
+                    select.select([self._waitable], [], [], left)
+            return data
+        except (serial.SerialException, OSError, TypeError, ValueError) as error:  # the last two from a port closed under a read
+            raise LinkLost(f"{self._url}: connection lost: {error}") from None
+
+    def close(self) -> None:
+        if self._device is not None:
+            with suppress(OSError):  # unplugged: nothing is left to unlock
+                fcntl.flock(self._device, fcntl.LOCK_UN)  # a forked child may hold the same open file a little longer
+                fcntl.ioctl(self._device, termios.TIOCNXCL)
+            self._device = None
+        self._serial.close()
+
+
+def _ends_with_us(handle: int) -> bool:
+    """Whether TIOCEXCL ends with the process that set it; at a pseudo-terminal it would stay as long as the other end is open."""
+    return os.major(os.fstat(handle).st_rdev) not in PSEUDO_TERMINALS
+
+
+def found(url: str, usb: str) -> str:
+    """The port under which a USB device is plugged in now. url : its port when nothing else is known; usb : its serial number or a part
+    of its hardware id, "" where none is stated. Raises LinkLost where it is not plugged in, or several answer to it."""
+    if not usb:
+        return url
+    ports = [port for port in list_ports.comports() if port.serial_number == usb or usb.lower() in (port.hwid or "").lower()]
+    if len(ports) != 1:
+        raise LinkLost(f"{len(ports)} ports answer to usb = {usb!r}" + "".join(f"; {port.device}" for port in ports))
+    return ports[0].device

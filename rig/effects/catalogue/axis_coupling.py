@@ -1,0 +1,48 @@
+"""An axis takes part in another one's travel: wrist gears, a cable, a shared belt."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
+from rig.effects.framework.covariate import Covariate, travel
+from rig.effects.framework.random_effects import Drawing, number
+
+
+@dataclass(frozen=True, slots=True)
+class AxisCoupling(Effect):
+    """Deviation scale * q of axis number `other` (from 1), q its commanded value less that at home."""
+
+    place: str
+    scale: float = 0.0
+    other: float = 1.0
+    name: ClassVar = "axis_coupling"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (Parameter("scale", "", (-0.1, 0.1), (1e-5, 1e-2), signed=True), Parameter("other", "", (1, 100), (1, 6), role="choice"))
+    experiment: ClassVar = "move the other axis alone, over its whole travel"
+    action: ClassVar = "Enter the coupling in the controller, which can take it out by moving the {axis} along; or part the two drives."
+
+    def needs(self, motion: Motion) -> str | None:
+        if not 1 <= self.other <= len(motion.places):
+            return f"takes another axis, 1 to {len(motion.places)}, not {self.other:g}"
+        return "takes another axis than its own" if self.scale and self.place == motion.places[int(self.other) - 1] else None
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self.axes(motion.places) * self.scale * motion.stroke[:, [int(self.other) - 1]]
+
+    def covariate(self, motion: Motion) -> Covariate:
+        other = int(self.other) - 1
+        return travel(np.repeat(motion.stroke[:, [other]], len(motion.places), axis=1), motion, f"stroke of {motion.places[other]} from home")
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
+        others = [float(i + 1) for i, other in enumerate(drawing.motion.places) if other != place]
+        return cls(place, number(cls.parameters[0], drawing, rng), float(rng.choice(others)))
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        places = context.moved().places
+        nodes = [{"other": float(i + 1)} for i, other in enumerate(places) if other != place]
+        return [Candidate(cls, place, nodes, cls.linear(place), extra=1)] if nodes else []

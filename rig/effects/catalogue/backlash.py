@@ -1,0 +1,33 @@
+"""Lost motion: the axis follows its command only once the gap is taken up."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.covariate import Covariate, travel
+from rig.effects.framework.play_operator import behind
+
+
+@dataclass(frozen=True, slots=True)
+class Backlash(Effect):
+    """Play operator of width gap on the command, over the whole path. Positive: an axis driven outward stays half a gap short."""
+
+    place: str
+    gap: float = 0.0
+    name: ClassVar = "backlash"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (Parameter("gap", "m", (0, 1e-3), (5e-6, 2e-4), role="size", joint=((0, 5e-2), (2e-5, 5e-3))),)
+    experiment: ClassVar = "a ladder of reversal amplitudes: every position approached from both sides"
+    action: ClassVar = "Preload or exchange nut, gear and bearings of the {axis}; until then approach every pose from the same side."
+
+    def forgets(self) -> float:
+        return self.gap
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self.axes(motion.places) * behind(motion, self.gap / 2)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return travel(motion.path.since_reversal, motion, "travel since the last reversal (negative: inward)")

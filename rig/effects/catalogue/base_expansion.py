@@ -1,0 +1,48 @@
+"""The base plate grows with the room: its joints move outward."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
+from rig.effects.framework.covariate import Covariate, temperature
+from rig.errors import RigError
+
+AMBIENT = "ambient_temperature_C"
+
+
+@dataclass(frozen=True, slots=True)
+class BaseExpansion(Effect):
+    """Base joints times 1 + coefficient * (T_ambient - 20 C), as what each strut's length seems to lack at the pose."""
+
+    place: str
+    coefficient: float = 0.0
+    name: ClassVar = "base_expansion"
+    stage: ClassVar = "structure"
+    places: ClassVar = ("rig",)
+    parameters: ClassVar = (Parameter("coefficient", "1/K", (-1e-3, 1e-3), (1e-5, 1e-4)),)
+    experiment: ClassVar = "the same poses in a cold and a warm room"
+    action: ClassVar = "Keep the room's temperature, or correct the base joints by it."
+    on_pose: ClassVar = True
+
+    def needs(self, motion: Motion) -> str | None:
+        if motion.kind.AXIS != "strut":
+            return "takes struts on a base plate"
+        return motion.no_channel(AMBIENT)
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        scale = 1 + self.coefficient * (motion.channel(AMBIENT) - REFERENCE_TEMPERATURE)
+        ends = motion.kind.ends(motion.posed(), motion.mechanism)
+        if ends is None:
+            raise RigError(f"{self.name} takes struts on a base plate")
+        base, tips = ends
+        moved = np.linalg.norm(tips - scale[:, None, None] * base, axis=2)
+        return np.linalg.norm(tips - base, axis=2) - moved
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return temperature(motion.channel(AMBIENT), "the room")
+
+    @classmethod
+    def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
+        return ((AMBIENT,),)

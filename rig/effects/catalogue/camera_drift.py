@@ -1,0 +1,37 @@
+"""One camera's mount creeps to a new place."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.model.design import Camera
+from rig.effects.framework.effect import Context, Effect, Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class CameraDrift(Effect):
+    """The mount moves by motion (6) m, rad, in the camera's frame, times 1 - exp(-t / time_constant)."""
+
+    place: str
+    motion: tuple[float, ...] = (0.0,) * 6
+    time_constant: float = 1800.0
+    name: ClassVar = "camera_drift"
+    stage: ClassVar = "view"
+    places: ClassVar = ("camera",)
+    parameters: ClassVar = (Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6),
+                            Parameter("time_constant", "s", (1, 1e5), (60, 7200), role="log"))
+    sudden: ClassVar = True
+    experiment: ClassVar = "fixed cubes in view of that camera for as long"
+    action: ClassVar = "Let the mount warm up and clamp it better; keep fixed cubes in that camera's view."
+    view: ClassVar = "time"
+
+    def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
+        share = (1 - np.exp(-np.maximum(t, 0) / self.time_constant)) * self.at(f"camera {camera.name}")
+        return share[:, None] * np.asarray(self.motion, float)
+
+    @classmethod
+    def sites(cls, context: Context) -> tuple[str, ...]:
+        found = super(CameraDrift, cls).sites(context)
+        return tuple(place for place in found if place.split(" ")[1] not in context.moving)  # a mount that moves has no place to leave

@@ -1,0 +1,29 @@
+"""Part of every move arrives late."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.catalogue.servo_lag import lagging
+
+
+@dataclass(frozen=True, slots=True)
+class Creep(Effect):
+    """Deviation -fraction * (command - its first-order lag of time_constant)."""
+
+    place: str
+    fraction: float = 0.0
+    time_constant: float = 30.0
+    name: ClassVar = "creep"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis", "rig")
+    parameters: ClassVar = (Parameter("fraction", "", (0, 0.2), (1e-3, 1e-2)), Parameter("time_constant", "s", (0.05, 1e4), (1, 1000), role="log"))
+    experiment: ClassVar = "expose repeatedly during one long dwell after a large move"
+    action: ClassVar = "Dwell longer before measuring, by a few time constants; look for a soft joint or a drive that settles late."
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        path = motion.path
+        late = motion.once(("late", self.time_constant), lambda: (path.lengths - lagging(path, self.time_constant))[path.at])
+        return -self.axes(motion.places) * self.fraction * late

@@ -1,0 +1,33 @@
+"""One cube sits off its stated pose."""
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rig.effects.framework.effect import Effect, Parameter
+from rig.effects.framework.marker_displacement import moved
+from rig.model.pose import exp
+
+
+@dataclass(frozen=True, slots=True)
+class CubeMisplacement(Effect):
+    """All markers of a target moved together: motion (6) m and rad about the target's middle, along its body's axes."""
+
+    place: str
+    motion: tuple[float, ...] = (0.0,) * 6
+    name: ClassVar = "cube_misplacement"
+    stage: ClassVar = "targets"
+    places: ClassVar = ("target",)
+    parameters: ClassVar = (Parameter("motion", "m, rad", (-1, 1), (5e-5, 1e-3), 6),)
+    experiment: ClassVar = "see that cube together with others of its body"
+    action: ClassVar = "Seat that cube anew, or measure it and state its true pose."
+    view: ClassVar = "targets"
+
+    def attach(self, markers: Any) -> Any:
+        rows = np.array([self.at(f"target {name}") for name in markers.target])
+        if not rows.any():
+            return markers
+        middle = markers.T_body_marker.translation[rows].mean(axis=0)
+        shift = exp(np.r_[middle, 0, 0, 0]) * exp(np.asarray(self.motion)) * exp(np.r_[-middle, 0, 0, 0])
+        return replace(markers, T_body_marker=moved(markers.T_body_marker, rows, lambda T: shift * T))

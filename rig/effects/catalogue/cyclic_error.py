@@ -1,0 +1,65 @@
+"""Error periodic in the screw or the gear: it comes back with every turn."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
+from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.place_names import kind_of
+
+FINE = 0.3  # step of a joint's orders, of what its travel resolves
+ORDERS = 450.0  # cycles per turn of a joint; twice what a gear of 1 : 101 with four cycles per motor turn shows
+SLOWEST = 0.5  # of them, and half a cycle over the joint's travel
+
+
+@dataclass(frozen=True, slots=True)
+class CyclicError(Effect):
+    """Deviation amplitude * sin(2 pi order l / turn + phase), l the commanded value, turn the screw's lead or the joint's own turn."""
+
+    place: str
+    amplitude: float = 0.0
+    phase: float = 0.0
+    order: float = 1.0
+    name: ClassVar = "cyclic_error"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-4), (2e-6, 3e-5), joint=((0, 5e-2), (1e-5, 5e-4))),
+                            Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"),
+                            Parameter("order", "", (0.05, 20), (1, 2), role="even", joint=((0.05, 1e4), (1, ORDERS))))
+    experiment: ClassVar = "steps that are no whole part of the pitch, over several turns of one screw"
+    joint_experiment: ClassVar = "steps that are no whole part of a gear's or an encoder's turn, over the whole travel of that joint"
+    action: ClassVar = "Look at the {axis}'s bearings, gear and coupling for run-out; a table of one turn in the controller takes it out."
+    form: ClassVar = "sinusoid"
+    own_axis: ClassVar = 2
+
+    def needs(self, motion: Motion) -> str | None:
+        return motion.no_turn(self.axes(motion.places))
+
+    def angle(self, motion: Motion) -> np.ndarray:
+        """(n, axes) rad that the order multiplies; 0 at axes where it does not sit."""
+        sits = self.axes(motion.places) > 0
+        return 2 * np.pi * np.where(sits, motion.lengths, 0.0) / np.where(sits, motion.turn(), 1.0)
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self.axes(motion.places) * self.amplitude * np.sin(self.order * self.angle(motion) + self.phase)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return Covariate(self.order * self.angle(motion) / (2 * np.pi) % 1, "turn of the drive times order")
+
+    @classmethod
+    def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
+        effect = cls(candidate.place, **node)
+        angle = effect.order * effect.angle(motion) + effect.phase
+        return effect.axes(motion.places)[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        found = super(CyclicError, cls).candidates(place, context)
+        if kind_of(place) != "joint":
+            return found
+        travel = max(np.ptp(context.moved().lengths[:, context.moved().places.index(place)]), 1e-6)
+        spacing = FINE * 2 * np.pi / travel
+        orders = spacing * np.arange(int(np.ceil(max(SLOWEST, np.pi / travel) / spacing)), int(ORDERS / spacing))
+        return [replace(found[0], grid=[{"order": float(w)} for w in orders], spacing=spacing)] if len(orders) else []

@@ -1,0 +1,34 @@
+"""Exposure or print eats into the black: every edge of the square moves inward by so many pixels."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.model.design import Camera
+from rig.effects.framework.effect import Effect, Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeBias(Effect):
+    """Every edge moves inward by bias px (positive: black shrinks); the corners are where the moved edges meet."""
+
+    place: str
+    bias: float = 0.0
+    name: ClassVar = "edge_bias"
+    stage: ClassVar = "view"
+    places: ClassVar = ("camera", "cameras")
+    parameters: ClassVar = (Parameter("bias", "px", (-3, 3), (0.05, 0.5), signed=True),)
+    experiment: ClassVar = "vary the range: constant in pixels it is this, constant in millimetres it is the print"
+    action: ClassVar = "Lower the exposure and focus anew; the detector's threshold or the printer's ink moves every edge."
+    view: ClassVar = "outward"
+
+    def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
+        if self.bias == 0 or not self.at(f"camera {camera.name}"):
+            return quads
+        edge = np.roll(quads, -1, axis=-2) - quads  # edge k runs from corner k to k + 1
+        unit = edge / np.linalg.norm(edge, axis=-1, keepdims=True)
+        before = np.roll(unit, 1, axis=-2)
+        # a corner moves along both its edges by bias / sin of the angle between them
+        sine = np.abs(before[..., 0] * unit[..., 1] - before[..., 1] * unit[..., 0])
+        return quads + self.bias / sine[..., None] * (unit - before)

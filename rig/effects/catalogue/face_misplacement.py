@@ -1,0 +1,30 @@
+"""One face's marker sits askew on its cube."""
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rig.effects.framework.effect import Effect, Parameter
+from rig.effects.framework.marker_displacement import moved
+from rig.model.pose import exp
+
+
+@dataclass(frozen=True, slots=True)
+class FaceMisplacement(Effect):
+    """The marker's pose times a motion: offset (3) m and rotation (3) rad in its own frame, x right, y up, z out."""
+
+    place: str
+    offset: tuple[float, ...] = (0.0, 0.0, 0.0)
+    rotation: tuple[float, ...] = (0.0, 0.0, 0.0)
+    name: ClassVar = "face_misplacement"
+    stage: ClassVar = "targets"
+    places: ClassVar = ("marker",)
+    parameters: ClassVar = (Parameter("offset", "m", (-0.1, 0.1), (5e-5, 1e-3), 3), Parameter("rotation", "rad", (-3.2, 3.2), (1e-3, 2e-2), 3))
+    experiment: ClassVar = "see that face from several cameras and poses"
+    action: ClassVar = "Glue that face anew or leave its marker out of rig.toml."
+    view: ClassVar = "markers"
+
+    def attach(self, markers: Any) -> Any:
+        rows = np.array([self.at(f"marker {number}") for number in markers.id])
+        return replace(markers, T_body_marker=moved(markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])))

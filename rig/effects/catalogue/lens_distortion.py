@@ -1,0 +1,99 @@
+"""A lens has terms that its stated model lacks, or bends the image as no model does."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from rig.model.design import Camera
+from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Parameter
+from rig.effects.framework.random_effects import Drawing, log_uniform
+
+LACKING = {"thin prism": (8, 9, 10, 11), "radial": (5, 6, 7), "both": (5, 6, 7, 8, 9, 10, 11)}  # terms that a lens may lack
+SIZES = (0.05, 2.0)  # px RMS over the image, of what lenses lack
+WARPS = (3, 5, 7)  # degrees of a smooth warp
+
+
+@dataclass(frozen=True, slots=True)
+class LensDistortion(Effect):
+    """terms (12): what is added to OpenCV's k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 of the stated lens; warp (2 m) px: a smooth
+    displacement fixed in the image, the coefficients in u, then in v, of the Chebyshev products of `products`."""
+
+    place: str
+    terms: tuple[float, ...] = (0.0,) * 12
+    warp: tuple[float, ...] = ()
+    name: ClassVar = "lens_distortion"
+    stage: ClassVar = "view"
+    places: ClassVar = ("camera",)
+    parameters: ClassVar = (Parameter("terms", "", (-10, 10), (1e-4, 0.5), 12), Parameter("warp", "px", (-1e3, 1e3), (2e-2, 2), 0))
+    experiment: ClassVar = "cover the whole image with corners: a lens is fixed in the frame, whatever the pose"
+    action: ClassVar = "Calibrate that lens with more terms; what is fitted here already corrects this recording."
+    view: ClassVar = "map"
+
+    def problem(self) -> str | None:
+        sizes = [0, *(count(degree) for degree in range(2, 31))]
+        return None if len(self.warp) in sizes else f"warp has {', '.join(map(str, sizes[:5]))} .. numbers, those of a degree, not {len(self.warp)}"
+
+    def camera(self, camera: Camera) -> Camera:
+        if not self.at(f"camera {camera.name}") or not any(self.terms):
+            return camera
+        terms = np.zeros(max(12, len(camera.distortion)))
+        terms[: len(camera.distortion)] = camera.distortion
+        terms[:12] += self.terms
+        return replace(camera, distortion=terms)
+
+    def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
+        if not self.warp or not self.at(f"camera {camera.name}"):
+            return quads
+        return quads + products(camera, quads, _degree(len(self.warp))) @ np.reshape(self.warp, (2, -1)).T
+
+    @classmethod
+    def bending(cls, camera: Camera, quads: np.ndarray, columns: Sequence[Linear]) -> np.ndarray | None:
+        if any(column.name != "warp" for column in columns):
+            return None
+        basis = products(camera, quads, _degree(len(columns)))
+        out = np.zeros((*quads.shape, len(columns)))
+        out[..., 0, : basis.shape[-1]] = basis
+        out[..., 1, basis.shape[-1] :] = basis
+        return out
+
+    def fitted(self, parameter: Parameter) -> tuple[int, ...]:
+        if parameter.name == "terms" and self.warp:
+            return ()  # a warp takes in whatever the lens' own terms could bend
+        return tuple(i for i, value in enumerate(getattr(self, parameter.name)) if value)
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "LensDistortion":
+        size, which = log_uniform(rng, *SIZES), rng.integers(3)
+        free = range(count(WARPS[0])) if which == 2 else LACKING[("radial", "thin prism")[which]]
+        unit = np.zeros(count(WARPS[0]) if which == 2 else 12)
+        unit[list(free)] = rng.normal(size=len(free)) * 1e-3
+        name, camera = "warp" if which == 2 else "terms", drawing.design.camera(place.split(" ")[1])
+        moved = drawing.displaced(cls(place, **{name: tuple(unit.tolist())}), camera)
+        return cls(place, **{name: tuple((unit * size / moved).tolist())})
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        have = len(context.design.camera(place.split(" ")[1]).distortion)
+        lacking = [Candidate(cls, place, [{}], [Linear("terms", j, 1e-4) for j in terms], label) for label, terms in LACKING.items()
+                   if min(terms) >= have]
+        return lacking + [Candidate(cls, place, [{COUNT: count(d)}], [Linear("warp", j, 1e-2) for j in range(count(d))], f"warp {d}") for d in WARPS]
+
+
+def products(camera: Camera, uv: np.ndarray, degree: int) -> np.ndarray:
+    """(..., m) Chebyshev products of image position (..., 2) px, 1 at the image's left and right edge, from the second degree to
+    `degree`: what is linear is the camera's own pose and lens."""
+    x = np.clip((np.asarray(uv) - [camera.width / 2, camera.height / 2]) / (camera.width / 2), -1, 1)
+    T = [np.polynomial.chebyshev.chebvander(x[..., c], degree) for c in range(2)]
+    return np.stack([T[0][..., i] * T[1][..., j] for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 1], axis=-1)
+
+
+def _degree(numbers: int) -> int:
+    """The degree of a warp of so many numbers, see `count`."""
+    return round((np.sqrt(25 + 4 * numbers) - 3) / 2)
+
+
+def count(degree: int) -> int:
+    """How many numbers a warp of that degree has."""
+    return (degree + 1) * (degree + 2) - 6

@@ -1,0 +1,34 @@
+"""A motor lost steps: from one moment on, an axis is off by whole steps."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.covariate import Covariate, in_time
+
+
+@dataclass(frozen=True, slots=True)
+class MissedSteps(Effect):
+    """Deviation jump (m or rad) from time (s from the recording's start) on."""
+
+    place: str
+    jump: float = 0.0
+    time: float = 0.0
+    name: ClassVar = "missed_steps"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis",)
+    lasting: ClassVar = False
+    parameters: ClassVar = (Parameter("jump", "m", (-5e-3, 5e-3), (5e-6, 1.2e-4), signed=True, joint=((-0.2, 0.2), (2e-5, 2e-3))),
+                            Parameter("time", "s", (-np.inf, np.inf), (0, 1e5), role="moment"))
+    sudden: ClassVar = True
+    form: ClassVar = "step"
+    experiment: ClassVar = "return to one pose again and again, and home the axis: homing takes a lost step away"
+    action: ClassVar = "Home the {axis}; then look for an overload, a loose coupling or a current set too low at that moment."
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self.axes(motion.places) * self.jump * (motion.t >= self.time)[:, None]
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return in_time(motion)

@@ -1,0 +1,24 @@
+"""The markers were printed too large or too small."""
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+from rig.effects.framework.effect import Effect, Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class PrintScale(Effect):
+    """Printed side = stated side * (1 + scale), every marker about its own middle."""
+
+    place: str
+    scale: float = 0.0
+    name: ClassVar = "print_scale"
+    stage: ClassVar = "targets"
+    places: ClassVar = ("markers",)
+    parameters: ClassVar = (Parameter("scale", "", (-0.1, 0.1), (1e-4, 5e-3), signed=True),)
+    experiment: ClassVar = "measure a printed sheet, or vary the range: an edge bias is constant in pixels, this in millimetres"
+    action: ClassVar = "Measure a printed sheet with a caliper and state the true side of the markers."
+    view: ClassVar = "outward"
+
+    def attach(self, markers: Any) -> Any:
+        return replace(markers, side=markers.side * (1 + self.scale))

@@ -1,0 +1,27 @@
+"""Rows of the image are exposed one after the other."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.model.design import Camera
+from rig.effects.framework.effect import Effect, Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class RollingShutter(Effect):
+    """Row v is exposed (v - height / 2) * row_time after the logged time."""
+
+    place: str
+    row_time: float = 0.0
+    name: ClassVar = "rolling_shutter"
+    stage: ClassVar = "view"
+    places: ClassVar = ("camera", "cameras")
+    parameters: ClassVar = (Parameter("row_time", "s", (-1e-3, 1e-3), (5e-6, 3e-5)),)
+    experiment: ClassVar = "expose while moving, the platform high and low in the image"
+    action: ClassVar = 'State shutter = "rolling" and row_time in rig.toml, or expose at rest.'
+    rolls: ClassVar = True
+
+    def late(self, camera: Camera, v: np.ndarray) -> np.ndarray:
+        return self.row_time * self.at(f"camera {camera.name}") * (np.asarray(v) - camera.height / 2)

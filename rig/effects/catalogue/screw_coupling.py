@@ -1,0 +1,47 @@
+"""A nut that turns with the platform's cardan drives its screw: twist of the joints becomes length."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.framework.effect import Effect, Motion, Parameter
+from rig.effects.framework.cardan_twist import cardan_twist
+from rig.effects.framework.covariate import Covariate
+from rig.errors import RigError
+from rig.model.mechanism_kinds import hexapod_of
+
+
+@dataclass(frozen=True, slots=True)
+class ScrewCoupling(Effect):
+    """Deviation gain * lead / 2 pi * twist of the platform-side cardan against the base-side one, less the twist at home."""
+
+    place: str
+    gain: float = 0.0
+    name: ClassVar = "screw_coupling"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("rig", "axis")
+    parameters: ClassVar = (Parameter("gain", "", (-3, 3), (0.1, 1)),)
+    experiment: ClassVar = "turn the platform about its axis and tilt it, far out: the pose alone tells it"
+    action: ClassVar = "Correct lengths by the twist of the joints, or guide the nut so that it cannot turn."
+    on_pose: ClassVar = True
+
+    def needs(self, motion: Motion) -> str | None:
+        if motion.mechanism.kind != "hexapod":
+            return "takes a hexapod, whose struts end in cardans"
+        if motion.actuator.screw_lead is None or motion.actuator.joints is None:
+            return "needs [actuator] screw_lead and joints in rig.toml"
+        return "takes cardans at both ends: a ball turns freely and cannot turn the nut" if motion.actuator.joints != "cardan-cardan" else None
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self.axes(motion.places) * self.gain * motion.turn() / (2 * np.pi) * self._twist(motion)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return Covariate(np.degrees(self._twist(motion)), "twist of the cardans, degrees")
+
+    def _twist(self, motion: Motion) -> np.ndarray:
+        reason = self.needs(motion)
+        if reason:
+            raise RigError(f"{self.name} {reason}")
+        m = hexapod_of(motion.mechanism)
+        return cardan_twist(motion.posed(), m) - cardan_twist(m.home, m)

@@ -1,0 +1,60 @@
+"""Struts, or an arm's links, grow with their temperature, which is logged."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
+from rig.effects.framework.covariate import Covariate, temperature
+
+AMBIENT = "ambient_temperature_C"
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalExpansion(Effect):
+    """Share coefficient * (T - 20 C) by which a strut is longer, or the link behind a joint; T its own channel, for a link else the room's."""
+
+    place: str
+    coefficient: float = 0.0
+    name: ClassVar = "thermal_expansion"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis", "rig")
+    parameters: ClassVar = (Parameter("coefficient", "1/K", (-1e-4, 1e-4), (9e-6, 2.4e-5)),)
+    experiment: ClassVar = "heat the {axis}s, or log their temperatures: without a log it is a warm-up"
+    action: ClassVar = "Let the machine reach its temperature, or correct lengths by the logged temperatures."
+
+    def needs(self, motion: Motion) -> str | None:
+        return next(filter(None, (motion.no_channel(*_channels(place)) for place in motion.places if self.at(place))), None)
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self._grown(motion)[0]
+
+    def sway(self, motion: Motion) -> np.ndarray:
+        return self._grown(motion)[1] if motion.kind.AXIS != "strut" else np.zeros((len(motion.t), 6))
+
+    def _grown(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+        share = np.zeros(motion.lengths.shape)
+        for i in np.flatnonzero(self.axes(motion.places)):
+            share[:, i] = self.coefficient * (motion.channel(*_channels(motion.places[i])) - REFERENCE_TEMPERATURE)
+        return motion.kind.grown(motion.T, motion.lengths, motion.mechanism, share)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        warm = [motion.channel(*_channels(place)) if self.at(place) else np.zeros(len(motion.t)) for place in motion.places]
+        return temperature(np.stack(warm, axis=1), f"the {motion.kind.AXIS}")
+
+    @classmethod
+    def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
+        return tuple(_channels(at) for at in context.moved().places if place in (at, "rig"))
+
+    @classmethod
+    def sites(cls, context: Context) -> tuple[str, ...]:
+        found = super(ThermalExpansion, cls).sites(context)
+        own = any(context.logged(_channels(place)[0]) for place in context.moved().places)
+        return found if context.moved().kind.AXIS == "strut" or own else ("rig",)  # one temperature tells of no link by itself
+
+
+def _channels(place: str) -> tuple[str, ...]:
+    """The channels, any one of which tells an axis' temperature: a strut's is its own, a link's may be the room's."""
+    own = f"{place.replace(' ', '')}_temperature_C"
+    return (own,) if place.startswith("strut") else (own, AMBIENT)

@@ -1,0 +1,39 @@
+"""The cameras' clock is off against the commands': by so much, and if it jumped, from then on."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
+from rig.effects.framework.covariate import Covariate, travel
+
+
+@dataclass(frozen=True, slots=True)
+class TimeOffset(Effect):
+    """Exposures logged at t >= since (s from the recording's start) happened at t + offset on the commands' clock."""
+
+    place: str
+    offset: float = 0.0
+    since: float = -np.inf
+    name: ClassVar = "time_offset"
+    stage: ClassVar = "command"
+    places: ClassVar = ("clock",)
+    lasting: ClassVar = False
+    parameters: ClassVar = (Parameter("offset", "s", (-5, 5), (1e-3, 6e-2), signed=True),
+                            Parameter("since", "s", (-np.inf, np.inf), (0, 1e5), role="moment"))
+    moving: ClassVar = True
+    experiment: ClassVar = ("expose while moving, at several speeds; reversals at full speed (plan zigzag) or an external clock "
+                            "tell it from a lag of all drives")
+    action: ClassVar = "Trigger cameras and controller from one clock, or shift the exposures' times."
+
+    def times(self, t: np.ndarray) -> np.ndarray:
+        return t + self.offset * (np.asarray(t) >= self.since)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return travel(motion.path.speed, motion, "speed of the axis", "/s")
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        jumped = replace(super(TimeOffset, cls).candidates(place, context)[0], label="jump")
+        return [replace(jumped, grid=[{}], label="", extra=0), jumped]

@@ -1,0 +1,106 @@
+"""The platform shakes: a sinusoid in time, caught at the moment of exposure."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from rig.effects.framework.effect import QUADRATURE, Candidate, Context, Effect, Linear, Motion, Parameter
+from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.random_effects import Drawing
+
+ROUNDS = 30  # of one factor after the other; each brings them nearer
+
+
+@dataclass(frozen=True, slots=True)
+class Vibration(Effect):
+    """Displacement amplitude * sin(2 pi frequency t + phase) along mode, a tangent (x y z, rx ry rz) whose translation counts as one unit
+    long whatever its numbers; without a translation they count as they are. A whole number 0 to 2 stands for x, y or z."""
+
+    place: str
+    amplitude: float = 0.0
+    frequency: float = 10.0
+    mode: tuple[float, ...] = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    phase: float = 0.0
+    name: ClassVar = "vibration"
+    stage: ClassVar = "structure"
+    places: ClassVar = ("rig",)
+    lasting: ClassVar = False
+    parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-3), (1e-6, 1e-4)),
+                            Parameter("frequency", "Hz", (1e-4, 1e3), (0.1, 50), role="frequency"),
+                            Parameter("mode", "1, 1/m", (-1e3, 1e3), (0.5, 2), 6, role="direction"),
+                            Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"))
+    experiment: ClassVar = "many exposures of one pose at irregular times"
+    action: ClassVar = "Find what shakes at that frequency (pump, fan, floor) and decouple the rig, or expose for whole periods."
+
+    def __post_init__(self) -> None:
+        if np.size(self.mode) == 1:
+            number = float(np.ravel(self.mode)[0])
+            if number not in (0, 1, 2):
+                raise ValueError(f"mode takes six numbers, a tangent (x y z, rx ry rz), not {self.mode!r}")
+            object.__setattr__(self, "mode", tuple(np.eye(6)[int(number)].tolist()))
+
+    @property
+    def direction_(self) -> np.ndarray:
+        """(6,) the mode, one unit long in its translation."""
+        mode = np.asarray(self.mode, float)
+        size = np.linalg.norm(mode[:3])
+        return mode / size if size > 0 else mode
+
+    def sway(self, motion: Motion) -> np.ndarray:
+        return self.amplitude * np.sin(self._angle(motion))[:, None] * self.direction_
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return Covariate(self.frequency * motion.t % 1, "phase of the shaking, turns")
+
+    def direction(self, motion: Motion) -> np.ndarray:
+        return np.tile(self.direction_, (len(motion.t), 1))
+
+    def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
+        size = 3 if np.any(self.mode[:3]) else 6
+        return ({("mode", i): self.mode[i] for i in range(size)},)
+
+    def written(self) -> Self:
+        mode = self.direction_
+        turned = mode[np.argmax(np.abs(mode[:3]) if np.any(mode[:3]) else np.abs(mode))] < 0  # its greatest number is written positive
+        phase = np.remainder(self.phase + (2 if turned else 1) * np.pi, 2 * np.pi) - np.pi
+        return replace(self, mode=tuple((-mode if turned else mode).tolist()), phase=float(phase))
+
+    def _angle(self, motion: Motion) -> np.ndarray:
+        return 2 * np.pi * self.frequency * motion.t + self.phase
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
+        return super(Vibration, cls).drawn(place, drawing, rng).written()
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        columns = [Linear(name, j, 1e-6) for name in ("mode", QUADRATURE) for j in range(6)]
+        return [Candidate(cls, place, [{}], columns, extra=1, tied=5)]  # of twelve, a direction (6) and a phase are free
+
+    @classmethod
+    def composed(cls, candidate: Candidate, node: dict, coefficients: np.ndarray) -> "Vibration":
+        """Of twelve coefficients (six directions of the sine, then of the cosine), the one direction and phase that make most of them up."""
+        u, s, vt = np.linalg.svd(np.reshape(coefficients, (2, 6)), full_matrices=False)
+        size = np.linalg.norm(vt[0, :3]) or 1.0
+        return cls(candidate.place, float(s[0] * size), mode=tuple(vt[0].tolist()), phase=float(np.arctan2(u[1, 0], u[0, 0])), **node).written()
+
+
+def one_direction(b: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:
+    """(drop, coefficients (12,)) of least squares with normal equations G (12, 12) x = b (12,), x the outer product of a phase (2) and a
+    direction (6): one factor after the other, from the greatest part of what is free."""
+    scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
+    whole = np.linalg.pinv(G / scale[:, None] / scale, rcond=1e-9, hermitian=True) @ (b / scale) / scale
+    weight = np.maximum(scale.reshape(2, 6).max(axis=0), 1e-300)
+    phase = np.linalg.svd(whole.reshape(2, 6) * weight, full_matrices=False)[0][:, 0]
+    tensor, right = G.reshape(2, 6, 2, 6), b.reshape(2, 6)
+    for _ in range(ROUNDS):
+        H = np.einsum("p,piqj,q->ij", phase, tensor, phase)
+        direction = np.linalg.lstsq(H / weight[:, None] / weight, phase @ right / weight, rcond=1e-9)[0] / weight
+        new = np.linalg.lstsq(np.einsum("i,piqj,j->pq", direction, tensor, direction), right @ direction, rcond=None)[0]
+        new, direction = new / np.linalg.norm(new), direction * np.linalg.norm(new)
+        if np.abs(new - phase).max() < 1e-9:
+            break
+        phase = new
+    x = np.outer(new, direction).ravel()
+    return float(2 * b @ x - x @ G @ x), x

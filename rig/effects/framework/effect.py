@@ -1,0 +1,300 @@
+"""What an effect is: a name, a place, parameters with units and bounds, and a hook at the stage where it acts.
+
+Stages, in the order in which a command becomes a corner: `command` (what the axes are told, and when), `struts` (what the axes,
+struts or joints, do beyond that), `structure` (what the frame and platform do), `targets` (where markers sit), `view` (what a
+camera makes of it). Every hook of the base class changes nothing; an effect overrides the ones that it needs.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from itertools import product
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+
+from rig.model.design import Camera
+from rig.effects.framework.search_candidate import COUNT, QUADRATURE, Candidate, Linear
+from rig.effects.framework.recording_context import Context
+from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.random_effects import Drawing, value
+from rig.effects.framework.parameter_grid import grid, step
+from rig.effects.framework.machine_motion import SOON, Motion, Path
+from rig.effects.framework.parameter import Parameter
+from rig.effects.framework.place_names import AXES, axis_word, kind_of, sits, takes_in
+from rig.errors import RigError
+
+REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
+MOTION_STAGES = ("command", "struts", "structure")
+AT_REST = 1e-9  # m/s or rad/s
+SELDOM = 0.25  # share of draws in which an effect that may start at a moment does so
+
+
+class Effect:
+    """Base of all effects.
+
+    name, stage; places : kinds of place it can sit at ("axis": a strut or a joint); parameters; experiment : what would expose it
+    joint_experiment : the same of a joint, where it differs; action : what an owner can do about it; "{axis}" stands for strut, joint or slide in all
+    on_pose : its deviation depends on the pose; sudden : it happens at one time, and may be over soon
+    discrete : found by looking at what corners were set aside, not by its derivative; moving : shows only in exposures on the way
+    rolls : rows of an image are exposed one after the other
+    form : what the model is a function of, where that is simple: the axis' own travel ("slope", "sinusoid" or "profile"), its "load", or
+    a moment ("step")
+    own_axis : depends on the axis' own position alone, 1 for the simplest such model; once : a second at a place would be the first
+    lasting : the machine does it again the next time, as found, so that commands can undo it; what happened at one moment, or swings with a
+    phase of its own, it does not
+    view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
+    """
+
+    __slots__ = ()
+    name: ClassVar[str] = ""
+    stage: ClassVar[str] = ""
+    places: ClassVar[tuple[str, ...]] = ()
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    experiment: ClassVar[str] = ""
+    joint_experiment: ClassVar[str] = ""
+    action: ClassVar[str] = ""
+    on_pose: ClassVar[bool] = False
+    sudden: ClassVar[bool] = False
+    discrete: ClassVar[bool] = False
+    moving: ClassVar[bool] = False
+    rolls: ClassVar[bool] = False
+    form: ClassVar[str | None] = None
+    own_axis: ClassVar[int] = 0
+    once: ClassVar[bool] = False
+    lasting: ClassVar[bool] = True
+    view: ClassVar[str] = "displacement"
+
+    if TYPE_CHECKING:  # every effect is a dataclass of its place and parameters
+        __dataclass_fields__: ClassVar[dict[str, Any]]
+        place: str
+
+        def __init__(self, place: str, **values: Any) -> None: ...
+
+    def needs(self, motion: Motion) -> str | None:
+        """What a machine or its recording lacks for this effect, in words that follow its name; None where it has all."""
+        return None
+
+    def times(self, t: np.ndarray) -> np.ndarray:
+        """(n,) s on the commands' clock at which exposures logged at t (n,) really happened."""
+        return t
+
+    def follow(self, path: Path, places: tuple[str, ...]) -> Path:
+        """Path that the axes (their places) follow when told to follow a path."""
+        return path
+
+    @classmethod
+    def retimes(cls) -> bool:
+        """Whether it changes when, or along which path, the axes move."""
+        return cls.times is not Effect.times or cls.follow is not Effect.follow
+
+    def forgets(self) -> float:
+        """m or rad that an axis must travel one way until it no longer matters how it stood before; 0 for what remembers no way."""
+        return 0.0
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        """(n, axes) m or rad that the axes stand beyond their command, by this effect."""
+        return np.zeros(motion.lengths.shape)
+
+    def sway(self, motion: Motion) -> np.ndarray:
+        """(n, 6) tangent by which the platform is displaced, on the right (m, rad)."""
+        return np.zeros((len(motion.t), 6))
+
+    def attach(self, markers: Any) -> Any:
+        """MarkerMap (id (m,), T_body_marker (m,), side (m,), target names) as the markers really sit."""
+        return markers
+
+    def camera(self, camera: Camera) -> Camera:
+        """The Camera that really looks."""
+        return camera
+
+    def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
+        """(n, 6) tangent by which a camera's mount has moved at t (n,) s, on the right; channel(name) -> (n,) sensor values."""
+        return np.zeros((len(t), 6))
+
+    def focal(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
+        """(n,) factor on a camera's focal length."""
+        return np.ones(len(t))
+
+    def bend(self, camera: Camera, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) m of a camera's frame where they appear to be."""
+        return points
+
+    def late(self, camera: Camera, v: np.ndarray) -> np.ndarray:
+        """(...,) s by which image row v (...,) is exposed after the middle row."""
+        return np.zeros(np.shape(v))
+
+    def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
+        """Marker corners (..., 4, 2) px as they appear, given where their edges are."""
+        return quads
+
+    @classmethod
+    def bending(cls, camera: Camera, quads: np.ndarray, columns: Sequence[Linear]) -> np.ndarray | None:
+        """(..., 4, 2, q) px that `print_` moves corners (..., 4, 2) px by, per unit of each column, where it is linear in them and says so."""
+        return None
+
+    def covariate(self, motion: Motion) -> Covariate:
+        """What the residuals of the axes show it against; by default what the model itself says."""
+        words = " or ".join(dict.fromkeys(f"µ{unit}" for unit in motion.units))
+        return Covariate(self.deviation(motion) * 1e6, f"what the model says, {words}")
+
+    def direction(self, motion: Motion) -> np.ndarray | None:
+        """(n, 6) tangents along which the residuals show it; None where each axis shows it for itself."""
+        return None
+
+    def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
+        """Sums of its parameters that a fit must keep, {(name, index): weight}: what would only change the notation."""
+        return ()
+
+    def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
+        """Which numbers of a parameter a fit may move: (None,) for a single one, indices of a vector, () for none."""
+        if parameter.role in ("moment", "choice"):
+            return ()
+        value = getattr(self, parameter.name)
+        return tuple(range(len(value))) if isinstance(value, tuple) else (None,)
+
+    def written(self) -> Self:
+        """The same effect in its own notation, after its numbers have moved."""
+        return self
+
+    @classmethod
+    def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
+        """Temperatures that it follows at a place, the channels any one of which tells each; none for what follows no temperature."""
+        return ()
+
+    @classmethod
+    def sites(cls, context: Context) -> tuple[str, ...]:
+        """The places at which a recording can be asked for it. Raises RigError where the recording lacks what it needs."""
+        commanded = cls.stage in MOTION_STAGES
+        if commanded and context.motion is None:
+            raise RigError("nothing was commanded")
+        if not commanded and not context.cameras:
+            raise RigError("there are no corners")
+        if cls.moving and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
+            raise RigError("every exposure was taken at rest")
+        found = tuple(place for kind in cls.places for place in cls._of_kind(kind, context))
+        lacking = cls.lacking(context) if commanded else {}
+        if found and len(lacking) == len(found):
+            raise RigError(f"{cls.name} {lacking[found[0]]}")
+        return tuple(place for place in found if place not in lacking)
+
+    @classmethod
+    def lacking(cls, context: Context) -> dict[str, str]:
+        """{place: why not} of the axes, or the rig, at which it cannot be asked for, for what the recording lacks there: a slide without a lead."""
+        places = (place for kind in cls.places for place in cls._of_kind(kind, context))
+        return {place: reason for place in places if (reason := cls(place).needs(context.moved()))}
+
+    @classmethod
+    def _of_kind(cls, kind: str, context: Context) -> tuple[str, ...]:
+        if kind == "axis":
+            return context.moved().places
+        if kind == "rig" and "axis" in cls.places and context.moved().kind.AXIS != "strut":
+            return ()  # joints differ: that all of them do the same is nobody's physics
+        if kind == "cameras":
+            return ("cameras",) if len(context.design.cameras) > 1 else ()
+        several = {"camera": context.cameras, "marker": context.markers, "target": context.targets}
+        return tuple(f"{kind} {name}" for name in several[kind]) if kind in several else (kind,)
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        """Candidates at a place: by default every linear parameter a column, and a grid of what its roles leave to be searched."""
+        parameters = [p.at(place) for p in cls.parameters]
+        grids = {p.name: grid(p, context.t) for p in parameters if p.role in ("size", "log", "even", "moment")}
+        nodes = [dict(zip(grids, values)) for values in product(*grids.values())]
+        return [Candidate(cls, place, nodes, cls.linear(place), extra=len(grids))]
+
+    @classmethod
+    def linear(cls, place: str) -> list[Linear]:
+        """The columns of the model at a place: its linear and inverse parameters, and the quadrature of a phase."""
+        parameters = [p.at(place) for p in cls.parameters]
+        columns = [Linear(p.name, None if p.size == 1 else j, step(p)) for p in parameters if p.role in ("linear", "inverse") for j in range(p.size)]
+        return columns + [Linear(QUADRATURE, None, step(next(q for q in parameters if q.role == "linear"))) for p in parameters if p.role == "phase"]
+
+    @classmethod
+    def composed(cls, candidate: Candidate, node: dict, coefficients: np.ndarray) -> "Effect":
+        """The effect of a Candidate's node with coefficients (q,) of its linear parameters."""
+        values, by = dict(node), {p.name: p for p in cls.parameters}
+        vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in candidate.linear if index is not None}
+        for (name, index, _), c in zip(candidate.linear, coefficients):
+            if name == QUADRATURE:
+                amplitude = next(p.name for p in cls.parameters if p.role == "linear")
+                phase = next(p.name for p in cls.parameters if p.role == "phase")
+                values[amplitude], values[phase] = float(np.hypot(values[amplitude], c)), float(np.arctan2(c, values[amplitude]))
+            elif index is not None:
+                vectors[name][index] = c
+            elif by[name].role == "inverse":
+                values[name] = 1 / c if c else np.inf
+            else:
+                values[name] = float(c)
+        values.pop(COUNT, None)
+        return cls(candidate.place, **values, **{name: tuple(v.tolist()) for name, v in vectors.items()})
+
+    @classmethod
+    def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
+        """(n, axes, q): see Candidate.deviation. The model is linear in these, so that a small step of each tells all."""
+        if not candidate.linear:
+            return candidate.effect(node, np.zeros(0)).deviation(motion)[..., None]
+        out = []
+        for j, column in enumerate(candidate.linear):
+            unit = np.zeros(len(candidate.linear))
+            unit[j] = column.step
+            out.append(candidate.effect(node, unit).deviation(motion) / column.step)
+        return np.stack(out, axis=-1)
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
+        """One of a plausible size at a place. What starts at a moment only if need be (its default is that of no moment) does so now and then."""
+        values = {}
+        for p in cls.parameters_at(place):
+            default = getattr(cls(place), p.name)
+            if p.role == "choice" or p.size == 0 or (p.role == "moment" and np.isinf(default) and rng.random() >= SELDOM):
+                continue
+            values[p.name] = value(p, drawing, rng)
+        return cls(place, **values)
+
+    @classmethod
+    def parameters_at(cls, place: str) -> tuple[Parameter, ...]:
+        """The parameters with their units, bounds and usual sizes at a place."""
+        return tuple(p.at(place) for p in cls.parameters)
+
+    @classmethod
+    def experiment_at(cls, place: str) -> str:
+        """What would expose it at a place, in words."""
+        joint = kind_of(place) == "joint"
+        return (cls.joint_experiment if joint and cls.joint_experiment else cls.experiment).format(axis=axis_word(place))
+
+    @classmethod
+    def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
+        """Which of {parameter name: number} at a place is far beyond what rigs show, in a sentence; None where none is."""
+        return next((text for p in cls.parameters_at(place) if (text := p.unusual(values.get(p.name)))), None)
+
+    @classmethod
+    def action_at(cls, place: str) -> str:
+        """What an owner can do about it at a place, in a sentence."""
+        return cls.action.format(axis=axis_word(place))
+
+    @classmethod
+    def label(cls) -> str:
+        """Its name in words."""
+        return cls.name.replace("_", " ")
+
+    def values(self) -> dict[str, float | tuple[float, ...]]:
+        """{parameter name: number or tuple} of this effect."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "place"}
+
+    def problem(self) -> str | None:
+        """What is wrong with its parameters together, in words, or None."""
+        return None
+
+    def at(self, kind: str) -> bool:
+        """Whether this effect sits at a place "kind name"; "rig", "cameras" and "markers" take in all of their kind."""
+        return takes_in(self.place, kind)
+
+    def axes(self, places: tuple[str, ...]) -> np.ndarray:
+        """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis that the machine does not have."""
+        if kind_of(self.place) in AXES and self.place not in places:
+            raise RigError(f"{self.name} sits at {self.place}, and the machine's axes are {places[0]} to {places[-1]}")
+        return sits(self.place, places).copy()
+
+
+__all__ = ["AXES", "COUNT", "MOTION_STAGES", "QUADRATURE", "REFERENCE_TEMPERATURE", "SOON", "Candidate", "Context", "Covariate", "Effect", "Linear",
+           "Motion", "Parameter", "Path"]

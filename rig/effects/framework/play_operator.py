@@ -1,0 +1,32 @@
+"""The play operator, walked along a whole path: what is left of history in an axis."""
+
+import numpy as np
+
+from rig.effects.framework.machine_motion import Motion
+from rig.compute.numba_kernels import njit
+
+
+def play(lengths: np.ndarray, half: float) -> np.ndarray:
+    """(m, axes) where the output of a play of half width `half` stands after each knot of a path (m, axes), m or rad.
+
+    The output starts in the middle of the gap and is dragged along at its ends. Between knots the input is monotonic, so the
+    knots are all that matters. Source: Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, ch. 2
+    """
+    return _walk(np.ascontiguousarray(lengths, dtype=float), float(half))
+
+
+def behind(motion: Motion, half: float) -> np.ndarray:
+    """(n, axes) m or rad that a play of half width `half` adds to the command at the exposures."""
+    path = motion.path
+    return motion.once(("behind", half), lambda: (path.walked(lambda _, lengths: play(lengths, half)) - path.lengths)[path.at])
+
+
+@njit(cache=True)
+def _walk(lengths, half):
+    out = np.empty_like(lengths)
+    at = lengths[0].copy()
+    for k in range(len(lengths)):
+        for i in range(lengths.shape[1]):
+            at[i] = min(max(at[i], lengths[k, i] - half), lengths[k, i] + half)
+            out[k, i] = at[i]
+    return out

@@ -1,0 +1,238 @@
+"""A table of outside data, from TOML or JSON, that checks what it hands out, and complains with file, line, column and key."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.errors import FileError
+from rig.formats.input_files import shown
+from rig.model.pose import pose
+from rig.formats.schema_version import require
+
+LARGEST_RIG = 50.0  # m; nothing on struts or arms is larger, so a larger figure is in another unit
+LARGEST_NUMBER = 1e100  # beyond it the square of a number is none
+LARGEST_TURN = 7.0  # rad, of a rotation vector's components: a full turn is 2 pi
+LARGEST_WHOLE = 1 << 53  # to which a float counts
+NEAREST = 0.6  # of difflib's ratio, between an unknown key and the known one that is named
+SLIPS = 200  # keys among which a slip of one is looked for
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+NAMES = "letters, digits, '_', '-' and '.', at most 64 of them, the first a letter, digit or '_'"
+REQUIRED = object()
+Key = str | int  # of a table, or an index of a list
+Shape = tuple[int | None, ...]  # of nested lists; None: any length
+
+
+def slip(word: str, known: Iterable, cutoff: float = 0.7) -> str | None:
+    """The one of some known words that a word is likely a slip of, or None. cutoff : of difflib's ratio, least of what counts as near"""
+    near = difflib.get_close_matches(word[:64], [k for k in list(known)[:SLIPS] if isinstance(k, str) and len(k) <= 64], n=1, cutoff=cutoff)
+    return near[0] if near else None
+
+
+def name_problem(name: str) -> str | None:
+    """What is wrong with the name of a camera, target or channel, in words, or None: it stands in paths, CSV cells, places and figures."""
+    if NAME.fullmatch(name):
+        return None
+    better = re.sub(r"[^A-Za-z0-9_.-]+", "_", name).strip("._-")[:64]
+    return f"{shown(name)} cannot be a name: names have {NAMES}" + (f"; {better!r} would do" if better else "")
+
+
+@dataclass
+class Entries:
+    """A table that knows where it stands. tree : {key: value}, of a list {0: value, ..}; path : keys and indices that lead to it
+    places : {path: (line, column)} of the values whose place in the file is known, the path () among them"""
+
+    tree: dict
+    path: tuple
+    file: Path
+    places: Mapping
+
+    def fail(self, message: str, *keys: Key, value: Any = None) -> NoReturn:
+        """Raise FileError at the value under keys, or at the nearest thing above it that has a place."""
+        at = self.path + keys
+        while at not in self.places:
+            at = at[:-1]
+        line, column = self.places[at]
+        raise FileError(self.file, message, line, column, value)
+
+    def name(self, key: Key) -> str:
+        """A key with its path, as in camera.1.width."""
+        return ".".join(str(part + 1 if isinstance(part, int) else part) for part in (*self.path, key))
+
+    def get(self, key: Key, default: Any = REQUIRED) -> Any:
+        """A value as TOML has it. Raises FileError where it is missing and no default is given."""
+        if key in self.tree:
+            return self.tree[key]
+        if default is REQUIRED:
+            near = slip(key, self.tree) if isinstance(key, str) else None
+            self.fail(f"{self.name(key)} is missing" + (f"; is {near!r} meant?" if near else ""), *([near] if near else []))
+        return default
+
+    def table(self, key: Key, optional: bool = False) -> Entries:
+        """A table within this one."""
+        value = self.get(key, {} if optional else REQUIRED)
+        if not isinstance(value, dict):
+            self.fail(f"{self.name(key)} must be a table, not {shown(value)}", key, value=value)
+        return Entries(value, self.path + (key,), self.file, self.places)
+
+    def tables(self, key: Key) -> list[Entries]:
+        """The tables of an array of tables."""
+        value = self.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+            self.fail(f"{self.name(key)} must be written as [[{key}]] tables", key, value=value)
+        return [Entries(item, self.path + (key, i), self.file, self.places) for i, item in enumerate(value)]
+
+    def lists(self, key: Key, length: int) -> list[Entries]:
+        """The lists of a list, each of a length, as Entries whose keys are 0, 1, .."""
+        value = self.get(key)
+        if not isinstance(value, list) or not all(isinstance(item, list) and len(item) == length for item in value):
+            self.fail(f"{self.name(key)} must be a list of lists of {length}", key)
+        return [Entries(dict(enumerate(item)), (*self.path, key, i), self.file, self.places) for i, item in enumerate(value)]
+
+    def wholes(self, key: Key, least: int = 0) -> tuple[int, ...]:
+        """Whole numbers of at least `least`, as a tuple."""
+        value = self.get(key)
+        if not isinstance(value, list):
+            self.fail(f"{self.name(key)} must be a list of whole numbers, not {shown(value)}", key)
+        inner = Entries(dict(enumerate(value)), (*self.path, key), self.file, self.places)
+        return tuple(inner.whole(i, least) for i in range(len(value)))
+
+    def schema(self, what: str, known: str) -> None:
+        """Raise FileError where a whole file's table does not name the schema known. what : the file should be"""
+        self.text("schema")
+        require(self.file, what, self.tree["schema"], (known,), self.places[(*self.path, "schema")])
+
+    def texts(self, key: Key) -> tuple[str, ...]:
+        """Texts, as a tuple."""
+        value = self.get(key)
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            self.fail(f"{self.name(key)} must be a list of texts, not {shown(value)}", key)
+        return tuple(value)
+
+    def flag(self, key: Key, default: Any = REQUIRED) -> bool:
+        """True or false."""
+        value = self.get(key, default)
+        if not isinstance(value, bool):
+            self.fail(f"{self.name(key)} must be true or false, not {shown(value)}", key, value=value)
+        return value
+
+    def identifier(self, key: Key) -> str:
+        """The name of a camera, a target or the like."""
+        value = self.text(key)
+        if name_problem(value):
+            self.fail(f"{self.name(key)}: {name_problem(value)}", key, value=value)
+        return value
+
+    def text(self, key: Key, choices: Collection[str] | None = None, default: Any = REQUIRED) -> Any:
+        """Text, one of choices where these are given."""
+        value = self.get(key, default)
+        if value is default and default is not REQUIRED:
+            return default
+        if not isinstance(value, str) or (not choices and not value):
+            self.fail(f"{self.name(key)} must be text, not {shown(value)}", key, value=value)
+        if choices and value not in choices:
+            self.fail(f"{self.name(key)} must be one of {', '.join(map(repr, choices))}, not {shown(value)}", key, value=value)
+        return value
+
+    def whole(self, key: Key, least: int, default: Any = REQUIRED, most: int = LARGEST_WHOLE) -> int:
+        """A whole number of at least `least` and at most `most`."""
+        value = self.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+            limits = f"at least {least}" + (f" and at most {most}" if isinstance(value, int) and value > most else "")
+            self.fail(f"{self.name(key)} must be a whole number of {limits}, not {shown(value)}", key, value=value)
+        return value
+
+    def number(self, key: Key, default: Any = REQUIRED, least: float | None = None, most: float | None = None, above: float | None = None,
+               unit: str = "", nulls: bool = False) -> Any:
+        """A finite number within limits; None where the default says so; nulls : whether it may be null, and then is NaN."""
+        value = self.get(key, default)
+        if value is None and default is None:
+            return None
+        self.numbers(value, (), key, (), nulls=nulls)
+        if value is None:
+            return math.nan
+        self._within(value, (key,), least, most, above, unit)
+        return float(value)
+
+    def each(self, key: Key, count: int, default: Any = REQUIRED, **limits: Any) -> Any:
+        """(count,) finite numbers within limits, stated one by one or one for all; None where the default says so."""
+        if not isinstance(self.get(key, default), list):
+            value = self.number(key, default, **limits)
+            return None if value is None else np.full(count, value)
+        values = self.array(key, (count,))
+        for i, value in enumerate(values):
+            self._within(value, (key, i), **limits)
+        return values
+
+    def _within(self, value: float, keys: tuple[Key, ...], least: float | None = None, most: float | None = None, above: float | None = None,
+                unit: str = "") -> None:
+        if (least is not None and value < least) or (most is not None and value > most) or (above is not None and value <= above):
+            limits = [f">= {least}" if least is not None else "", f"> {above}" if above is not None else "",
+                      f"<= {most}" if most is not None else ""]
+            label = self._label(keys[0], keys[1:])
+            self.fail(f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {shown(value)}", *keys, value=value)
+
+    def array(self, key: Key, shape: Shape, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False) -> Any:
+        """Numbers nested as shape says (None: any length). length_limit (m) catches figures in another unit; nulls : whether a null
+        may stand for what was not measured, and becomes NaN."""
+        value = self.get(key, default)
+        if value is None and default is None:
+            return None
+        self.numbers(value, shape, key, (), length_limit, nulls)
+        found = np.array(value, float)
+        return found if found.size else found.reshape([n or 0 for n in shape])
+
+    def numbers(self, value: Any, shape: Shape, key: Key, index: tuple[int, ...], length_limit: float | None = None, nulls: bool = False) -> None:
+        """Check that a value is a number, or numbers nested as shape says; index : where within the key's value it stands."""
+        if shape:
+            if not isinstance(value, list) or (shape[0] is not None and len(value) != shape[0]):
+                got = f"{len(value)} entries" if isinstance(value, list) else shown(value)
+                self.fail(f"{self._label(key, index)} must have {'x'.join('n' if n is None else str(n) for n in shape)} numbers, got {got}",
+                          key, *index, value=value)
+            for i, item in enumerate(value):
+                self.numbers(item, shape[1:], key, (*index, i), length_limit, nulls)
+        elif isinstance(value, bool) or not isinstance(value, int | float):
+            if not (nulls and value is None):
+                self.fail(f"{self._label(key, index)} must be a number, not {shown(value)}", key, *index, value=value)
+        elif nulls and value != value:
+            return
+        elif not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # true for what is not a number, too
+            finite = isinstance(value, int) or math.isfinite(value)
+            self.fail(f"{self._label(key, index)} is {'too large to compute with' if finite else 'not finite'}: {shown(value)}", key, *index,
+                      value=value)
+        elif length_limit is not None and abs(value) > length_limit:
+            self.fail(f"{self._label(key, index)} = {shown(value)} m is implausible (more than {length_limit:g} m): lengths are in metres; "
+                      f"is this in millimetres ({value / 1000:g} m)?", key, *index, value=value)
+
+    def _label(self, key: Key, index: tuple) -> str:
+        return self.name(key) + "".join(f"[{i + 1}]" for i in index)
+
+    def pose(self, key: Key) -> RigidTransform:
+        """RigidTransform of a table with position (m) and rotvec (rad)."""
+        inner = self.table(key)
+        inner.refuse_misspelt(("position", "rotvec"))
+        position = inner.array("position", (3,), length_limit=LARGEST_RIG)
+        return pose(position, inner.turn("rotvec"))
+
+    def turn(self, key: Key) -> np.ndarray:
+        """(3,) rad, a rotation vector."""
+        value = self.array(key, (3,))
+        if np.abs(value).max() > LARGEST_TURN:
+            self.fail(f"{self.name(key)} = {value.tolist()} turns more than once round: it is in radians; is this in degrees?", key, value=value)
+        return value
+
+    def refuse_misspelt(self, known: Collection[str]) -> None:
+        """Raise FileError at the first key that is not known, with the nearest that is: a figure that nobody reads must not look as if it counted."""
+        for key in self.tree:
+            if key not in known:
+                near = slip(str(key), known, NEAREST)
+                hint = f"is {near!r} meant?" if near else f"there {'are' if len(known) > 1 else 'is'} {', '.join(known)}"
+                self.fail(f"unknown key {shown(self.name(key))}; {hint}", key, value=key)

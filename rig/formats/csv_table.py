@@ -1,0 +1,147 @@
+"""A CSV file of outside data -> checked columns; every complaint names file, line and column."""
+
+import csv
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
+from rig.errors import FileError
+from rig.formats.number_parsing import LONGEST_NUMBER, NotFinite, number, numbers
+from rig.recording.time_origin import LATEST, Origin, other_unit
+from rig.formats.input_files import read_text, shown
+
+FOREIGN = {"semicolon": ";", "tab": "\t"}  # separators of other people's tables
+MOST_COLUMNS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """path; columns: header names in file order; rows: lists of text; lines: (n,) file line of each row, from 1."""
+
+    path: Path
+    columns: tuple[str, ...]
+    rows: list
+    lines: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def fail(self, message: str, row: int | np.integer, column: str | None = None, value: Any = None) -> NoReturn:
+        """Raise FileError at a row (index) and a column (name); the column is given as its place in the row, from 1."""
+        place = self.columns.index(column) + 1 if column is not None else None
+        raise FileError(self.path, message, int(self.lines[row]), place, value)
+
+    def text(self, column: str) -> list[str]:
+        """List of the column's cells, spaces around them dropped."""
+        at = self.columns.index(column)
+        return [row[at].strip(" \t") for row in self.rows]
+
+    def numbers(self, column: str) -> np.ndarray:
+        """(n,) finite floats. Raises FileError at the first cell that is none."""
+        cells = self.text(column)
+        try:
+            values = np.array(numbers(cells))
+            if (np.abs(values) <= LARGEST_NUMBER).all():
+                return values
+        except ValueError:
+            pass
+        for i, cell in enumerate(cells):
+            problem = _number_problem(cell)
+            if problem:
+                self.fail(f"column {shown(column)} {problem}: {shown(cell)}", i, column, cell)
+        raise AssertionError("unreachable: a bad column without a bad cell")
+
+    def times(self, column: str, origin: Origin) -> np.ndarray:
+        """(n,) s from a recording's start. Raises FileError at the first cell that is no finite number or cannot be in seconds."""
+        values, cells = self.numbers(column), self.text(column)
+        far = np.flatnonzero(np.abs(values) > LATEST)
+        if len(far):
+            i = far[0]
+            self.fail(f"column {column!r} is in seconds, and {cells[i]} s is later than any clock shows: is it in {other_unit(values[i])}?", i,
+                      column, cells[i])
+        return origin.seconds(cells)
+
+    def whole(self, column: str) -> np.ndarray:
+        """(n,) integers of at least 0. Raises FileError at the first cell that is none."""
+        values = self.numbers(column)
+        bad = np.flatnonzero((values != np.round(values)) | (values < 0) | (values > LARGEST_WHOLE))
+        if len(bad):
+            limits = "of at least 0" + (f" and at most {LARGEST_WHOLE}" if values[bad[0]] > LARGEST_WHOLE else "")
+            self.fail(f"column {column!r} must be a whole number {limits}, not {shown(self.text(column)[bad[0]])}", bad[0], column)
+        return values.astype(int)
+
+    def matrix(self, columns: Iterable[str]) -> np.ndarray:
+        """(n, k) finite floats of several columns."""
+        return np.stack([self.numbers(column) for column in columns], axis=1) if columns else np.zeros((len(self), 0))
+
+
+def _number_problem(cell: str) -> str | None:
+    """What is wrong with a cell that should be a number, in words, or None."""
+    if len(cell) > LONGEST_NUMBER:
+        return f"has {len(cell)} characters, more than any number needs"
+    try:
+        value = number(cell)
+    except NotFinite:
+        return "is not finite"
+    except ValueError:
+        return "is not a number" if cell else "is empty"
+    return "is too large to compute with" if abs(value) > LARGEST_NUMBER else None
+
+
+def read(path: str | Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
+    """Table of a CSV file with a header line.
+
+    required : column names that must be there; optional : names that may be. Further columns are kept, unless one looks
+    like a slip of a known name.
+    Raises FileError: no file, no header, a column missing, twice given or misspelt, a row of another length, no rows.
+    """
+    path = Path(path)
+    text = read_text(path)
+    reader = csv.reader(StringIO(text, newline=""))
+    try:
+        header = _header(path, next(reader, ()), required, optional)
+        rows, lines = [], []
+        for row in reader:
+            if not (row and row[0].strip()) and not any(cell.strip() for cell in row):
+                continue
+            if len(row) != len(header):
+                torn = len(row) < len(header) and reader.line_num == text.count("\n") + 1  # the last line, and it does not end
+                raise FileError(path, f"{len(row)} cells in a table of {len(header)} columns{' (cut off?)' if torn else ''}", reader.line_num,
+                                min(len(row), len(header)) or None)
+            rows.append(row)
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise FileError(path, f"not valid CSV: {error}", reader.line_num) from None
+    if not rows:
+        raise FileError(path, "has a header but no rows", 1)
+    return Table(path, header, rows, np.array(lines))
+
+
+def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optional: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the columns, checked."""
+    header = tuple(name.strip() for name in cells)
+    if not any(header):
+        raise FileError(path, f"is empty; its first line must name the columns {','.join(required)}", 1)
+    if len(header) > MOST_COLUMNS:
+        raise FileError(path, f"has {len(header)} columns, more than {MOST_COLUMNS}", 1)
+    first: dict[str, int] = {}
+    for place, name in enumerate(header, 1):
+        if first.setdefault(name, place) != place:
+            raise FileError(path, f"column {shown(name)} is given twice", 1, place, name)
+    missing = [name for name in required if name not in first]
+    if missing:
+        other = next((name for name, sign in FOREIGN.items() if len(header) == 1 and sign in header[0]), None)
+        hint = "" if other is None else f"; it is separated by {other}s, and tables here are by commas with decimal points (docs/tables.md)"
+        raise FileError(path, f"column {missing[0]!r} is missing; the header is {shown(','.join(header))}{hint}", 1)
+    absent = [name for name in optional if name not in first and len(name) > 2]
+    for place, name in enumerate(header, 1):
+        near = difflib.get_close_matches(name[:64], absent, n=1, cutoff=0.8) if name not in (*required, *optional) else ()
+        if near:
+            raise FileError(path, f"unknown column {shown(name)}; is {near[0]!r} meant?", 1, place, name)
+    return header

@@ -1,0 +1,105 @@
+"""Foreign cameras onto a rig.toml: lenses and places of the cameras there, or cameras added; whose place nothing tells is refused."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.model.design import Camera
+from rig.formats.rig_toml.design_file import camera_block, with_cameras
+from rig.formats.checked_entries import LARGEST_RIG, name_problem
+from rig.errors import RigError
+from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera
+from rig.formats.importers.camera_calibrations.calibration_reader import cameras
+from rig.formats.importers.import_recipe import Cameras
+from rig.formats.number_parsing import numbers
+from rig.formats.input_files import shown
+from rig.model.pose import pose
+
+
+def onto(stated: Cameras, text: str, there: Sequence[Camera]) -> tuple[str, tuple[str, ...]]:
+    """(rig.toml with the cameras, sentences about what was found out).
+
+    text : a valid rig.toml; there : its cameras. Raises RigError where names or places are not told, and for another size of image
+    """
+    known = {camera.name: camera for camera in there}
+    said: tuple[str, ...] = ()
+    changed: list[Camera] = []
+    for file in stated.files:
+        kind, found = cameras(file)
+        named = {_ours(one, stated, known, alone=len(found) * len(stated.files) == 1): one for one in found}
+        if len(named) < len(found):
+            raise RigError(f"{file}: two of its cameras would be one: --set cameras.names.THEIRS=OURS tells them apart")
+        T_base, told = _anchor(named, known, stated, file)
+        changed += [_camera(name, one, known.get(name), T_base) for name, one in named.items()]
+        said += (f"{file.name} is a result of {kind}: {len(found)} camera{'s' * (len(found) > 1)}", *told)
+        said += tuple(line for one in found for line in one.said)
+    names = [camera.name for camera in changed]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise RigError(f"camera {twice} is told of twice; --set cameras.names.THEIRS=OURS tells cameras apart")
+    added = [camera for camera in changed if camera.name not in known]
+    if len(added) < len(changed):
+        text = with_cameras(text, [camera for camera in changed if camera.name in known])
+    for camera in added:
+        text = text.rstrip("\n") + "\n\n" + camera_block(camera, placed=True)
+    return text, said + ((f"added to rig.toml: {', '.join(camera.name for camera in added)}",) if added else ())
+
+
+def _ours(one: ForeignCamera, stated: Cameras, known: dict[str, Camera], alone: bool) -> str:
+    """Our name of a camera: as stated, the same, or the only one there is."""
+    name = dict(stated.names).get(one.name)
+    if name is None and (one.name in known or not known):
+        name = one.name
+    if name is None and alone and len(known) == 1:
+        name = next(iter(known))
+    if name is None:
+        setting = f"--set cameras.names.{one.name}="
+        one.at.fail(f"camera {shown(one.name)} is none of rig.toml's, {', '.join(known)}: {setting}{next(iter(known))} says which it is, "
+                    f"{setting}{one.name} adds it")
+    if name_problem(name):
+        one.at.fail(f"camera {name_problem(name)}: --set cameras.names.{one.name}=cam0 gives it another", value=name)
+    return name
+
+
+def _anchor(named: dict[str, ForeignCamera], known: dict[str, Camera], stated: Cameras, file: Path) -> tuple[RigidTransform | None, tuple[str, ...]]:
+    """(T_base_reference of a file's cameras, sentences); None where it tells no places."""
+    placed = {name: one.T for name, one in named.items() if one.T is not None}
+    if not placed:
+        return None, ()
+    if stated.at is not None:
+        name, T = next(iter(placed.items()))
+        return _pose(stated.at) * T.inv(), (f"camera {name} stands where cameras.at has it",)
+    name = next((name for name in placed if name in known), "")
+    if not name:
+        raise RigError(f"{file}: where its cameras stand to each other is told, but not where in the base frame: --set 'cameras.at=X Y Z RX RY RZ' "
+                       f"places {next(iter(placed))} (camera in base, m and rad, x right, y down, z ahead)")
+    return known[name].pose * placed[name].inv(), (f"camera {name} stands where rig.toml has it, the others as {file.name} has them about it",)
+
+
+def _pose(text: str) -> RigidTransform:
+    try:
+        figures = numbers(text.replace(",", " ").split())
+    except ValueError:
+        figures = []
+    if len(figures) != 6 or not np.isfinite(figures).all() or np.abs(figures[:3]).max() > LARGEST_RIG:
+        raise RigError(f"cameras.at takes six figures, x y z rx ry rz in m and rad, not {shown(text)}")
+    return pose(figures[:3], figures[3:])
+
+
+def _camera(name: str, one: ForeignCamera, there: Camera | None, T_base: RigidTransform | None) -> Camera:
+    """The camera as rig.toml will have it. there : of that name, or None"""
+    placed = None if one.T is None or T_base is None else T_base * one.T
+    if there is not None:
+        if one.size not in (None, (there.width, there.height)):
+            width, height = one.size or (0, 0)
+            one.at.fail(f"camera {name} was calibrated at {width}x{height} px, and rig.toml has {there.width}x{there.height}: a lens holds for one "
+                        "size of image")
+        return replace(there, matrix=one.matrix, distortion=one.distortion, pose=there.pose if placed is None else placed)
+    if placed is None or one.size is None:
+        lacks = "where it stands" if placed is None else "its size"
+        one.at.fail(f"camera {name} is not in rig.toml, and {one.at.file.name} does not tell {lacks}: write a [[camera]] of that name with the pose "
+                    "that you believe")
+    return Camera(name, *one.size, one.matrix, one.distortion, placed)

@@ -1,0 +1,60 @@
+"""Which column of a foreign table is what: by its header, in the usual words, or as stated."""
+
+import re
+from collections.abc import Iterable
+
+from rig.errors import FileError, RigError
+from rig.formats.importers.csv_dialect import Cells
+from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.column_units import split
+from rig.formats.input_files import shown
+
+TIME = ("t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "uhrzeit", "elapsed", "elapsedtime", "epoch",
+        "datetime", "utc", "unixtime", "clock")
+FRAME = ("frame", "index", "nr", "no", "number", "i", "id", "bild", "n", "pose", "point")
+IMAGE = ("image", "file", "filename", "img", "picture", "path")
+CAMERA = ("camera", "cam", "kamera")
+LIMB = ("l", "leg", "strut", "length", "actuator", "act", "axis", "limb", "bein", "m", "pos")
+JOINT = ("q", "joint", "j", "theta", "axis", "a", "angle")
+
+
+def words(header: str) -> str:
+    """A header's name without its unit, capitals and punctuation: what is compared."""
+    return re.sub(r"[^a-z0-9]+", "", split(header)[0].lower())
+
+
+def axes(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """{axis: what its header may be called} of axes l1.. or q1.."""
+    return {name: tuple(f"{word}{name[1:]}" for word in (LIMB if name[0] == "l" else JOINT)) for name in names}
+
+
+def find(cells: Cells, section: str, known: dict[str, tuple[str, ...]], required: Iterable[str]) -> dict[str, int]:
+    """{our name: index of the column} of those that are there.
+
+    known : {our name: what a header may be called}; required : that must be there. Raises RigError for what is missing or there twice
+    """
+    stated = dict(cells.table.columns)
+    found: dict[str, int] = {}
+    for ours, names in known.items():
+        if ours in stated:
+            if stated[ours] not in cells.header:
+                raise FileError(cells.path, f"has no column {shown(stated[ours])}; its header is {', '.join(cells.header)}")
+            found[ours] = cells.header.index(stated[ours])
+            continue
+        exact = [k for k, header in enumerate(cells.header) if header == ours]
+        alike = exact or [k for k, header in enumerate(cells.header) if words(header) in names and header not in stated.values()]
+        if len(alike) > 1:
+            raise RigError("\n".join([f"{cells.path}: several columns can be {ours}:", *(f"  {cells.header[k]}: --set '{section}.columns.{ours}="
+                                     f"{cells.header[k]}'" for k in alike)]))
+        if alike:
+            found[ours] = alike[0]
+    missing = [ours for ours in required if ours not in found]
+    if missing:
+        raise RigError(f"{cells.path}: no column is {missing[0]}: the header is {', '.join(cells.header)}; state which one it is with "
+                       f"--set '{section}.columns.{missing[0]}=HEADER'")
+    return found
+
+
+def kept(table: ForeignTable, cells: Cells, found: dict[str, int]) -> tuple[tuple[str, str], ...]:
+    """The columns as a recipe keeps them."""
+    return tuple((ours, cells.header[at]) for ours, at in found.items())

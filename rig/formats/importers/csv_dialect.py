@@ -1,0 +1,210 @@
+"""A foreign table -> header and cells: encoding, separator, decimal sign and comments found out, what can be read two ways refused."""
+
+import csv
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rig.formats.checked_entries import LARGEST_NUMBER
+from rig.errors import FileError
+from rig.formats.importers.ambiguous_input import ambiguous
+from rig.formats.importers.headerless_tables import clocked, headed
+from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
+from rig.formats.input_files import read_bytes, shown
+from rig.formats.parquet_table import cells, is_parquet
+
+LARGEST = 1 << 27  # bytes
+COMMENTS = ("#", "%", "//")
+LOOKED_AT = 2000  # rows by which a dialect is told; every row must have as many cells in the end
+MOST_COLUMNS = 1000
+LONGEST = 100  # characters of a number
+LONGEST_CELL = 300  # characters
+NUMBER = {"point": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII),
+          "comma": re.compile(r"[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d{1,3})?", re.ASCII)}
+TORN = re.compile(r"\d[;\t, ]+[-+]?[\d.,]")  # a cell that another separator would part
+DATE = re.compile(r"\d{4}-?\d\d-?\d\d([T ]\d\d.*)?")
+GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """A table as text. path; header : n names; rows : lists of n texts, decimals with a point; lines : of the file, from 1
+    table : ForeignTable with separator and decimal; said : sentences about what was found out."""
+
+    path: Path
+    header: tuple[str, ...]
+    rows: list[list[str]]
+    lines: list[int]
+    table: ForeignTable
+    said: tuple[str, ...]
+
+    def column(self, at: int) -> list[str]:
+        """A column's texts. at : index"""
+        return [row[at] for row in self.rows]
+
+    def numbers(self, at: int) -> list[float]:
+        """A column's numbers. Raises FileError at the first that is none."""
+        return [self._number(row[at], line, at) for row, line in zip(self.rows, self.lines)]
+
+    def _number(self, cell: str, line: int, at: int) -> float:
+        if len(cell) > LONGEST or not NUMBER["point"].fullmatch(cell) or abs(float(cell)) > LARGEST_NUMBER:
+            raise FileError(self.path, f"column {shown(self.header[at])} is no number that can be meant: {shown(cell)}", line, at + 1, cell)
+        return float(cell)
+
+
+def read(table: ForeignTable, name: str) -> Cells:
+    """Cells of a table. name : of its section in a recipe, as settings call it
+
+    Raises FileError for what is no table, RigError for one that reads well in two ways
+    """
+    if is_parquet(table.file):
+        header, rows = clocked(table, *cells(table.file))
+        return Cells(table.file, header, rows, list(range(1, len(rows) + 1)), table, ())
+    content, words = _decoded(table.file)
+    with_header = headed(table, name, _lines(table.file, content, table.header is None))
+    lines, table, words = with_header.lines, with_header.table, (*words, *with_header.said)
+    fits = _fitting(table, lines)
+    if not fits:
+        whole = _fitting(table, lines[:-1]) if len(lines) > 2 else []
+        if whole:
+            raise FileError(table.file, f"its last line is not like the {len(whole[0].rows)} before it, of {len(whole[0].header)} cells each: the "
+                            f"file is cut off; mend the line or take it out: {shown(lines[-1][1])}", lines[-1][0])
+        _no_names(table, name, lines)
+        raise FileError(table.file, "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or spaces, with "
+                        "decimal points or commas; its separator and decimal can be stated: "
+                        f"--set {name}.separator=semicolon --set {name}.decimal=comma")
+    first = fits[0]
+    others = [other for other in fits[1:] if other.rows != first.rows or other.header != first.header]
+    if others:
+        def setting(one: Cells) -> str:
+            key = "decimal" if one.table.separator == first.table.separator else "separator"
+            return f"{name}.{key}={getattr(one.table, key)}"
+
+        raise ambiguous(f"{table.file}: line {first.lines[0]} can be read in {len(others) + 1} ways", [
+            (f"{one.table.separator}s between, decimal {one.table.decimal}s: {', '.join(one.rows[0][:4])}", setting(one))
+            for one in (first, *others)])
+    _no_groups(table, first, lines, name)
+    header, rows = clocked(table, first.header, first.rows)
+    return Cells(first.path, header, rows, first.lines, first.table, (*words, *first.said))
+
+
+def _no_names(table: ForeignTable, name: str, lines: list[tuple[int, str]]) -> None:
+    """Raise FileError where it is only the names of the columns that a table lacks, or that are of another number."""
+    figures = lines if table.header is None else lines[1:]
+    for separator in SEPARATORS if table.separator is None else (table.separator,):
+        try:
+            count = len(_split(figures[0][1], separator)) if figures else 0
+        except csv.Error:  # it is no row of this dialect
+            continue
+        names = [f"column{i}" for i in range(count)]
+        if count > 1 and _fitting(replace(table, header=" ".join(names), separator=separator), [(0, ""), *figures]):
+            if table.header is None:
+                raise FileError(table.file, f"has no header line: name its {count} columns, --set '{name}.header=..', their names apart by spaces", 1)
+            stated = len(table.header.replace(",", " ").split())
+            raise FileError(table.file, f"has {count} cells in a row, and {name}.header names {stated} columns", figures[0][0])
+
+
+def _fitting(table: ForeignTable, lines: list[tuple[int, str]]) -> list[Cells]:
+    """Cells of every dialect, of those that the table leaves open, that fits all lines."""
+    tried = (_parsed(table, lines, separator, decimal) for separator in (SEPARATORS if table.separator is None else (table.separator,))
+             for decimal in (DECIMALS if table.decimal is None else (table.decimal,)))
+    return [found for found in tried if found is not None]
+
+
+def _decoded(path: Path) -> tuple[str, tuple[str, ...]]:
+    """(text, what is said of its encoding) of UTF-8, UTF-16 with a mark, or else what Windows writes in western Europe."""
+    data = read_bytes(path, LARGEST)
+    try:
+        if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return data.decode("utf-16"), (f"{path.name} is UTF-16 text",)
+        return data.decode("utf-8-sig"), ()
+    except UnicodeDecodeError:
+        pass
+    try:
+        content = data.decode("cp1252")
+    except UnicodeDecodeError:
+        raise FileError(path, "is no text in UTF-8, UTF-16 or Windows-1252") from None
+    return content, (f"{path.name} is taken as Windows-1252 text, as it is no UTF-8",)
+
+
+def _lines(path: Path, content: str, commented: bool) -> list[tuple[int, str]]:
+    """(number, text) of the header and the rows. commented : whether a header in the last comment before figures counts"""
+    if "\0" in content:
+        raise FileError(path, "is no text: it holds a NUL byte")
+    lines, comment = [], None
+    for number, line in enumerate(content.splitlines(), 1):
+        bare = line.strip(" \r\n")
+        if not bare.strip():
+            continue
+        mark = next((mark for mark in COMMENTS if bare.startswith(mark)), None)
+        if mark is None:
+            lines.append((number, bare))
+        elif not lines:
+            comment = (number, bare[len(mark):].strip(" "))
+    if lines and comment and commented and not re.search(r"[A-Za-z]{2}|^[A-Za-z]", re.sub(r"[eE][+-]?\d|\dT\d", "", lines[0][1])):
+        lines.insert(0, comment)  # as numpy.savetxt writes its header
+    if len(lines) < 2:
+        raise FileError(path, "has no header line with rows below it")
+    return lines
+
+
+def _parsed(table: ForeignTable, lines: list[tuple[int, str]], separator: str, decimal: str) -> Cells | None:
+    """Cells as one dialect has them, or None where it does not fit all rows."""
+    try:
+        rows = [_split(line, separator) for _, line in lines[: LOOKED_AT + 1]]
+        if table.header is not None:
+            rows[0] = table.header.replace(",", " ").split()
+        if not _fit(rows, decimal):
+            return None
+        rows += [_split(line, separator) for _, line in lines[LOOKED_AT + 1:]]
+    except csv.Error:
+        return None
+    header, *body = rows
+    numbers = [number for number, _ in lines[1:]]
+    odd = next((i for i, row in enumerate(body) if len(row) != len(header) or any(len(cell) > LONGEST_CELL for cell in row)), None)
+    if odd is not None and len(body[odd]) == len(header):
+        raise FileError(table.file, f"a cell has more than {LONGEST_CELL} characters", numbers[odd])
+    if odd is not None:
+        raise FileError(table.file, f"{len(body[odd])} cells in a table of {len(header)} columns", numbers[odd])
+    kept = [k for k, name in enumerate(header) if name or any(row[k] for row in body)]  # a separator at the ends of lines makes an empty column
+    body = [[_point(row[k], decimal) for k in kept] for row in body]
+    told = () if table.separator and table.decimal else (f"{table.file.name}: {separator}s between the cells, decimal {decimal}s",)
+    return Cells(table.file, tuple(header[k] for k in kept), body, numbers, replace(table, separator=separator, decimal=decimal), told)
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if separator == "space":
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=SEPARATORS[separator]), [])]
+
+
+def _fit(rows: list[list[str]], decimal: str) -> bool:
+    header, *body = rows
+    if not 2 <= len(header) <= MOST_COLUMNS or len({len(row) for row in rows}) > 1:
+        return False
+    if any(len(cell) > LONGEST_CELL for row in rows for cell in row) or NUMBER["point"].fullmatch(header[0]) or DATE.fullmatch(header[0]):
+        return False
+    figures = 0
+    for row in body:
+        for cell in row:
+            if len(cell) <= LONGEST and (NUMBER[decimal].fullmatch(cell) or DATE.fullmatch(cell)):
+                figures += 1
+            elif (cell and TORN.search(cell) and not DATE.match(cell)) or NUMBER["comma" if decimal == "point" else "point"].fullmatch(cell):
+                return False
+    return figures > 0
+
+
+def _point(cell: str, decimal: str) -> str:
+    return cell.replace(",", ".") if decimal == "comma" and NUMBER["comma"].fullmatch(cell) else cell
+
+
+def _no_groups(table: ForeignTable, found: Cells, lines: list[tuple[int, str]], name: str) -> None:
+    """Raise RigError where every decimal comma could as well part thousands."""
+    if table.decimal is not None or found.table.decimal != "comma":
+        return
+    separator = found.table.separator or "comma"
+    cells = [cell for _, line in lines[1:] for cell in _split(line, separator) if "," in cell and NUMBER["comma"].fullmatch(cell)]
+    if cells and all(GROUPED.fullmatch(cell) for cell in cells):
+        raise ambiguous(f"{table.file}: {cells[0]} can be read in two ways",
+                        [(f"{cells[0].replace(',', '.')}, a decimal comma", f"{name}.decimal=comma"),
+                         (f"{cells[0].replace(',', '')}, thousands parted (take the commas out of the file)", f"{name}.decimal=point")])

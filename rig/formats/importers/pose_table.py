@@ -1,0 +1,185 @@
+"""Poses out of a foreign table: positions in any unit, rotations as vectors, quaternions or Euler angles; what commands say decides between them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from decimal import Decimal
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.model.design import Design, Hexapod
+from rig.formats.checked_entries import LARGEST_RIG
+from rig.errors import RigError
+from rig.formats.importers import column_headers, timestamps, column_units
+from rig.formats.importers.ambiguous_input import ambiguous
+from rig.formats.importers.csv_dialect import Cells, read
+from rig.formats.importers.import_recipe import EULER, ForeignTable
+from rig.model.mechanisms import arm, hexapod
+
+POSITION = {"x": ("x", "tx", "px", "posx", "positionx", "xpos"), "y": ("y", "ty", "py", "posy", "positiony", "ypos"),
+            "z": ("z", "tz", "pz", "posz", "positionz", "zpos")}
+VECTOR = {"rx": ("rx", "rotx", "rvecx", "rotationx"), "ry": ("ry", "roty", "rvecy", "rotationy"),
+          "rz": ("rz", "rotz", "rvecz", "rotationz")}
+EULERS = {"roll": ("roll",), "pitch": ("pitch",), "yaw": ("yaw",)}
+QUATERNION = {"qw": ("qw", "quatw", "w"), "qx": ("qx", "quatx"), "qy": ("qy", "quaty"), "qz": ("qz", "quatz")}
+NUMBERED = {"q0": ("q0",), "q1": ("q1",), "q2": ("q2",), "q3": ("q3",), "q4": ("q4",)}
+REACH = (0.02, 10.0)  # of the rig's size, that positions lie from its origin
+UNIT = 1e-2  # that a quaternion's length may differ from one
+BETTER = 0.3  # of the next best disagreement with the commands, that the reading meant leaves
+USUAL = ("zyx", "xyz", "ZYX", "XYZ")  # Euler conventions that are asked about; others are stated
+LEAST = 4  # poses with a command, from which commands decide
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posed:
+    """T : RigidTransform (n,), or positions unrotated where alone is true; frame : (n,) numbers or None; t : n exact s or None."""
+
+    T: RigidTransform
+    alone: bool
+    frame: np.ndarray | None
+    t: list[Decimal] | None
+    table: ForeignTable
+    said: tuple[str, ...]
+
+
+Asked = Callable[[list[Decimal] | None, np.ndarray | None, int], np.ndarray | None]
+
+
+def poses(table: ForeignTable, design: Design, commanded: Asked, plausible: Callable[[np.ndarray], bool]) -> Posed:
+    """Posed of a table. Raises RigError for what reads well in two ways.
+
+    commanded : of n rows' (times, frame numbers, n) what was commanded, (n, 6) m, or None where that is not known
+    plausible : whether times (n,) s from the first can be so
+    """
+    cells = read(table, "poses")
+    found = column_headers.find(
+        cells,
+        "poses",
+        {"t": column_headers.TIME, "frame": column_headers.FRAME, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED},
+        ("x", "y", "z"),
+    )
+    table = replace(cells.table, columns=column_headers.kept(table, cells, found))
+    p, table, said = _positions(cells, found, table, design)
+    t = None
+    if "t" in found:
+        stated = column_units.split(cells.header[found["t"]])[1]
+        read_times = timestamps.read(
+            cells.column(found["t"]),
+            "poses",
+            table.file.name,
+            table.time_unit or (stated if stated in column_units.TIMES else None),
+            table.zone,
+            table.shift,
+            plausible,
+        )
+        t, said, table = read_times.seconds, (*said, *read_times.said), replace(table, time_unit=read_times.unit, zone=read_times.zone)
+    frame = np.array(cells.numbers(found["frame"])) if "frame" in found else None
+    rotations, table, more = _rotations(cells, found, table, design, p, commanded(t, frame, len(p)))
+    alone = rotations is None
+    T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
+    return Posed(T, alone, frame, t, table, (*cells.said, *said, *more))
+
+
+def _positions(cells: Cells, found: dict[str, int], table: ForeignTable, design: Design) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+    values = np.array([cells.numbers(found[name]) for name in "xyz"]).T
+    stated = {table.unit or column_units.split(cells.header[found[name]])[1] for name in "xyz"}
+    unit = stated.pop()
+    if stated or (unit is not None and unit not in column_units.LENGTHS):
+        raise RigError(f"{table.file}: x, y, z must be in one unit of {', '.join(column_units.LENGTHS)}; --set poses.unit=mm states it")
+    said: tuple[str, ...] = ()
+    if unit is None:
+        size, far = _size(design), float(np.median(np.linalg.norm(values, axis=1)))
+        fit = [u for u in ("m", "mm") if REACH[0] * size <= far / column_units.LENGTHS[u] <= REACH[1] * size]
+        if len(fit) != 1:
+            raise ambiguous(f"{table.file}: the unit of its positions is not stated, and they lie {far:.6g} from the origin in the middle",
+                            [(u, f"poses.unit={u}") for u in ("m", "mm")])
+        unit, said = fit[0], (f"{table.file.name}: positions are in {fit[0]}, as the rig measures some {size:.2g} m",)
+    p = values / column_units.LENGTHS[unit]
+    if np.abs(p).max() > LARGEST_RIG:
+        raise RigError(f"{table.file}: a position of {np.abs(p).max():g} m is implausible; --set poses.unit=mm states another unit")
+    return p, replace(table, unit=unit), said
+
+
+def _size(design: Design) -> float:
+    m = design.mechanism
+    if m.kind == "arm":
+        return arm.span(m)
+    return float(m.strut_range.max()) if m.kind in ("hexapod", "planar2") else 0.5
+
+
+def _rotations(cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, p: np.ndarray, q: np.ndarray | None) -> tuple:
+    """(Rotation (n,) or None where there are none, ForeignTable, sentences)."""
+    group = next((g for g in (QUATERNION, EULERS, NUMBERED, VECTOR) if len(set(g) & set(found)) >= 3), None)
+    if group is None:
+        return None, table, (f"{table.file.name} has positions alone, no rotations",)
+    names = [name for name in group if name in found]
+    values = np.array([cells.numbers(found[name]) for name in names]).T
+    if group in (QUATERNION, NUMBERED):
+        ways = _quaternions(values, names, group is QUATERNION, table)
+    else:
+        ways = _angles(values, names, {column_units.split(cells.header[found[name]])[1] for name in names}, group is EULERS, table)
+    if not ways:
+        raise RigError(f"{table.file}: {', '.join(names)} are no rotations as stated; --set poses.rotation= takes rotvec, quaternion-wxyz, "
+                       "quaternion-xyzw, or an order of Euler angles as zyx (fixed axes) or ZYX (moving axes)")
+    if len(ways) == 1:
+        rotation, unit, R = ways[0]
+        told = () if table.rotation else (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
+        return R, replace(table, rotation=rotation, rotation_unit=unit), told
+    return _by_commands(ways, table, design, p, q)
+
+
+def _name(rotation: str, unit: str | None) -> str:
+    if rotation in EULER:
+        return f"Euler angles {rotation} about {'fixed' if rotation.islower() else 'moving'} axes in {unit}"
+    return f"rotation vectors in {unit}" if rotation == "rotvec" else f"{rotation}s"
+
+
+def _quaternions(values: np.ndarray, names: list[str], named: bool, table: ForeignTable) -> list[tuple]:
+    if values.shape[1] != 4 or (np.abs(np.linalg.norm(values, axis=1) - 1) > UNIT).any():
+        raise RigError(f"{table.file}: {', '.join(names)} are no quaternions: four figures whose squares sum to one")
+    if named:
+        return [("quaternion-wxyz", None, Rotation.from_quat(values[:, [1, 2, 3, 0]]))]
+    ways = {"quaternion-wxyz": values[:, [1, 2, 3, 0]], "quaternion-xyzw": values}
+    return [(way, None, Rotation.from_quat(v)) for way, v in ways.items() if table.rotation in (None, way)]
+
+
+def _angles(values: np.ndarray, names: list[str], stated: set[str | None], euler: bool, table: ForeignTable) -> list[tuple]:
+    """Readings of three figures: vectors or Euler angles, in rad or degrees. Columns of Euler angles: about x, y, z in that order."""
+    unit = table.rotation_unit or next(iter(stated - {None}), None)
+    asked = (table.rotation,) if table.rotation else (*(() if euler else ("rotvec",)), *USUAL)
+    found = []
+    for u in (unit,) if unit else ("rad", "deg"):
+        v = values / column_units.ANGLES[u]
+        if np.abs(v).max() > (7.0 if unit is None else 1e3):
+            continue
+        for way in asked:
+            if way == "rotvec":
+                found.append((way, u, Rotation.from_rotvec(v)))
+            elif way in EULER:
+                found.append((way, u, Rotation.from_euler(way, v[:, ["xyz".index(letter) for letter in way.lower()]])))
+    return found
+
+
+def _by_commands(ways: list[tuple], table: ForeignTable, design: Design, p: np.ndarray, q: np.ndarray | None) -> tuple:
+    """The reading with which the commands agree; zyx about fixed axes is XYZ about moving ones, and of the same the first counts."""
+    distinct: list[tuple] = []
+    for way in ways:
+        if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
+            distinct.append(way)
+    m = design.mechanism
+    if q is not None and isinstance(m, Hexapod) and len(p) >= LEAST:
+        def miss(R: Rotation) -> float:
+            return float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R), m) - q) ** 2).mean()))
+
+        ranked = sorted(distinct, key=lambda way: miss(way[2]))
+        if len(ranked) == 1 or miss(ranked[0][2]) < BETTER * miss(ranked[1][2]):
+            rotation, unit, R = ranked[0]
+            return R, replace(table, rotation=rotation, rotation_unit=unit), (
+                f"{table.file.name}: rotations are {_name(rotation, unit)}, which agree with the commands to {miss(R) * 1e3:.3g} mm",)
+    if len(distinct) == 1:
+        rotation, unit, R = distinct[0]
+        return R, replace(table, rotation=rotation, rotation_unit=unit), (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
+    units_too = [f"' --set 'poses.rotation_unit={way[1]}" if way[1] and not table.rotation_unit else "" for way in distinct]
+    raise ambiguous(f"{table.file}: its rotations can be read in {len(distinct)} ways, and nothing here decides (the first pose turned by)",
+                    [(f"{_name(way[0], way[1])} ({np.degrees(way[2][0].magnitude()):.4g} degrees)", f"poses.rotation={way[0]}{unit}")
+                     for way, unit in zip(distinct, units_too)])

@@ -1,0 +1,284 @@
+"""All foreign files of a recipe -> one recording: frames, commands, poses and sensors brought together, and written."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from rig.formats.rig_toml import design_file
+from rig.model.design import Design
+from rig.errors import RigError
+from rig.formats.output_files import write_bytes
+from rig.recording.image_file_check import check_image
+from rig.formats.importers import column_headers, image_file_frames, timestamps, column_units
+from rig.formats.importers.camera_calibrations import onto
+from rig.formats.importers.clock_consistency import require_one_clock, seconds_from
+from rig.formats.importers.command_table import Commanded, commands
+from rig.formats.importers.csv_dialect import read
+from rig.formats.importers.image_file_frames import Exposed
+from rig.formats.importers.pose_table import Posed, poses
+from rig.formats.importers.import_recipe import Recipe, ForeignTable
+from rig.formats.importers.sensor_table import Logged, sensors
+from rig.recording.corner_and_pose_tables import Poses
+from rig.recording.time_origin import DIGITS
+from rig.formats.input_files import read_bytes, read_text
+from rig.recording.recording_tables import write_poses, write_table
+
+LARGEST_IMAGE_FILE = 1 << 31  # bytes
+Like = Callable[[np.ndarray], bool]
+SAME_MOMENT = 0.05  # s that a pose may be from its frame
+SPANS = (0.02, 50.0)  # of another file's span, that a file's may have
+LISTED = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imported:
+    """exposed : Exposed with times; commanded, logged : or None; posed : Posed or None, with frames; recipe : with all that was found out."""
+
+    design: Design
+    exposed: Exposed
+    commanded: Commanded | None
+    posed: Posed | None
+    logged: Logged | None
+    recipe: Recipe
+    said: tuple[str, ...]
+    rig: str | None = None  # rig.toml with the cameras of another program; None: as its owner has it
+
+
+def with_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
+    """(Design, text of its rig.toml where cameras of another program came into it, sentences). Raises RigError for what cannot be used."""
+    design = design_file.load(recipe.rig)
+    if recipe.cameras is None:
+        return design, None, ()
+    text, said = onto(recipe.cameras, read_text(recipe.rig, design_file.LARGEST), design.cameras)
+    return design_file.design_of(design_file.entries_of(text, recipe.rig)), text, said
+
+
+def unpacked(recipe: Recipe, folder: Path) -> Recipe:
+    """The Recipe with what its bags hold as files in a folder, which must last until all is written; without bags as it is. Raises RigError."""
+    if recipe.bag is None:
+        return recipe
+    from rig.formats.importers import ros_bag
+
+    return ros_bag.unpacked(recipe, with_cameras(recipe)[0], folder)
+
+
+def assemble(recipe: Recipe, skip_unreadable: bool = False) -> Imported:
+    """Imported of a Recipe. skip_unreadable : whether images that cannot be used are left out, and said
+
+    Raises RigError for what cannot be used, for what is missing and for what reads well in two ways.
+    """
+    design, rig, of_cameras = with_cameras(recipe)
+    if recipe.bag is not None:
+        of_cameras = (*of_cameras, *recipe.bag.said)
+    if recipe.images is None and recipe.poses is None:
+        raise RigError("there is nothing that was seen: give folders of images, or --poses FILE.csv")
+    commanded = commands(recipe.commands, design) if recipe.commands else None
+    like = _like(commanded.t if commanded else None)
+    exposed = image_file_frames.exposed(image_file_frames.pictures(recipe.images, design), recipe.images, like) if recipe.images else None
+    if exposed is not None:
+        exposed, recipe = _timed(exposed, commanded, recipe, like)
+        exposed = _usable(exposed, design, skip_unreadable)
+    posed = None
+    if recipe.poses is not None:
+        posed = poses(recipe.poses, design, partial(_commanded, exposed, commanded), like)
+        exposed, posed = _placed(exposed, posed, commanded)
+    if exposed is None:
+        raise RigError("there is nothing that was seen")
+    commanded = _clocked(exposed, commanded)
+    logged = sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
+    require_one_clock(exposed, commanded)
+    recipe = replace(recipe, images=exposed.images if recipe.images else None, commands=commanded.table if commanded else None,
+                     poses=posed.table if posed else None, sensors=logged.table if logged else None)
+    said = (*of_cameras, *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said))
+    return Imported(design, exposed, commanded, posed, logged, replace(recipe, said=said), said, rig)
+
+
+def _like(others: list[Decimal] | None) -> Like:
+    """Whether times (n,) s from the first can be of the same recording as others, by how long they last."""
+    span = 0.0 if others is None else float(max(others) - min(others))
+    return lambda t: not span or SPANS[0] <= abs(t[-1] - t[0]) / span <= SPANS[1]
+
+
+def _timed(exposed: Exposed, commanded: Commanded | None, recipe: Recipe, like: Like) -> tuple[Exposed, Recipe]:
+    """The exposures with times: of their names, of a table of frames, or of the commands' rows, one for one."""
+    if recipe.frames is not None:
+        return _by_table(exposed, recipe, recipe.frames, like)
+    if exposed.t is not None:
+        return exposed, recipe
+    numbers = sorted(set(exposed.frame))
+    if exposed.images.shift:
+        raise RigError(f"--set images.shift={exposed.images.shift:g} moves times that images have none of their own: they are taken at those of the "
+                       "commands' rows; leave it out, or give a table of times (--frames FILE.csv)")
+    if commanded is None or commanded.t is None:
+        raise RigError("the images' names tell no times, and there is no table that does: --frames FILE.csv (frame or image, t), or times in names: "
+                       "--set 'images.names={camera}_{time}'")
+    if commanded.frame is not None:
+        at = dict(zip(commanded.frame.astype(int).tolist(), commanded.t))
+        missing = [n for n in numbers if n not in at]
+        if missing:
+            raise RigError(f"{commanded.table.file}: frame {missing[0]}, of which there are images, has no row")
+        said = f"images belong to the rows of {commanded.table.file.name} with their number, and were taken at the rows' times"
+    elif len(numbers) == len(commanded.t):
+        at = dict(zip(numbers, commanded.t))
+        said = (f"the {len(numbers)} frames belong to the {len(numbers)} rows of {commanded.table.file.name}, in order, and were taken at the rows' "
+                "times")
+    else:
+        raise RigError(f"there are {len(numbers)} frames and {len(commanded.t)} rows of {commanded.table.file}: which belongs to which? Give a table "
+                       "of the frames' times: --frames FILE.csv (frame or image, t)")
+    return replace(exposed, t=[at[n] for n in exposed.frame], said=(*exposed.said, said)), recipe
+
+
+def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like) -> tuple[Exposed, Recipe]:
+    """The exposures with the times that a table gives frames or images."""
+    cells = read(table, "frames")
+    found = column_headers.find(
+        cells,
+        "frames",
+        {"t": column_headers.TIME, "frame": column_headers.FRAME, "image": column_headers.IMAGE, "camera": column_headers.CAMERA},
+        ("t",),
+    )
+    if "frame" not in found and "image" not in found:
+        raise RigError(f"{cells.path}: no column names the frame or the image; --set 'frames.columns.frame=HEADER' states which")
+    if "image" not in found and any(Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])):
+        found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
+    unit = column_units.split(cells.header[found["t"]])[1]
+    of_images = recipe.images
+    if table.shift and of_images is not None and of_images.shift:
+        raise RigError(f"--set frames.shift={table.shift:g} and images.shift={of_images.shift:g} both move the times of {table.file.name}; state one")
+    shift = table.shift or (of_images.shift if of_images is not None else 0.0)
+    t = timestamps.read(cells.column(found["t"]), "frames", table.file.name, table.time_unit or (unit if unit in column_units.TIMES else None),
+                   table.zone or (of_images.zone if of_images is not None else None), shift, like)
+    resolved = replace(cells.table, columns=column_headers.kept(table, cells, found), time_unit=t.unit, zone=t.zone)
+    if "image" in found:
+        parts = 1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2  # of a path, that tell images apart
+        at = {"/".join(Path(cell).parts[-parts:]): s for cell, s in zip(cells.column(found["image"]), t.seconds)}
+        keys = ["/".join(path.parts[-parts:]) for path in exposed.path]
+        gone = [name for name in at if name not in set(keys)]
+    else:
+        at, keys = dict(zip((f"{n:.0f}" for n in cells.numbers(found["frame"])), t.seconds)), [str(n) for n in exposed.frame]
+        gone = []
+    missing = [str(path) for path, key in zip(exposed.path, keys) if key not in at]
+    if missing:
+        raise RigError(f"{cells.path}: {missing[0]} has no row" + (f", nor have {len(missing) - 1} more" if len(missing) > 1 else ""))
+    first: dict[int, Decimal] = {}
+    for frame, key in zip(exposed.frame, keys):
+        first.setdefault(frame, at[key])
+    absent = (f"{table.file.name} names images that are not there, {len(gone)} of {len(at)}: {', '.join(gone[:LISTED])}",) if gone else ()
+    said = (*exposed.said, *cells.said, *t.said, *absent)
+    return replace(exposed, t=[first[frame] for frame in exposed.frame], said=said), replace(recipe, frames=resolved)
+
+
+def _usable(exposed: Exposed, design: Design, skip: bool) -> Exposed:
+    """The exposures without images that cannot be used. Raises RigError that names all of these where they are not to be skipped, or are all."""
+    problems = [check_image(path, design.camera(name)) for path, name in zip(exposed.path, exposed.camera)]
+    bad = [f"{path}: {problem}" for path, problem in zip(exposed.path, problems) if problem]
+    if bad and (not skip or len(bad) == len(problems)):
+        more = f"; {len(bad)} images cannot be used" if len(bad) > 1 else ""
+        more += "" if skip else " (--skip-unreadable leaves out what cannot be used)"
+        raise RigError("\n".join([bad[0] + more, *(f"  {line}" for line in bad[1:LISTED])]))
+    keep = [k for k, problem in enumerate(problems) if not problem]
+    t = exposed.times()
+    return replace(exposed, frame=[exposed.frame[k] for k in keep], t=[t[k] for k in keep], camera=[exposed.camera[k] for k in keep],
+                   path=[exposed.path[k] for k in keep], said=(*exposed.said, *(f"left out: {line}" for line in bad)))
+
+
+def _commanded(exposed: Exposed | None, commanded: Commanded | None, t: list[Decimal] | None, frame: np.ndarray | None, n: int) -> np.ndarray | None:
+    """(n, axes) commanded at n poses: at their times, at those of their frames, or row for row; None where none of these tells."""
+    if commanded is None:
+        return None
+    known = {} if exposed is None else dict(zip(exposed.frame, exposed.times()))
+    if t is None and frame is not None and set(frame.tolist()) <= set(known):
+        t = [known[int(number)] for number in frame]
+    if t is None and len(known) == n:
+        t = list(known.values())
+    if t is None or commanded.t is None:
+        return commanded.values if len(commanded.values) == n else None
+    if min(t) < commanded.t[0] or max(t) > commanded.t[-1] + (commanded.t[-1] - commanded.t[0]) / 2:
+        return None
+    at, rows = (seconds_from(times_of, commanded.t[0]) for times_of in (t, commanded.t))
+    return np.stack([np.interp(at, rows, column) for column in commanded.values.T], axis=1)
+
+
+def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) -> tuple[Exposed, Posed]:
+    """Poses on frames: by number, by time, or row for row; where there are no images each pose is a frame."""
+    n = len(posed.T)
+    if exposed is None:
+        t = posed.t or (commanded.t if commanded is not None and commanded.t is not None and len(commanded.t) == n else None)
+        said = posed.said if posed.t else (*posed.said, f"the {n} poses belong to the {n} rows of commands, in order")
+        if t is None and commanded is not None and commanded.t is None and len(commanded.values) == n:
+            t = [Decimal(k) for k in range(n)]
+            said = (*said, "nothing tells times, so a row is taken as a second: nothing that depends on time can be told from this")
+        if t is None:
+            raise RigError(f"{posed.table.file}: the poses have no times, and the commands are not as many as they")
+        numbers = list(range(n)) if posed.frame is None else posed.frame.astype(int).tolist()
+        if len(set(numbers)) < n:
+            raise RigError(f"{posed.table.file}: a frame is there twice")
+        order = sorted(range(n), key=lambda k: (t[k], numbers[k]))
+        if [numbers[k] for k in order] != sorted(numbers):
+            numbers = [int(r) for r in np.argsort(np.argsort(np.array([float(x - t[order[0]]) for x in t]), kind="stable"))]
+        empty = Exposed([numbers[k] for k in order], [t[k] for k in order], [""] * n, [Path()] * n, image_file_frames.Images(()), ())
+        return empty, replace(posed, frame=np.array(numbers), said=said)
+    known = dict(zip(exposed.frame, exposed.times()))
+    if posed.frame is None and posed.t is not None:
+        known_frames, at = list(known), list(known.values())
+        nearest = [min(range(len(at)), key=lambda k: abs(at[k] - s)) for s in posed.t]
+        far = [k for k, near in enumerate(nearest) if abs(at[near] - posed.t[k]) > SAME_MOMENT]
+        if far:
+            raise RigError(f"{posed.table.file}: {len(far)} of {n} poses are farther than {SAME_MOMENT:g} s from any frame; "
+                           f"the first is row {far[0] + 1}")
+        posed = replace(posed, frame=np.array([known_frames[k] for k in nearest]))
+    elif posed.frame is None:
+        if n != len(known):
+            raise RigError(f"{posed.table.file}: {n} poses and {len(known)} frames: which belongs to which? A column frame or t says so")
+        posed = replace(posed, frame=np.array(sorted(known)), said=(*posed.said, f"the {n} poses belong to the {n} frames, in order"))
+    return exposed, posed
+
+
+def _clocked(exposed: Exposed, commanded: Commanded | None) -> Commanded | None:
+    """Commands with times: those of the frames, where they have none of their own and are as many."""
+    if commanded is None or commanded.t is not None:
+        return commanded
+    at = dict(zip(exposed.frame, exposed.times()))
+    if commanded.frame is not None and set(commanded.frame.astype(int).tolist()) <= set(at):
+        return replace(commanded, t=[at[int(n)] for n in commanded.frame])
+    if len(at) != len(commanded.values):
+        raise RigError(f"{commanded.table.file} has no times, and {len(commanded.values)} rows for {len(at)} frames; "
+                       "state which column says when with --set 'commands.columns.t=HEADER'")
+    return replace(commanded, t=list(at.values()), said=(*commanded.said, f"the rows of {commanded.table.file.name} are the frames', in order"))
+
+
+def write(imported: Imported, out: Path) -> None:
+    """Write the recording into a folder. out : empty"""
+    e = imported.exposed
+    write_bytes(out / "rig.toml", read_bytes(imported.recipe.rig) if imported.rig is None else imported.rig.encode())
+    rows = []
+    for frame, t, camera, path in zip(e.frame, e.times(), e.camera, e.path):
+        name = f"images/{camera}/{frame:05d}{path.suffix.lower()}" if camera else ""
+        if name:
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(out / name, read_bytes(path, LARGEST_IMAGE_FILE))
+        rows.append(f"{frame},{_text(t)},{camera},{name}")
+    write_table(out / "frames.csv", ("frame", "t", "camera", "image"), rows)
+    c, posed = imported.commanded, imported.posed
+    if c is not None and c.t is not None:
+        write_table(out / "commands.csv", ("t", *imported.design.mechanism.axes),
+                    [",".join([_text(t), *(_figure(v) for v in values)]) for t, values in zip(c.t, c.values)])
+    if posed is not None and posed.frame is not None:
+        write_poses(out / "poses.csv", Poses(posed.frame, posed.T, None))
+    if imported.logged is not None:
+        names, columns_of = zip(*imported.logged.channels)
+        write_table(out / "sensors.csv", ("t", *names), [",".join([_text(t), *(_figure(v) for v in values)])
+                                                         for t, values in zip(imported.logged.t, zip(*columns_of))])
+
+
+def _text(t: Decimal) -> str:
+    return f"{DIGITS.plus(t):f}"
+
+
+def _figure(value: float) -> str:
+    """A number to 15 digits: what a float surely has, so that 0.4758518 stays that though it came in millimetres."""
+    return repr(float(f"{value:.15g}"))

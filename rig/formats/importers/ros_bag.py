@@ -1,0 +1,244 @@
+"""ROS 1 and 2 bags and MCAP files -> the images and tables that an import takes: topics by their types, times as messages are stamped.
+
+Source: ROS, common_interfaces (sensor_msgs, geometry_msgs, nav_msgs) and REP 103: m, rad, quaternions x y z w; read by the package rosbags
+"""
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.model.design import Design
+from rig.formats.checked_entries import name_problem
+from rig.errors import FileError, MissingLibrary, RigError
+from rig.formats.output_files import write_bytes
+from rig.formats.importers.ambiguous_input import ambiguous
+from rig.formats.importers.ros_image_messages import encoded
+from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
+from rig.formats.input_files import shown
+
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+JOINTS = ("sensor_msgs/msg/JointState",)
+POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/PoseWithCovarianceStamped",
+         "nav_msgs/msg/Odometry")
+TEMPERATURES = ("sensor_msgs/msg/Temperature",)
+POSE_HEADER = ("x", "y", "z", "qx", "qy", "qz", "qw")
+MOST = 5_000_000  # messages
+SAME_MOMENT = 50_000_000  # ns that a pose may be from an image, to be of its frame
+
+
+@dataclass(slots=True)
+class Topic:
+    """What a topic gave. name; kind : message type; header : names of columns; t : ns; rows : texts; stamped : whether by its messages' headers."""
+
+    name: str
+    kind: str
+    header: tuple[str, ...] = ()
+    t: list[int] = field(default_factory=list)
+    rows: list[list[float]] = field(default_factory=list)
+    stamped: bool | None = None
+
+
+def unpacked(recipe: Recipe, design: Design, folder: Path) -> Recipe:
+    """The Recipe of what its bags hold, written into a folder; what the recipe takes from files of their own stays.
+
+    Raises MissingLibrary without rosbags, FileError for what cannot be read, RigError where several topics can be meant
+    """
+    bag = recipe.bag
+    if bag is None:
+        return recipe
+    with _opened(bag.files) as reader:
+        kinds = {connection.topic: connection.msgtype for connection in reader.connections}
+    bag = _resolved(bag, kinds, design, recipe)
+    wanted = {topic: Topic(topic, kinds[topic]) for _, topic in _parts(bag)}
+    ours = {topic: name for name, topic in bag.cameras}
+    for count, (name, received, message) in enumerate(_messages(bag.files, wanted)):
+        if count >= MOST:
+            raise FileError(bag.files[0], f"holds more than {MOST} messages of the topics that are imported")
+        topic = wanted[name]
+        _stamp(topic, message, received, bag.files[0])
+        if name in ours:
+            _image(folder / "images" / ours[name], topic, message, bag.files[0])
+        else:
+            _row(topic, message, bag.files[0])
+    empty = next((topic.name for topic in wanted.values() if not topic.t), None)
+    if empty:
+        raise FileError(bag.files[0], f"topic {empty} has no messages")
+    bare = ", ".join(topic.name for topic in wanted.values() if not topic.stamped)
+    said = (f"{bare}: messages have no stamps, so their times are those at which they were received",) if bare else ()
+    return _recipe(recipe, replace(bag, folder=folder, said=said + tuple(f"{topic} is {part}" for part, topic in _parts(bag))), wanted, design)
+
+
+@contextmanager
+def _opened(files: tuple[Path, ...]) -> Iterator[Any]:
+    """A reader of bags. Raises MissingLibrary, and FileError for whatever it cannot make sense of."""
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise MissingLibrary("ROS bags and MCAP files need the package rosbags: pip install 'rig[ros]'") from None
+    missing = next((path for path in files if not path.exists()), None)
+    if missing:
+        raise FileError(missing, "no such file or folder")
+    try:
+        with AnyReader(list(files), default_typestore=get_typestore(Stores.LATEST)) as reader:
+            yield reader
+    except (RigError, MemoryError):
+        raise
+    except AnyReaderError as error:
+        raise FileError(files[0], f"is no bag that can be read: {error}") from None
+    except Exception as error:  # a damaged file makes the reader fail in ways of its own, none of them the user's concern
+        raise FileError(files[0], f"is no bag that can be read, or it is damaged: {type(error).__name__}: {shown(str(error))}") from error
+
+
+def _messages(files: tuple[Path, ...], topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+    """(topic, ns at which it was received, message) in order of time."""
+    with _opened(files) as reader:
+        for connection, received, raw in reader.messages([c for c in reader.connections if c.topic in topics]):
+            yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
+
+
+def _parts(bag: Bag) -> list[tuple[str, str]]:
+    return [*((f"camera {name}", topic) for name, topic in bag.cameras), *bag.topics, *((f"sensor {name}", topic) for name, topic in bag.sensors)]
+
+
+def _resolved(bag: Bag, kinds: dict[str, str], design: Design, recipe: Recipe) -> Bag:
+    """The Bag with all its topics, those that are not stated by their types. Raises RigError for what is not there or could be several."""
+    for part, topic in _parts(bag):
+        if topic not in kinds:
+            raise FileError(bag.files[0], f"has no topic {shown(topic)} for {part}; it has {', '.join(sorted(kinds)) or 'none'}")
+    for stated, taken in ((bag.cameras, IMAGES), (bag.sensors, TEMPERATURES), *(((pair,), JOINTS if pair[0] == "commands" else POSES)
+                                                                              for pair in bag.topics)):
+        for name, topic in stated:
+            if kinds[topic] not in taken:
+                raise FileError(bag.files[0], f"topic {topic} is of type {kinds[topic]}, and {name} takes {', '.join(taken)}")
+    found = dict(bag.topics)
+    for part, taken in (("commands", JOINTS if design.mechanism.axes else ()), ("poses", POSES)):
+        table = getattr(recipe, part)
+        if part in found or (table is not None and table.file != FROM_BAG):
+            continue
+        topics = sorted(topic for topic, kind in kinds.items() if kind in taken)
+        if len(topics) > 1:
+            raise ambiguous(f"{bag.files[0]}: several topics can be {part}", [(kinds[topic], f"bag.topics.{part}={topic}") for topic in topics])
+        if topics:
+            found[part] = topics[0]
+    cameras = bag.cameras or (() if recipe.images and recipe.images.folders else _cameras(bag, kinds, design))
+    if not cameras and "poses" not in found and recipe.poses is None and not (recipe.images and recipe.images.folders):
+        listed = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items()))
+        raise FileError(bag.files[0], f"holds no images and no poses; its topics are {listed or 'none'}")
+    return replace(bag, topics=tuple(found.items()), cameras=tuple(cameras))
+
+
+def _cameras(bag: Bag, kinds: dict[str, str], design: Design) -> list[tuple[str, str]]:
+    """(our name, topic) of image topics: the camera's name is a part of the topic's, or there is one of each."""
+    topics, names = sorted(topic for topic, kind in kinds.items() if kind in IMAGES), [camera.name for camera in design.cameras]
+    found = [(name, topic) for name in names for topic in topics if name in topic.split("/")]
+    if len(topics) == len(names) == 1:
+        found = [(names[0], topics[0])]
+    twice = next((name for name, _ in found if sum(other == name for other, _ in found) > 1), None)
+    if twice:
+        raise ambiguous(f"{bag.files[0]}: several topics can be camera {twice}",
+                        [(kinds[topic], f"bag.cameras.{twice}={topic}") for name, topic in found if name == twice])
+    if topics and not found:
+        raise RigError(f"{bag.files[0]}: of which cameras are {', '.join(topics)}? rig.toml has {', '.join(names) or 'none'}; "
+                       f"--set bag.cameras.{names[0] if names else 'cam0'}={topics[0]} says it")
+    return found
+
+
+def _stamp(topic: Topic, message: Any, received: int, file: Path) -> None:
+    """Append the message's time in ns, of its header, or of when it was received where headers are empty."""
+    stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+    if topic.stamped is None:
+        topic.stamped = stamp != 0
+    if topic.stamped != (stamp != 0):
+        raise FileError(file, f"topic {topic.name}: some messages are stamped and some are not, from message {len(topic.t) + 1} on")
+    topic.t.append(stamp or received)
+
+
+def _image(folder: Path, topic: Topic, message: Any, file: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    suffix, content = encoded(message, topic.kind.endswith("CompressedImage"), f"{file}: topic {topic.name}, message {len(topic.t)}")
+    place = folder / f"{topic.t[-1]:020d}{suffix}"
+    if place.exists():
+        raise FileError(file, f"topic {topic.name} has two images of {topic.t[-1]} ns")
+    write_bytes(place, content)
+
+
+def _row(topic: Topic, message: Any, file: Path) -> None:
+    """Append a table's row of a message. Raises FileError for joints that are not those of the first message."""
+    if topic.kind in JOINTS:
+        names = tuple(message.name) or tuple(f"l{i + 1}" for i in range(len(message.position)))
+        topic.header = topic.header or names
+        if set(names) != set(topic.header) or len(names) != len(message.position):
+            raise FileError(file, f"topic {topic.name}, message {len(topic.t)}: {len(message.position)} positions of {shown(', '.join(names))}; the "
+                            f"first message has those of {shown(', '.join(topic.header))}")
+        at = dict(zip(names, message.position))
+        topic.rows.append([float(at[name]) for name in topic.header])
+    elif topic.kind in TEMPERATURES:
+        topic.rows.append([float(message.temperature)])
+    else:
+        pose = message.transform if topic.kind.endswith("TransformStamped") else message.pose
+        pose = getattr(pose, "pose", pose)
+        p, q = (pose.translation, pose.rotation) if hasattr(pose, "translation") else (pose.position, pose.orientation)
+        topic.header = POSE_HEADER
+        topic.rows.append([float(v) for v in (p.x, p.y, p.z, q.x, q.y, q.z, q.w)])
+
+
+def _recipe(recipe: Recipe, bag: Bag, topics: dict[str, Topic], design: Design) -> Recipe:
+    """The Recipe with the bag's images and tables as files."""
+    assert bag.folder is not None
+    changes: dict[str, Any] = {"bag": bag}
+    if bag.cameras:
+        changes["images"] = replace(recipe.images or Images(()), folders=(bag.folder / "images",), names="{camera}/{time}", time_unit="ns")
+    for part, name in bag.topics:
+        topic, table = topics[name], getattr(recipe, part) or ForeignTable(FROM_BAG)
+        order = sorted(range(len(topic.t)), key=topic.t.__getitem__)
+        if part == "poses" and bag.cameras:
+            order = _near(order, topic, sorted({t for _, camera in bag.cameras for t in topics[camera].t}), bag.files[0])
+        unit = "m" if part == "poses" or design.mechanism.kind != "arm" else None if design.mechanism.slides.any() else "rad"
+        changes[part] = replace(table, file=_table(bag.folder / f"{part}.csv", topic.header, [(topic.t[k], topic.rows[k]) for k in order]),
+                                separator="comma", decimal="point", time_unit="ns", unit=table.unit or unit)
+    if bag.sensors:
+        t, columns = _together([(name, topics[topic]) for name, topic in bag.sensors], bag.files[0])
+        file = _table(bag.folder / "sensors.csv", tuple(name for name, _ in bag.sensors), list(zip(t, columns.tolist())))
+        changes["sensors"] = replace(recipe.sensors or ForeignTable(FROM_BAG), file=file, separator="comma", decimal="point", time_unit="ns")
+    recipe = replace(recipe, **changes)
+    lacking = next((part for part in TABLES if (table := getattr(recipe, part)) is not None and table.file == FROM_BAG), None)
+    if lacking:
+        raise RigError(f"{bag.files[0]}: holds no {lacking}, of which something is stated")
+    return recipe
+
+
+def _table(place: Path, header: tuple[str, ...], rows: list[tuple[int, list[float]]]) -> Path:
+    text = "\n".join([",".join(("t", *header)), *(",".join([str(t), *map(repr, row)]) for t, row in rows)])
+    write_bytes(place, (text + "\n").encode())
+    return place
+
+
+def _near(order: list[int], topic: Topic, images: list[int], file: Path) -> list[int]:
+    """The one pose that is nearest to each image. Raises FileError where there is none within SAME_MOMENT."""
+    t = np.array([topic.t[k] for k in order])
+    nearest = {int(np.abs(t - stamp).argmin()): stamp for stamp in images}
+    if not any(abs(int(t[k]) - stamp) <= SAME_MOMENT for k, stamp in nearest.items()):
+        raise FileError(file, f"no pose of {topic.name} is within {SAME_MOMENT / 1e9:g} s of any image")
+    return [order[k] for k, stamp in sorted(nearest.items()) if abs(int(t[k]) - stamp) <= SAME_MOMENT]
+
+
+def _together(channels: list[tuple[str, Topic]], file: Path) -> tuple[list[int], np.ndarray]:
+    """(times ns, (n, channels) degrees C) of sensors at each other's times, straight lines between their own, where all of them have been read."""
+    bad = next((name for name, _ in channels if name_problem(name)), None)
+    if bad is not None:
+        raise RigError(f"bag.sensors: {name_problem(bad)}")
+    first, last = max(min(topic.t) for _, topic in channels), min(max(topic.t) for _, topic in channels)
+    t = sorted({stamp for _, topic in channels for stamp in topic.t if first <= stamp <= last})
+    if not t:
+        raise FileError(file, f"{', '.join(topic.name for _, topic in channels)}: no time at which all of them were read")
+    at = np.array([stamp - first for stamp in t], float)
+    columns = []
+    for _, topic in channels:
+        order = sorted(range(len(topic.t)), key=topic.t.__getitem__)
+        columns.append(np.interp(at, [float(topic.t[k] - first) for k in order], [topic.rows[k][0] for k in order]))
+    return t, np.stack(columns, axis=1)

@@ -1,0 +1,84 @@
+"""A log of sensors out of a foreign table: channels named as a recording names them, temperatures in C, masses in kg."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import partial
+
+import numpy as np
+
+from rig.formats.checked_entries import name_problem
+from rig.errors import RigError
+from rig.formats.importers import column_headers, timestamps, column_units
+from rig.formats.importers.csv_dialect import read
+from rig.formats.importers.import_recipe import ForeignTable
+
+def _over(per: float, values: np.ndarray) -> np.ndarray:
+    return values / per
+
+
+TO_SI: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "C": lambda v: v, "K": lambda v: v - 273.15, "F": lambda v: (v - 32) / 1.8, "kg": lambda v: v, "g": lambda v: v / 1000,
+    **{unit: partial(_over, per) for unit, per in column_units.LENGTHS.items()}}
+SI = {"C": "C", "K": "C", "F": "C", "kg": "kg", "g": "kg"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Logged:
+    """t : n exact s; channels : pairs (name, (n,) values)."""
+
+    t: list[Decimal]
+    channels: tuple[tuple[str, np.ndarray], ...]
+    table: ForeignTable
+    said: tuple[str, ...]
+
+
+def sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -> Logged:
+    """Logged of a table. plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used"""
+    cells = read(table, "sensors")
+    stated = {header: ours for ours, header in table.columns if ours != "t"}
+    found = column_headers.find(cells, "sensors", {"t": column_headers.TIME}, ("t",))
+    unit = column_units.split(cells.header[found["t"]])[1]
+    read_times = timestamps.read(
+        cells.column(found["t"]),
+        "sensors",
+        table.file.name,
+        table.time_unit or (unit if unit in column_units.TIMES else None),
+        table.zone,
+        table.shift,
+        plausible,
+    )
+    kept, renamed = [("t", cells.header[found["t"]])], []
+    channels: list[tuple[str, np.ndarray]] = []
+    for at, header in enumerate(cells.header):
+        if at == found["t"]:
+            continue
+        unit = column_units.split(header)[1]
+        name = stated.get(header) or _name(header, unit)
+        if name_problem(name):
+            raise RigError(f"{table.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
+        if name in dict(channels) or name == "t":
+            raise RigError(f"{table.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of them")
+        channels.append((name, TO_SI.get(unit or "", lambda v: v)(np.array(cells.numbers(at)))))
+        kept.append((name, header))
+        if name != header:
+            converted = unit in TO_SI and unit not in ("C", "kg", "m")
+            renamed.append(f"{header} is {name}" + (f", from {unit}" if converted else ""))
+    said = (f"{table.file.name}: {'; '.join(renamed)}",) if renamed else ()
+    return Logged(read_times.seconds, tuple(channels),
+                  replace(cells.table, columns=tuple(kept), time_unit=read_times.unit, zone=read_times.zone), (*cells.said, *read_times.said, *said))
+
+
+def _name(header: str, unit: str | None) -> str:
+    """A channel's name out of a header: words joined, its unit as a recording has it behind it."""
+    bare = column_units.split(header)[0] if unit else header
+    name = re.sub(r"[^A-Za-z0-9.-]+", "_", bare).strip("_.-")
+    if unit in SI:
+        known = re.fullmatch(r"(?i)(ambient|strut_?[1-6]|camera_.+)_temp(erature)?", name)
+        if known:
+            name = f"{known[1].lower() if not name.lower().startswith('camera') else known[1]}_temperature".replace("strut_", "strut")
+        elif re.fullmatch(r"(?i)payload(_mass)?", name):
+            name = "payload_mass"
+        name = f"{name}_{SI[unit]}"
+    return name

@@ -1,0 +1,98 @@
+"""A machine as it was drawn or found, in a JSON file: its geometry, its cameras and the effects at work."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.formats import json_file
+from rig.model.design import Arm, Camera, Chain, Design
+from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.framework.effect import Effect
+from rig.effects.texts.effect_text import Kinds, from_dict, placed, to_dict
+from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.errors import FileError, RigError
+from rig.model.mechanism_kinds import Mechanism
+from rig.model.pose import pose, vector
+
+GEOMETRY = {"hexapod": ("base_joints", "platform_joints", "strut_zeros"), "planar2": ("base_joints", "strut_zeros"), "arm": ("joints",), "chain": ()}
+PLACES = ("base", "tool")  # of an arm, as poses
+LIMBS = ("base_joints", "platform_joints", "zeros")
+
+
+def tree(design: Design, effects: Iterable[Effect]) -> dict:
+    """{"effects", geometry by name, "cameras", "insitu" where there are measuring limbs} of a design as it is."""
+    m = design.mechanism
+    out = {"effects": [to_dict(effect) for effect in effects], **_geometry(m)}
+    out["cameras"] = [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": vector(c.pose).tolist()}
+                      for c in design.cameras]
+    return out | ({"insitu": {name: getattr(design.insitu, name).tolist() for name in LIMBS}} if design.insitu is not None else {})
+
+
+def _geometry(m: Mechanism) -> dict[str, Any]:
+    """Geometry by name; of a chain that of each stage."""
+    if isinstance(m, Chain):
+        return {"stages": [_geometry(stage) for stage in m.stages]}
+    own = {name: getattr(m, name).tolist() for name in GEOMETRY.get(m.kind, ())}
+    return own | {"joints": m.rows.tolist(), **{name: vector(getattr(m, name)).tolist() for name in PLACES}} if isinstance(m, Arm) else own
+
+
+def load(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> tuple[Design, tuple[Effect, ...]]:
+    """(the design as it is, effects at work) of such a file, the rest as stated. kinds : effects that there are
+
+    Raises FileError for a file that is none of this rig
+    """
+    found, limbs = json_file.load(path, "truth of this rig"), stated.insitu
+    if "effects" not in found.tree:
+        found.fail("is no truth of this rig: effects are missing", "effects")
+    mechanism = _mechanism(stated.mechanism, found)
+    known = {entry.text("name"): entry for entry in found.tables("cameras")}
+    missing = [c.name for c in stated.cameras if c.name not in known]
+    if missing:
+        found.fail(f"is no truth of this rig: cameras lacks {missing[0]!r}", "cameras")
+    cameras = tuple(_camera(c, known[c.name]) for c in stated.cameras)
+    if limbs is not None and "insitu" in found.tree:
+        table = found.table("insitu")
+        limbs = replace(limbs, **{name: table.array(name, getattr(limbs, name).shape, length_limit=LARGEST_RIG) for name in LIMBS})
+    return replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs), _effects(found, stated, kinds)
+
+
+def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
+    """The mechanism of such a file, as far as it says; the rest as stated."""
+    if isinstance(stated, Chain):
+        parts = table.tables("stages")
+        if len(parts) != len(stated.stages):
+            table.fail(f"{table.name('stages')} must hold {len(stated.stages)} stages, got {len(parts)}", "stages")
+        return replace(stated, stages=tuple(_mechanism(stage, part) for stage, part in zip(stated.stages, parts)))  # type: ignore[misc]
+    found = {}
+    for name in GEOMETRY.get(stated.kind, ()):
+        if name in table.tree:
+            shape = (len(stated.axes), 5) if name == "joints" else getattr(stated, name).shape
+            found[name] = table.array(name, shape, length_limit=LARGEST_RIG)
+    for name in PLACES if stated.kind == "arm" else ():
+        if name in table.tree:
+            found[name] = pose(*np.split(table.array(name, (6,), length_limit=LARGEST_RIG), 2))
+    return replace(stated, **found)
+
+
+def _camera(camera: Camera, table: Entries) -> Camera:
+    """A Camera as such a file has it."""
+    matrix, terms, vector_ = table.array("matrix", (3, 3)), table.array("distortion", (len(camera.distortion),)), table.array("pose", (6,))
+    if (np.diag(matrix)[:2] <= 0).any() or (matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] != [0, 0, 0, 0, 1]).any():
+        table.fail(f"{table.name('matrix')} is no camera matrix: {matrix.tolist()}", "matrix")
+    return replace(camera, matrix=matrix, distortion=terms, pose=pose(vector_[:3], vector_[3:]))
+
+
+def _effects(table: Entries, design: Design, kinds: Kinds) -> tuple[Effect, ...]:
+    """The effects listed. Raises FileError for one that there is not, or not on this rig."""
+    found = []
+    for number, entry in enumerate(table.tables("effects"), 1):
+        try:
+            found.append(placed(from_dict(entry.tree, kinds), design))
+        except FileError:
+            raise
+        except RigError as error:
+            table.fail(f"effects.{number}: {error}", "effects")
+    return tuple(found)

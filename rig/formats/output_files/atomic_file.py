@@ -1,0 +1,138 @@
+"""One file, written whole or not at all: to a temporary beside it, from there to the disk, then renamed into its place."""
+
+import errno
+import os
+import secrets
+import stat
+import sys
+from contextlib import suppress
+from os import PathLike
+from pathlib import Path
+
+from rig.errors import FileError
+from rig.formats.printable_text import visible
+
+STANDARD_OUTPUT = Path("/dev/stdout")  # what `-` stands for
+PART = ".rig-{}.part"  # name of a temporary; its length does not depend on the file's
+
+
+def write_text(path: str | PathLike[str], text: str) -> None:
+    """Write a text file (UTF-8), whole or not at all; raises as `write_bytes` does."""
+    try:
+        data = text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise FileError(path, f"cannot be written: it would hold {text[max(error.start - 30, 0) : error.end]!r}, a name that is no UTF-8; "
+                              "rename that file or folder") from None
+    write_bytes(path, data)
+
+
+def write_bytes(path: str | PathLike[str], data: bytes) -> None:
+    """Write a file, whole or not at all, and have it on the disk before returning.
+
+    Links are followed, a file that is there keeps its mode and owner. What is no regular file (a device, a FIFO) and what this
+    process's standard output or error goes to is written straight to. Raises FileError with path and reason where that cannot be
+    done; what stood there then stands there still and no temporary is left.
+    """
+    try:
+        there = status(path)
+        own = _own_stream(there)
+        if there is not None and stat.S_ISDIR(there.st_mode):
+            raise FileError(path, "is a folder, not a file to write")
+        if own is not None:
+            for stream in (sys.stdout, sys.stderr):
+                if stream is not None:  # a process may be started without
+                    stream.flush()
+            _all(own, data)
+        elif there is not None and not stat.S_ISREG(there.st_mode):
+            _straight(path, data)
+        else:
+            _replace(Path(os.path.realpath(path)), data, there)
+    except BrokenPipeError:
+        raise  # who read has gone away, which is no fault of the file
+    except OSError as error:
+        raise FileError(path, f"cannot be written: {error.strerror or error}") from None
+
+
+def status(path: str | PathLike[str]) -> os.stat_result | None:
+    """What stands at a path, links followed, or None for nothing (or a link to nothing). Raises OSError for what cannot be asked."""
+    try:
+        return os.stat(path)
+    except FileNotFoundError:
+        return None
+
+
+def is_straight(path: str | PathLike[str]) -> bool:
+    """Whether a path is written straight to, being no regular file and no folder, or this process's own standard output or error."""
+    try:
+        there = status(path)
+    except OSError:
+        return False
+    return there is not None and (_own_stream(there) is not None or not (stat.S_ISREG(there.st_mode) or stat.S_ISDIR(there.st_mode)))
+
+
+def _own_stream(there: os.stat_result | None) -> int | None:
+    """1 or 2 where a file is what that descriptor goes to: renaming over it would leave the shell's redirection with a file nobody sees."""
+    for descriptor in (1, 2):
+        with suppress(OSError):  # a closed descriptor is nothing's
+            if there is not None and os.path.samestat(there, os.fstat(descriptor)):
+                return descriptor
+    return None
+
+
+def _straight(path: str | PathLike[str], data: bytes) -> None:
+    descriptor = os.open(path, os.O_WRONLY | os.O_NOCTTY | os.O_CLOEXEC)
+    try:
+        _all(descriptor, data)
+    finally:
+        os.close(descriptor)
+
+
+def _replace(place: Path, data: bytes, there: os.stat_result | None) -> None:
+    """Put data at a place that is no link. there : status of the regular file that it takes the place of, or None"""
+    if there is not None and not os.access(place, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    folder = os.open(place.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    part = PART.format(secrets.token_hex(8))
+    try:
+        mode = 0o666 if there is None else stat.S_IMODE(there.st_mode)
+        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode, dir_fd=folder)
+        try:
+            try:
+                if there is not None:
+                    _alike(descriptor, there)
+                _all(descriptor, data)
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            os.replace(part, place.name, src_dir_fd=folder, dst_dir_fd=folder)
+        except BaseException:
+            os.unlink(part, dir_fd=folder)
+            raise
+        sync(folder)
+    finally:
+        os.close(folder)
+
+
+def _alike(descriptor: int, there: os.stat_result) -> None:
+    """Give a new file the owner and the mode of the one whose place it takes; who is not root makes files of his own only."""
+    if os.geteuid() == 0:
+        os.fchown(descriptor, there.st_uid, there.st_gid)
+    os.fchmod(descriptor, stat.S_IMODE(there.st_mode))
+
+
+def sync(folder: int) -> None:
+    """Have an open folder's entries on the disk, where its file system can do that for folders."""
+    try:
+        os.fsync(folder)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.EROFS):
+            raise
+
+
+def _all(descriptor: int, data: bytes) -> None:
+    """Write all of data; to a terminal, what of it would do more than be shown is escaped."""
+    if os.isatty(descriptor):
+        data = visible(data.decode("utf-8", "surrogateescape")).encode("utf-8")
+    rest = memoryview(data)
+    while len(rest):
+        rest = rest[os.write(descriptor, rest) :]

@@ -1,0 +1,185 @@
+"""Files on their way into one folder: written apart within it, then moved to their places together, the manifest first and last."""
+
+import errno
+import fcntl
+import os
+import secrets
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+from rig.errors import FileError, RigError
+from rig.formats.output_files.folder_manifest import MANIFEST, Entry, Made, Origin, digest, is_recorded, load
+from rig.formats.output_files.atomic_file import status, sync, write_text
+
+NEW = ".rig-new-"
+GROWING = f"{NEW}growing"  # stands in a folder, locked, while a command writes there in place
+UNLOCKED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # file systems that know no locks
+
+
+def folder_lock(folder: Path, wait: bool) -> int:
+    """An open descriptor of a folder that holds its lock until it is closed, be it by the process's death.
+
+    Raises RigError where another process holds it and `wait` is false, OSError where the folder cannot be opened
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        os.close(descriptor)
+        raise RigError(f"another rig command is writing in {folder.parent if folder.name.startswith(NEW) else folder}") from None
+    except OSError as error:
+        if error.errno not in UNLOCKED:
+            os.close(descriptor)
+            raise
+    return descriptor
+
+
+class Staged:
+    """place : the folder, links resolved; folder : within it, where files wait; known : Made as it was when this began
+    whole : whether the command makes all of the folder; allowed : names that may be written over without having been made by it"""
+
+    def __init__(self, place: Path, command: str) -> None:
+        """Make what is needed and find out whether it can be written. Raises OSError where it cannot."""
+        self.place, self.command, self.whole, self.allowed = place, command, False, set[str]()
+        self.fresh, self.marked = _missing(place), False
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+            self.known = load(place)
+            lock = folder_lock(place, wait=True)
+            try:
+                sweep(place)
+                self.folder = place / f"{NEW}{secrets.token_hex(6)}"
+                self.folder.mkdir()
+                self.lock = folder_lock(self.folder, wait=True)
+            finally:
+                os.close(lock)
+        except BaseException:
+            self._unmake()
+            raise
+
+    def mark(self, origin: Origin) -> None:
+        """Say in a folder that holds nothing yet whose it is going to be. Raises RigError where a command writes there in place."""
+        if (self.place / GROWING).exists():
+            os.close(folder_lock(self.place / GROWING, wait=False))
+        if self.known.origin is None and not any(entry != self.folder for entry in self.place.iterdir()):
+            write_text(self.place / MANIFEST, Made(origin).text())
+            self.marked = True
+
+    def commit(self, origin: Origin, inputs: list[Path], force: bool) -> None:
+        """Move what was staged to its place, and what the command left there before away. Raises RigError, and moves nothing, where
+        that would write over what it did not make (unless forced) or over an input; FileError where the disk refuses."""
+        lock = folder_lock(self.place, wait=True)
+        try:
+            known = load(self.place)
+            new = sorted(str(path.relative_to(self.folder)) for path in self.folder.rglob("*") if not path.is_dir())
+            if not new and not self.whole:
+                return
+            stale = self._stale(known, new)
+            self._refuse(known, new, stale, inputs, force)
+            entries = {name: Entry(self.command, (digest(self.folder / name),)) for name in new}
+            kept = {name: entry for name, entry in known.files.items()
+                    if name not in stale and name not in entries and os.path.lexists(self.place / name)}
+            old = {name: known.files[name] for name in known.files if name not in kept}
+            both = {name: Entry(self.command, (*(old[name].sha256 if name in old else ()), *entry.sha256)) for name, entry in entries.items()}
+            whole = origin if self.whole else known.origin
+            before = Made(replace(origin, complete=False) if self.whole else known.origin, kept | old | both)
+            for name, made in (("before", before), ("after", Made(whole, kept | entries))):
+                write_text(self.folder / f"{NEW}{name}", made.text())  # here, so that a full disk refuses it before anything is moved
+            self._move(new, stale)
+        except OSError as error:
+            raise FileError(self.place, f"cannot be written: {error.strerror}") from None
+        finally:
+            os.close(lock)
+
+    def discard(self) -> None:
+        """Take away what is still staged, and folders that were made for nothing."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        os.close(self.lock)
+        if self.marked and not any(entry.name != MANIFEST for entry in self.place.iterdir()):
+            (self.place / MANIFEST).unlink()
+        self._unmake()
+
+    def _stale(self, known: Made, new: list[str]) -> list[str]:
+        """Files in the way of the new ones: what the command left before, and what would be read together with them."""
+        if not self.whole:
+            return []
+        stale = [name for name, entry in known.files.items() if entry.command == self.command and name not in new]
+        for folder in {Path(name).parent for name in new} | {Path(".")}:
+            place = self.place / folder
+            for name in filter(is_recorded, os.listdir(place) if "images" not in folder.parts and place.is_dir() else ()):
+                stale += [str(path.relative_to(self.place)) for path in _files(place / name)]
+        return sorted({name for name in stale if name not in new and os.path.lexists(self.place / name)})
+
+    def _refuse(self, known: Made, new: list[str], stale: list[str], inputs: list[Path], force: bool) -> None:
+        given = [found for found in map(status, inputs) if found]
+        inner = [real for real in (Path(os.path.realpath(path)) for path in inputs) if self.place in real.parents]
+        for name in (*new, *stale):
+            path = self.place / name
+            if not Path(os.path.realpath(path.parent)).is_relative_to(self.place):
+                raise FileError(path, "lies behind a link that leads out of the folder; name another place to write to")
+            there = status(path)
+            if there is None:
+                continue
+            if any(os.path.samestat(there, other) for other in given) or any(real in (path, *path.parents) for real in inner):
+                raise FileError(path, "is what this command reads; it stays as it was, name another place to write to")
+            if not (force or name in self.allowed or known.untouched(self.place, name, self.command)):
+                raise FileError(path, f"is there and was not left so by `rig {self.command}`; name another place, or write over it with --force")
+
+    def _move(self, new: list[str], stale: list[str]) -> None:
+        os.replace(self.folder / f"{NEW}before", self.place / MANIFEST)
+        _sync(self.place)
+        for name in stale:
+            os.unlink(self.place / name)
+        touched = {self.place}
+        for name in new:
+            target = self.place / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(self.folder / name, target)
+            touched.add(target.parent)
+        for name in stale:
+            _prune((self.place / name).parent, self.place)
+        for folder in touched:
+            _sync(folder)
+        os.replace(self.folder / f"{NEW}after", self.place / MANIFEST)
+        _sync(self.place)
+
+    def _unmake(self) -> None:
+        for folder in self.fresh:
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+
+
+def sweep(place: Path) -> None:
+    """Take away what commands that were killed had staged in a folder."""
+    for left in place.glob(f"{NEW}*"):
+        try:
+            lock = folder_lock(left, wait=False)
+        except (RigError, OSError):
+            continue  # whose it is lives, or it is no folder of ours
+        shutil.rmtree(left, ignore_errors=True)
+        os.close(lock)
+
+
+def _sync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        sync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _missing(place: Path) -> list[Path]:
+    """The folders on the way to a place that are not there, the deepest first."""
+    return [folder for folder in (place, *place.parents) if not folder.exists()]
+
+
+def _files(path: Path) -> list[Path]:
+    return [inner for inner in path.rglob("*") if not inner.is_dir()] if path.is_dir() else [path]
+
+
+def _prune(folder: Path, root: Path) -> None:
+    """Remove a folder, and those above it within root, where nothing is left in them."""
+    while folder != root and folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+        folder = folder.parent

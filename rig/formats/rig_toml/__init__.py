@@ -1,0 +1,1 @@
+"""rig.toml, table by table."""

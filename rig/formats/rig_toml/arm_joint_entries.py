@@ -1,0 +1,122 @@
+"""Joints and limits of an arm out of a table of outside data: rows of figures, those of slides told by a word, or a table for each joint."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from rig.formats.checked_entries import LARGEST_RIG, Entries, slip
+from rig.formats.input_files import shown
+
+KINDS = {"revolute": False, "prismatic": True}
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A joint of an arm, written as a table of its own.
+
+    joint : "revolute" or "prismatic"; theta : rad; d : m; a : m; alpha : rad; beta : rad, Hayati's
+    limits : rad, of a slide m; of every joint here, or of all in [mechanism]
+    """
+
+    joint: str
+    theta: float
+    d: float
+    a: float
+    alpha: float
+    beta: float
+    limits: tuple[float, float] | None
+
+    @property
+    def row(self) -> tuple[float, ...]:
+        """theta, d, a, alpha, beta."""
+        return self.theta, self.d, self.a, self.alpha, self.beta
+
+
+def joints(table: Entries) -> tuple[np.ndarray, np.ndarray]:
+    """((n, 4 or 5) rows of theta (rad), d (m), a (m), alpha (rad), beta (rad); (n,) bool, which joints slide) of the key "joints".
+
+    A row may begin with "revolute", the default, or "prismatic"; or each joint is a table with these figures by name, `joint` its kind and
+    perhaps `limits`. Raises FileError for anything else, no rows, or lengths beyond any rig
+    """
+    rows = table.get("joints")
+    if isinstance(rows, list) and rows and all(isinstance(row, dict) for row in rows):
+        return _tables(table.tables("joints"))
+    if not isinstance(rows, list) or not all(isinstance(row, list) for row in rows):
+        table.fail(f"{table.name('joints')} must be a list of rows [theta, d, a, alpha], those of slides [\"prismatic\", theta, d, a, alpha]",
+                   "joints")
+    if not rows:
+        table.fail(f"{table.name('joints')} is empty", "joints")
+    slides = np.array([_slides(table, i, row) for i, row in enumerate(rows)])
+    told = [isinstance(row[0], str) if row else False for row in rows]
+    columns = len(rows[0]) - told[0]
+    columns = columns if columns in (4, 5) else 4
+    for i, (row, word) in enumerate(zip(rows, told)):
+        if len(row) - word != columns:
+            table.fail(f"{table.name('joints')}[{i + 1}] must have {columns} numbers, theta, d, a, alpha{', beta' if columns == 5 else ''}, "
+                       f"got {len(row) - word} entries", "joints", i)
+        for j in range(columns):
+            table.numbers(row[j + word], (), "joints", (i, j + word), LARGEST_RIG if j in (1, 2) else None)
+    return np.array([row[word:] for row, word in zip(rows, told)], float), slides
+
+
+def _tables(tables: list[Entries]) -> tuple[np.ndarray, np.ndarray]:
+    """The same of joints that are written as tables, beta 0 where it is not stated."""
+    found = [_table(one) for one in tables]
+    betas = any("beta" in one.tree for one in tables)
+    return np.array([one.row for one in found])[:, : 4 + betas], np.array([KINDS[one.joint] for one in found])
+
+
+def _table(table: Entries) -> Joint:
+    kind = table.text("joint", tuple(KINDS), "revolute")
+    found = Joint(kind, table.number("theta"), table.number("d"), table.number("a"), table.number("alpha"), table.number("beta", 0.0),
+                  _own_limits(table, KINDS[kind]))
+    table.refuse_misspelt([one.name for one in fields(Joint)])
+    for name in ("d", "a"):
+        table.numbers(getattr(found, name), (), name, (), LARGEST_RIG)
+    return found
+
+
+def _slides(table: Entries, i: int, row: list) -> bool:
+    """Whether a row is of a slide."""
+    word = row[0] if row else None
+    if not isinstance(word, str):
+        return False
+    if word not in KINDS:
+        near = slip(word, KINDS)
+        table.fail(f"{table.name('joints')}[{i + 1}] is of a joint {shown(word)}{f'; is {near!r} meant?' if near else ''}; there are "
+                   f"{', '.join(map(repr, KINDS))}", "joints", i, 0, value=word)
+    return KINDS[word]
+
+
+def limits(table: Entries, slides: np.ndarray) -> np.ndarray:
+    """(n, 2) rad, of slides m, of the key "limits", or of each joint's own. slides : (n,) bool. Raises FileError where they do not run from small
+    to large, or a slide's are beyond any rig."""
+    rows = table.get("joints")
+    twice = [i for i, row in enumerate(rows) if isinstance(row, dict) and "limits" in row and "limits" in table.tree]
+    if twice:
+        table.fail(f"{table.name('joints')}.{twice[0] + 1}.limits is stated, and so is {table.name('limits')}: which holds?", "joints", twice[0],
+                   "limits")
+    if "limits" not in table.tree and isinstance(rows[0], dict):
+        own = [_table(one).limits for one in table.tables("joints")]
+        for i, each in enumerate(own):
+            if each is None:
+                table.fail(f"{table.name('joints')}.{i + 1}.limits is missing, and so is {table.name('limits')}", "joints", i)
+        return np.array(own, float)
+    found = table.array("limits", (len(slides), 2))
+    for i, (low, high) in enumerate(found):
+        if not low < high:
+            table.fail(f"{table.name('limits')}[{i + 1}] must run from small to large, not {low:g} .. {high:g}", "limits", i)
+        if slides[i]:
+            for j in range(2):
+                table.numbers(float(found[i, j]), (), "limits", (i, j), LARGEST_RIG)
+    return found
+
+
+def _own_limits(table: Entries, slide: bool) -> tuple[float, float] | None:
+    found = table.array("limits", (2,), None, LARGEST_RIG if slide else None)
+    if found is None:
+        return None
+    low, high = found.tolist()
+    if not low < high:
+        table.fail(f"{table.name('limits')} must run from small to large, not {low:g} .. {high:g}", "limits")
+    return low, high

@@ -1,0 +1,300 @@
+"""rig.toml -> Design: every value checked, every complaint with file, line and column; and cameras written back."""
+
+import re
+import tomllib
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from rig.formats.rig_toml import arm_joint_entries, camera_entries, cube_turn_entries
+from rig.model.controller_settings import PROTOCOLS, Controller, port_problem
+from rig.model.design import (
+    DICTIONARIES, FACES, Actuator, Arm, Camera, Chain, Design, Free, Hexapod, Marker, MeasuringLimbs, Planar2, Platform, Sensor, SensorPort, Target,
+)
+from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries
+from rig.errors import FileError
+from rig.formats.rig_toml.instrument_entries import instrument
+from rig.model.mechanism_kinds import bodies_of
+from rig.formats.input_files import read_text
+from rig.model.pose import vector
+from rig.model.hexapod_singularity import singular
+from rig.formats.toml_positions import positions
+
+SCHEMA = "rig/1"
+STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
+DYNAMICS = ("links", "torque_limits", "torque_sigma", "torque_constants", "friction", "angle_sigma", "speed_sigma")
+LARGEST_MARKER = 5.0  # m
+LARGEST = 1 << 22  # bytes of a rig.toml
+
+
+def load(path: str | Path) -> Design:
+    """Design read from a rig.toml. Raises FileError with line and column for anything missing, malformed or implausible."""
+    return design_of(entries(path))
+
+
+def entries(path: str | Path) -> Entries:
+    """The whole table that a rig.toml holds, its figures not yet looked at. Raises FileError where it cannot be read or is no TOML."""
+    path = Path(path)
+    return entries_of(read_text(path, LARGEST, "no such file; every recording has a rig.toml"), path)
+
+
+def entries_of(text: str, path: Path) -> Entries:
+    """The whole table of a rig.toml's text. path : of the file, as complaints name it. Raises FileError where it is no TOML."""
+    try:
+        tree = tomllib.loads(text)
+        places = positions(text)
+    except tomllib.TOMLDecodeError as error:
+        where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        line, column = map(int, where.groups()) if where else (len(text.splitlines()), None)
+        raise FileError(path, f"not valid TOML: {str(error).split(' (at')[0]}", line, column) from None
+    except RecursionError:
+        raise FileError(path, "not valid TOML: nested too deep") from None
+    except ValueError as error:  # a number of thousands of digits, a date that there is not
+        raise FileError(path, f"not valid TOML: {error}") from None
+    return Entries(tree, (), path, places)
+
+
+def design_of(root: Entries) -> Design:
+    """Design of a whole rig.toml's Entries, lengths in m, angles in rad. Raises FileError as `load` does."""
+    root.schema("rig.toml", SCHEMA)
+    root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
+                          "insitu", "controller", "sensors", "dynamics", "experiment", "turned"))
+    root.table("dynamics", optional=True).refuse_misspelt(DYNAMICS)  # its figures are read by what needs them
+    environment = root.table("environment", optional=True)
+    environment.refuse_misspelt(("gravity",))
+    gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
+    mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
+    cameras, targets = camera_entries.cameras(root.tables("camera")), _targets(root.tables("target"), bodies_of(mechanism))
+    targets = cube_turn_entries.turned(root.table("turned", optional=True), targets)
+    camera_entries.check_in_hand(root, cameras, targets, mechanism)
+    camera_entries.check_of_stages(root, cameras, targets)
+    return Design(
+        name=root.text("name", default="rig"), gravity=gravity, mechanism=mechanism,
+        instrument=instrument(root.table("instrument")) if "instrument" in root.tree else None,
+        actuator=actuator, platform=_platform(root.table("platform", optional=True)),
+        cameras=cameras, targets=targets, sensor=_sensor(root.table("sensor", optional=True)),
+        insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
+        controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
+        sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
+        experiment=cube_turn_entries.permission(root.table("experiment", optional=True), targets))
+
+
+def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Chain | Free:
+    kind = table.text("kind", ("hexapod", "planar2", "arm", "chain", "free"))
+    if kind == "free":
+        table.refuse_misspelt(("kind",))
+        return Free()
+    if kind == "chain":
+        stages = [_stage(one) for one in table.tables("stage")]
+        if len(stages) < 2:
+            table.fail(f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}", "kind")
+        table.refuse_misspelt(("kind", "stage"))
+        return Chain(tuple(stages))
+    return _stage(table)
+
+
+def _stage(table: Entries) -> Hexapod | Planar2 | Arm:
+    """A mechanism that stands alone or in a chain."""
+    kind = table.text("kind", ("hexapod", "planar2", "arm"))
+    if kind == "arm":
+        table.refuse_misspelt(("kind", "joints", "limits"))
+        joints, slides = arm_joint_entries.joints(table)
+        return Arm(joints, arm_joint_entries.limits(table, slides), slides=slides)
+    if kind == "planar2":
+        table.refuse_misspelt(("kind", "base_joints", "strut_range"))
+        return Planar2(table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG))
+    table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home"))
+    base = table.array("base_joints", (6, 3), length_limit=LARGEST_RIG)
+    platform = table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG)
+    hexapod = Hexapod(base, platform, _ranges(table, "strut_range", 6, LARGEST_RIG), table.pose("home"))
+    lengths = np.linalg.norm(hexapod.home.apply(platform) - base, axis=1)
+    for i, (length, (low, high)) in enumerate(zip(lengths, hexapod.strut_range)):
+        if not low <= length <= high:
+            table.fail(f"{table.name('home')} needs strut {i + 1} at {length:.6f} m, outside its strut_range {low:g} .. {high:g} m", "home")
+    if singular(hexapod):
+        table.fail(f"{table.name('home')} {singular(hexapod)}", "home")
+    return hexapod
+
+
+def _ranges(table: Entries, key: str, count: int, length_limit: float) -> np.ndarray:
+    ranges = table.array(key, (count, 2), length_limit=length_limit)
+    for i, (low, high) in enumerate(ranges):
+        if not low < high:
+            table.fail(f"{table.name(key)}[{i + 1}] must run from small to large, not {low:g} .. {high:g}", key, i)
+        if low <= 0:
+            table.fail(f"{table.name(key)}[{i + 1}] must be positive, not {low:g} m", key, i, 0)
+    return ranges
+
+
+def _actuator(table: Entries) -> Actuator:
+    table.refuse_misspelt([field.name for field in fields(Actuator)])
+    return Actuator(table.number("screw_lead", None, above=0, most=1, unit="m"),
+                    table.text("joints", ("cardan-cardan", "cardan-ball"), default=None),
+                    table.number("max_speed", None, above=0, most=100, unit="m/s"))
+
+
+def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Free, actuator: Actuator) -> Controller:
+    table.refuse_misspelt([field.name for field in fields(Controller)])
+    n = len(mechanism.axes)
+    if mechanism.kind not in ("hexapod", "planar2"):
+        table.fail(f"[controller] drives struts; a mechanism of kind {mechanism.kind!r} has none")
+    axes = table.get("axes", [])
+    if not isinstance(axes, list) or not all(isinstance(name, str) and name.isalnum() for name in axes) or len(set(axes)) not in (0, n):
+        table.fail(f"{table.name('axes')} must list {n} different names, got {axes!r}", "axes", value=axes)
+    homing = table.flag("homing", True)
+    speed = table.each("max_speed", n, actuator.max_speed or REQUIRED, above=0, most=100, unit="m/s")
+    step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
+    home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
+    return Controller(
+        table.text("protocol", PROTOCOLS), _port(table, default=""), table.whole("baudrate", 1, default=115200),
+        table.text("usb", default=""), tuple(axes), homing, table.each("zero", n, 0.0, least=-LARGEST_RIG, most=LARGEST_RIG, unit="m"),
+        home, speed, table.each("max_acceleration", n, None, above=0, most=1000, unit="m/s^2"),
+        table.number("tolerance", default=1e-5, above=0, most=0.01, unit="m"), step, table.number("margin", default=0.1, least=0, most=1),
+        table.number("timeout", default=2.0, above=0, most=60, unit="s"), table.number("home_timeout", default=120.0, above=0, most=3600, unit="s"),
+        table.number("watchdog", default=1.0, above=0, most=60, unit="s"), table.text("kinematics", ("joint", "world"), default="joint"),
+        table.text("password", default="EMC"), table.text("enable_password", default="EMCTOO"))
+
+
+def _port(table: Entries, default: object = REQUIRED) -> str:
+    port: str = table.text("port", default=default)
+    if problem := port_problem(port):
+        table.fail(f"{table.name('port')}: {problem}", "port", value=port)
+    return port
+
+
+def _sensors(table: Entries) -> SensorPort:
+    table.refuse_misspelt([field.name for field in fields(SensorPort)])
+    channels = table.get("channels")
+    if not isinstance(channels, list) or not channels or not all(isinstance(name, str) and name.isidentifier() for name in channels) or (
+            len(set(channels)) != len(channels) or "t" in channels):
+        table.fail(f"{table.name('channels')} must list different names of channels, got {channels!r}", "channels", value=channels)
+    return SensorPort(_port(table), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
+
+
+def _platform(table: Entries) -> Platform:
+    table.refuse_misspelt([field.name for field in fields(Platform)])
+    return Platform(table.number("mass", None, least=0, unit="kg"),
+                    table.array("centre_of_mass", (3,), None, LARGEST_RIG), table.array("payload_centre_of_mass", (3,), None, LARGEST_RIG))
+
+
+def _limbs(table: Entries) -> MeasuringLimbs:
+    table.refuse_misspelt(("base_joints", "platform_joints", "length_sigma"))
+    base, platform = (table.array(name, (None, 3), length_limit=LARGEST_RIG) for name in ("base_joints", "platform_joints"))
+    if len(base) != len(platform) or not len(base):
+        table.fail(f"{table.name('platform_joints')} must have a row for each of the {len(base)} limbs of base_joints, got {len(platform)}",
+                   "platform_joints")
+    return MeasuringLimbs(base, platform, table.number("length_sigma", above=0, most=0.1, unit="m"))
+
+
+def _sensor(table: Entries) -> Sensor:
+    known = {"blur": (20, "px"), "defocus": (20, "px"), "vignetting": (1, ""), "gain": (1000, "grey levels"), "exposure": (10, "s"),
+             "read_noise": (100, "grey levels"), "electrons": (1e6, "")}
+    table.refuse_misspelt((*known, "exposures", "bits"))
+    values = {name: table.number(name, least=0, most=most, unit=unit) for name, (most, unit) in known.items() if name in table.tree}
+    if "exposures" in table.tree:
+        values["exposures"] = table.whole("exposures", 1)
+    if "bits" in table.tree and table.whole("bits", 8) not in (8, 12):
+        table.fail("sensor.bits must be 8 or 12", "bits")
+    return Sensor(**values, bits=table.get("bits", 8))
+
+
+def _targets(tables: list[Entries], bodies: tuple[str, ...]) -> tuple[Target, ...]:
+    targets, owners = list[Target](), dict[int, str]()
+    for table in tables:
+        listed = isinstance(table.tree.get("marker"), list)
+        table.refuse_misspelt(("name", "body", "dictionary", "marker", *(() if listed else ("edge", "faces", "pose"))))
+        name = table.identifier("name")
+        if name in [target.name for target in targets]:
+            table.fail(f"target {name!r} is listed twice", "name", value=name)
+        body, dictionary = table.text("body", bodies), table.text("dictionary", tuple(DICTIONARIES))
+        target = _listed(table, name, body, dictionary) if listed else _cube(table, name, body, dictionary)
+        keys: list[tuple[str | int, ...]] = [("faces", face) for face, _ in target.faces]
+        for number, key in zip(target.ids, keys or [("marker", i, "id") for i in range(len(target.listed))]):
+            if number >= DICTIONARIES[dictionary]:
+                table.fail(f"{dictionary} has identities 0..{DICTIONARIES[dictionary] - 1}, not {number}", *key, value=number)
+            if number in owners:
+                table.fail(f"marker {number} of target {name!r} already belongs to {owners[number]}: "
+                           "an identity may be used once in a rig", *key, value=number)
+            owners[number] = f"target {name!r} (line {table.places[table.path + key][0]})"
+        targets.append(target)
+    return tuple(targets)
+
+
+def _cube(table: Entries, name: str, body: str, dictionary: str) -> Target:
+    edge = table.number("edge", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
+    marker = table.number("marker", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
+    if marker > edge:
+        table.fail(f"{table.name('marker')} = {marker:g} m does not fit on a cube of edge {edge:g} m", "marker", value=marker)
+    faces = table.table("faces")
+    if not faces.tree:
+        table.fail(f"{table.name('faces')} is empty", "faces")
+    for face in faces.tree:
+        if face not in FACES:
+            faces.fail(f"{face!r} is no face of a cube; there are {', '.join(FACES)}", face, value=face)
+    pairs = tuple((face, faces.whole(face, 0)) for face in faces.tree)
+    return Target(name, body, dictionary, edge, marker, pairs, table.pose("pose"))
+
+
+def _listed(table: Entries, name: str, body: str, dictionary: str) -> Target:
+    markers = []
+    for row in table.tables("marker"):
+        row.refuse_misspelt([field.name for field in fields(Marker)])
+        side = row.number("side", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
+        margin = row.number("margin", default=side / 8, least=0, most=LARGEST_MARKER, unit="m")
+        markers.append(Marker(row.whole("id", 0), side, row.pose("pose"), margin))
+    return Target(name, body, dictionary, listed=tuple(markers))
+
+
+def with_cameras(text: str, cameras: Iterable[Camera]) -> str:
+    """The rig.toml text with each camera's matrix, distortion and pose replaced; all else, comments too, as it was.
+
+    text : a valid rig.toml; cameras : Camera objects, matched by name. Raises KeyError for one that is not in the text.
+    """
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    tables = {table["name"]: table for table in document["camera"]}
+    for camera in cameras:
+        table = tables[camera.name]
+        table["matrix"] = np.round(camera.matrix, 6).tolist()
+        table["distortion"] = np.round(camera.distortion, 9).tolist()
+        position, rotvec = np.split(np.round(vector(camera.pose), 10), 2)
+        entry = tomlkit.inline_table()
+        entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
+        table["pose"] = entry
+    return tomlkit.dumps(document)
+
+
+def camera_block(camera: Camera, placed: bool = False) -> str:
+    """Text of a [[camera]] table as rig.toml takes it. placed : whether its pose is known; else it is a place to fill in"""
+    place = np.round(vector(camera.pose), 10) if placed else np.zeros(6)
+    remark = "" if placed else "   # camera in base: put in where it stands"
+    matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
+    return (f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
+            f"distortion = {distortion}\n"
+            f"pose = {{ position = {place[:3].tolist()}, rotvec = {place[3:].tolist()} }}{remark}\n"
+            'shutter = "global"\n')
+
+
+def with_places(text: str, places: dict[str, tuple[Marker, ...]]) -> str:
+    """The rig.toml text with every target's markers listed at their places; a cube becomes a target of listed markers.
+
+    text : a valid rig.toml; places : {target name: (Marker, ...)}
+    """
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    for table in (table for table in document["target"] if table["name"] in places):
+        for key in ("edge", "marker", "faces", "pose"):
+            table.pop(key, None)
+        rows = tomlkit.aot()
+        for marker in places[table["name"]]:
+            position, rotvec = np.split(np.round(vector(marker.pose), 10), 2)
+            row, entry = tomlkit.table(), tomlkit.inline_table()
+            entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
+            row.update({"id": int(marker.id), "side": float(marker.side), "margin": float(np.round(marker.margin, 9)), "pose": entry})
+            rows.append(row)
+        table["marker"] = rows
+    return tomlkit.dumps(document)

@@ -1,6 +1,0 @@
-"""A recording out of what people have: their tables, their names of images, their units, said in plain words and kept as a recipe."""
-
-from rig.importing.assemble import Imported, assemble, unpacked, with_cameras, write
-from rig.importing.recipe import Recipe, load, stated, text
-
-__all__ = ["Imported", "Recipe", "assemble", "load", "stated", "text", "unpacked", "with_cameras", "write"]

@@ -1,0 +1,246 @@
+"""What a rig is, as its owner states it: frozen dataclasses in metres, radians and pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.model.controller_settings import Controller
+from rig.errors import RigError
+from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2, freeze
+
+DISTORTION_TERMS = (4, 5, 8, 12, 14)
+FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
+PERMITTED = ("payload", "wait")  # what an owner may allow experiments, besides TURN and the name of a cube
+TURN = "turn cube "  # before the name of a cube that may be taken off and put back turned
+SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator")  # kinds of cameras that a run can open
+DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
+    **{f"DICT_{bits}X{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
+    "DICT_ARUCO_ORIGINAL": 1024, "DICT_ARUCO_MIP_36h12": 250, "DICT_APRILTAG_16h5": 30, "DICT_APRILTAG_25h9": 35,
+    "DICT_APRILTAG_36h10": 2320, "DICT_APRILTAG_36h11": 587,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """Who wrote poses.csv. base, tool : "free" (where it stands, its target sits, is unknown and solved for) or "rig"; position_sigma : m, of a
+    coordinate; rotation_sigma : rad, or None for one that sees positions alone (a reflector, a touched ball); kind : "pose", "orientation"
+    (rotations alone, position_sigma infinite) or "distance" (of a wire drawn from the origin of the frame of poses to the target)"""
+
+    base: str
+    tool: str
+    position_sigma: float
+    rotation_sigma: float | None
+    kind: str = "pose"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuringLimbs:
+    """Limbs beside the driving struts that measure their own length (sensors.csv, m1..mn, m) and carry nothing: six tell a pose, more check it.
+
+    base_joints : (n, 3) m, base frame; platform_joints : (n, 3) m, platform frame; length_sigma : m, of one reading
+    zeros : (n,) m, what a limb is longer than it reads, 0 where they are left out
+    """
+
+    base_joints: np.ndarray
+    platform_joints: np.ndarray
+    length_sigma: float
+    zeros: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        n = len(self.base_joints)
+        if not len(self.zeros):
+            object.__setattr__(self, "zeros", np.zeros(n))
+        for name, shape in (("base_joints", (n, 3)), ("platform_joints", (n, 3)), ("zeros", (n,))):
+            freeze(self, name, shape)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of their columns in sensors.csv: m1 .."""
+        return tuple(f"m{i + 1}" for i in range(len(self.base_joints)))
+
+
+@dataclass(frozen=True, slots=True)
+class SensorPort:
+    """Where sensors beside the struts are read. port : device, or URL socket://, rfc2217://; baudrate : bits per second
+    ask : line that makes them answer, "" where they send by themselves; channels : names as in sensors.csv, in the order of the numbers in a line"""
+
+    port: str
+    baudrate: int
+    ask: str
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Permission:
+    """What an owner allows experiments besides moving. may : "payload" (to be asked to load the platform), "wait" (to wait while temperatures
+    change), "turn cube NAME" (to be asked to take that cube off and to put it back turned)"""
+
+    may: tuple[str, ...] = ()
+
+    @property
+    def cubes(self) -> tuple[str, ...]:
+        """Names of the cubes that may be turned."""
+        return tuple(word.removeprefix(TURN) for word in self.may if word.startswith(TURN))
+
+
+@dataclass(frozen=True, slots=True)
+class Actuator:
+    """What moves a strut; None where not stated. screw_lead : m per revolution; joints : at base and platform; max_speed : m/s"""
+
+    screw_lead: float | None
+    joints: str | None
+    max_speed: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Platform:
+    """What the struts carry; None where not stated. mass : kg; centre_of_mass, payload_centre_of_mass : (3,) m, platform frame"""
+
+    mass: float | None
+    centre_of_mass: np.ndarray | None
+    payload_centre_of_mass: np.ndarray | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A camera with an OpenCV lens.
+
+    name : as frames.csv has it; width, height : px; matrix : (3, 3) px, no skew; distortion : (4, 5, 8, 12 or 14,) OpenCV order
+    pose : T_base_camera, OpenCV axes; shutter : "global" or "rolling"; row_time : s, from one row of the image to the next, for a rolling one
+    mount : "fixed", "moving" with a pose of its own in every frame, or "hand": the platform carries it, and pose is T_platform_camera
+    source : what a run opens it by, for example "uvc:0", or None; see rig.driving.cameras.KINDS
+    """
+
+    name: str
+    width: int
+    height: int
+    matrix: np.ndarray
+    distortion: np.ndarray
+    pose: RigidTransform
+    shutter: str = "global"
+    row_time: float = 0.0
+    mount: str = "fixed"
+    source: str | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "matrix", (3, 3))
+        freeze(self, "distortion", (None,))
+        if len(self.distortion) not in DISTORTION_TERMS:
+            raise ValueError(f"distortion: expected {DISTORTION_TERMS} terms, got {len(self.distortion)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """What an image sensor and its optics do to light, for a simulated camera; the defaults do nothing but quantise.
+
+    blur : px, standard deviation of the optics' spot; defocus : px, radius of a disc on top of it
+    vignetting : share of the light lost in the image's corners; gain : grey levels of 255 for a white face in full light
+    exposure : s; exposures : pictures averaged over it; read_noise : grey levels
+    electrons : per grey level, for shot noise (0: none); bits : 8 or 12
+    """
+
+    blur: float = 0.0
+    defocus: float = 0.0
+    vignetting: float = 0.0
+    gain: float = 230.0
+    exposure: float = 0.0
+    exposures: int = 1
+    read_noise: float = 0.0
+    electrons: float = 0.0
+    bits: int = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marker:
+    """One square marker. id : in its target's dictionary; side : m, outer side of the black border; margin : m, white paper beyond the border;
+    pose : T_body_marker, x right, y up, z out of the paper"""
+
+    id: int
+    side: float
+    pose: RigidTransform
+    margin: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """Markers fixed to one body. A cube has edge, marker, faces and pose; any other target lists its markers.
+
+    name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1"; dictionary : OpenCV's name of
+    the markers'; edge : m, of the cube; marker : m, outer side of the black border; faces : pairs of face and id; pose : T_body_cube, of the
+    cube's centre; listed : the markers of one that is no cube
+    turned : quarter turns about the cube's own z, right-handed, with which it was taken off and put back since its pose was stated: its place is
+    that only to what remounting may do; None for a target that was never taken off
+    shift : added to its identities where it is one of several recordings together (see rig.recording.combined_recordings): the same prints are
+    another target there
+    """
+
+    name: str
+    body: str
+    dictionary: str
+    edge: float | None = None
+    marker: float | None = None
+    faces: tuple[tuple[str, int], ...] = ()
+    pose: RigidTransform | None = None
+    listed: tuple[Marker, ...] = ()
+    turned: int | None = None
+    shift: int = 0
+
+    @property
+    def seat(self) -> RigidTransform:
+        """T_body_cube as it stands now, turned about its own z. Raises ValueError for a target that is no cube."""
+        if self.pose is None:
+            raise ValueError(f"target {self.name!r} is no cube, and has no seat")
+        if not self.turned:
+            return self.pose
+        return self.pose * RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.0, np.pi / 2 * self.turned]))
+
+    @property
+    def stage(self) -> int:
+        """Number (from 1) of the chain's stage whose platform carries it, below the last; 0 for one on the base or the platform."""
+        return int(self.body.removeprefix("stage ")) if self.body.startswith("stage ") else 0
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Identities of all its markers."""
+        return tuple(number + self.shift for _, number in self.faces) + tuple(marker.id + self.shift for marker in self.listed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated cameras;
+    insitu : MeasuringLimbs or None; controller : Controller or None where nothing is driven; sensors : SensorPort or None
+    experiment : Permission."""
+
+    name: str
+    gravity: np.ndarray
+    mechanism: Hexapod | Planar2 | Arm | Chain | Free
+    instrument: Instrument | None
+    actuator: Actuator
+    platform: Platform
+    cameras: tuple[Camera, ...]
+    targets: tuple[Target, ...]
+    sensor: Sensor = Sensor()
+    insitu: MeasuringLimbs | None = None
+    controller: Controller | None = None
+    sensors: SensorPort | None = None
+    experiment: Permission = Permission()
+
+    def camera(self, name: str) -> Camera:
+        """The camera of that name. Raises ValueError with the names there are."""
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        raise ValueError(f"no camera {name!r}; there are {[camera.name for camera in self.cameras]}")
+
+    def without_stages(self) -> Design:
+        """The same without the targets that a chain carries below its last platform."""
+        return replace(self, targets=tuple(target for target in self.targets if not target.stage))
+
+    def driver(self) -> Controller:
+        """The Controller. Raises RigError where nothing is driven."""
+        if self.controller is None:
+            raise RigError("rig.toml has no [controller], so there is nothing to drive: state its protocol and port there")
+        return self.controller

@@ -1,0 +1,244 @@
+"""Serial arm of any number of joints that turn or slide: pose of joint values, geometric Jacobian, and joint values of a pose, numerically.
+
+Distal Denavit-Hartenberg with Hayati's extra turn: A_i = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta), of a slide Rz(theta) Tz(d + q) ..
+Joint values q are rad, of slides m.
+Sources: Denavit and Hartenberg 1955; Hayati, Robot arm geometric link parameter estimation, CDC 1983.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.model.design import Arm
+from rig.errors import Unreachable
+
+AXIS, UNIT = "joint", "rad"
+TOLERANCE = 1e-12  # m and rad; what the iteration leaves of a pose
+GOOD = 1e-10  # m and rad; what counts as solved: a pose given to 1e-12 at the edge of the reach keeps 1e-6 rad of play
+MAX_ITERATIONS = 80
+STARTS = 40  # random configurations tried where the guess leads nowhere
+REACH = 1.0  # m; a radian counts like so much
+
+
+def frames(q: np.ndarray, arm: Arm) -> np.ndarray:
+    """(..., n + 2, 4, 4) homogeneous frames in the frame of poses: the arm's frames 0..n, then the platform.
+
+    q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or values not finite
+    """
+    q = np.asarray(q, float)
+    if q.shape[-1:] != (len(arm.joints),) or not np.isfinite(q).all():
+        raise ValueError(f"expected finite joint angles (..., {len(arm.joints)}) {'rad or m' if arm.slides.any() else 'rad'}, got shape {q.shape}")
+    out = np.empty((*q.shape[:-1], len(arm.joints) + 2, 4, 4))
+    out[..., 0, :, :] = arm.base.as_matrix()
+    links = link(turned(q, arm), arm.rows.T)
+    if arm.slides.any():
+        links[..., 2, 3] += np.where(arm.slides, q, 0.0)
+    for i in range(q.shape[-1]):
+        np.matmul(out[..., i, :, :], links[..., i, :, :], out=out[..., i + 1, :, :])
+    out[..., -1, :, :] = out[..., -2, :, :] @ arm.tool.as_matrix()
+    return out
+
+
+def turned(q: np.ndarray, arm: Arm) -> np.ndarray:
+    """(..., n) rad by which joint values q (..., n) turn the joints: a slide's not at all."""
+    return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
+
+
+def link(q: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """(..., 4, 4) transforms A of links: q (...,) rad, row = theta, d, a, alpha, beta, figures or arrays that broadcast with q."""
+    theta, d, a, alpha, beta = row
+    ct, st = np.cos(q + theta), np.sin(q + theta)
+    ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+    A = np.zeros((*np.shape(q), 4, 4))
+    A[..., 0, 0], A[..., 0, 1], A[..., 0, 2], A[..., 0, 3] = ct * cb - st * sa * sb, -st * ca, ct * sb + st * sa * cb, a * ct
+    A[..., 1, 0], A[..., 1, 1], A[..., 1, 2], A[..., 1, 3] = st * cb + ct * sa * sb, ct * ca, st * sb - ct * sa * cb, a * st
+    A[..., 2, 0], A[..., 2, 1], A[..., 2, 2], A[..., 2, 3] = -ca * sb, sa, ca * cb, d
+    A[..., 3, 3] = 1
+    return A
+
+
+def forward(q: np.ndarray, arm: Arm, guess: RigidTransform | None = None) -> RigidTransform:
+    """T_base_platform : RigidTransform (...) of joint values q (..., n) rad or m. guess : unused. Raises ValueError as `frames`."""
+    return RigidTransform.from_matrix(frames(q, arm)[..., -1, :, :])
+
+
+def jacobian(q: np.ndarray, arm: Arm, axes: str = "platform") -> np.ndarray:
+    """(..., 6, n) geometric Jacobian: velocity of the platform's origin (m/rad) over its turning rate (rad/rad), per joint, of slides per m.
+
+    q : (..., n) rad or m; axes : "platform", the tangent on the right, or "base", the axes in which poses are given
+    Source: Whitney 1972; the columns are z x (p - o) over z, of a slide z over 0
+    Raises ValueError for other axes.
+    """
+    if axes not in ("platform", "base"):
+        raise ValueError(f"axes must be 'platform' or 'base', not {axes!r}")
+    return geometric(frames(q, arm), axes, arm.slides)
+
+
+def geometric(matrices: np.ndarray, axes: str = "platform", slides: np.ndarray | None = None) -> np.ndarray:
+    """(..., 6, n) Jacobian of frames (..., n + 2, 4, 4) as `frames` gives them; slides : (n,) bool, none by default."""
+    z, o = matrices[..., :-2, :3, 2], matrices[..., :-2, :3, 3]
+    J = np.concatenate([np.cross(z, matrices[..., -1:, :3, 3] - o), z], axis=-1)
+    if slides is not None and slides.any():
+        J[..., slides, :3], J[..., slides, 3:] = z[..., slides, :], 0.0
+    if axes == "platform":
+        R = matrices[..., -1, :3, :3]
+        J = np.concatenate([J[..., :3] @ R, J[..., 3:] @ R], axis=-1)
+    return np.swapaxes(J, -1, -2)
+
+
+def limits(q: np.ndarray, arm: Arm) -> np.ndarray:
+    """How far joint values (..., n) lie outside the limits: (..., n) rad or m, negative below, positive above, 0 inside."""
+    low, high = arm.limits.T
+    return np.minimum(q - low, 0) + np.maximum(q - high, 0)
+
+
+def travel(arm: Arm) -> np.ndarray:
+    """(n, 2) rad or m, the joint limits."""
+    return arm.limits
+
+
+def home(arm: Arm) -> np.ndarray:
+    """(n,) rad or m, all joints at zero: from there an encoder counts."""
+    return np.zeros(len(arm.joints))
+
+
+def span(arm: Arm) -> float:
+    """m, how far links and slides reach at the most."""
+    return float(np.abs(arm.joints[:, 1:3]).sum() + np.abs(arm.limits[arm.slides]).max(axis=1).sum())
+
+
+def loads(T: RigidTransform, q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
+    """(m, n) N m, of slides N, with which the joints hold a wrench (m, 6) N, N m on the platform at joint values q (m, n) rad or m."""
+    return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
+
+
+def links(T: RigidTransform, q: np.ndarray, arm: Arm, gravity: np.ndarray) -> np.ndarray:
+    """(m, n, 4 n) N m, of slides N, with which the joints hold each link, per kg at its frame and per kg m along that frame's x, y and z.
+
+    gravity : (3,) m/s^2 in the frame of poses. Source: Luh, Walker and Paul's recursion at rest, as a regressor: Gautier and Khalil 1990
+    """
+    chain, n = frames(q, arm), len(arm.joints)
+    z, o, R = chain[:, :n, :3, 2], chain[:, : n + 1, :3, 3], chain[:, 1 : n + 1, :3, :3]
+    out = np.zeros((len(chain), n, n, 4))
+    tipped = np.cross(np.swapaxes(R, 2, 3), gravity)  # (m, link, axis of its frame, 3)
+    for j in range(n):
+        if arm.slides[j]:
+            out[:, j, j:, 0] = -(z[:, j] @ gravity)[:, None]
+            continue
+        out[:, j, j:, 0] = -np.einsum("mki,mi->mk", np.cross(o[:, j + 1 :] - o[:, [j]], gravity), z[:, j])
+        out[:, j, j:, 1:] = -np.einsum("mkai,mi->mka", tipped[:, j:], z[:, j])
+    return out.reshape(len(chain), n, 4 * n)
+
+
+def grown(T: RigidTransform, q: np.ndarray, arm: Arm, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(deviation (m, n) rad or m, sway (m, 6)) of links whose offsets d and lengths a have grown by shares (m, n): the hand moves, no joint
+    does. A slide's scale is its travel with it."""
+    chain, rows = frames(q, arm), arm.rows
+    before, turn = chain[:, : len(rows), :3], (turned(q, arm) + rows[:, 0])[..., None]
+    along = np.cos(turn) * before[..., 0] + np.sin(turn) * before[..., 1]  # the common normal
+    offset = rows[:, 1] + np.where(arm.slides, q, 0.0)
+    moved = np.einsum("mn,mni->mi", share, offset[..., None] * before[..., 2] + rows[:, 2, None] * along)
+    return np.zeros(share.shape), np.pad((moved[:, None] @ chain[:, -1, :3, :3])[:, 0], ((0, 0), (0, 3)))
+
+
+def ends(T: RigidTransform, arm: Arm) -> None:
+    """An arm has no struts."""
+    return None
+
+
+def inverse(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None) -> np.ndarray:
+    """Joint values (..., n) rad or m of a pose, within the limits where such are found, near the guess where that leads there.
+
+    T_base_platform : RigidTransform (...); guess : (n,) or (..., n) rad or m, the middle of the limits by default
+    Raises Unreachable with the index of poses to which no start leads, and how near (m, rad) the arm comes
+    """
+    q, left = solve(T_base_platform, arm, guess)
+    failed = np.flatnonzero(np.ravel(left) > GOOD)
+    if len(failed):
+        lines = [f"pose {i}: the arm comes no nearer than {np.ravel(left)[i]:.3g} m or rad" for i in failed]
+        raise Unreachable(f"{len(failed)} of {left.size} poses are out of the arm's reach:", failed, lines)
+    return q
+
+
+def solve(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None, starts: int = STARTS,
+          seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """(q (..., n) rad or m, left (...) m or rad): damped least squares from the guess, then from random starts.
+
+    left : greater of the position's (m) and rotation's (rad) remaining error; above GOOD means no solution was found
+    A solution outside the limits is only given where no start leads to one inside.
+    Source: Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, T-RO 2011 (the damping)
+    """
+    target = T_base_platform.as_matrix()
+    shape, n = target.shape[:-2], len(arm.joints)
+    target = target.reshape(-1, 4, 4)
+    guess = arm.limits.mean(axis=1) if guess is None else np.asarray(guess, float)
+    best = np.broadcast_to(guess, (*shape, n)).reshape(-1, n).copy()
+    guess = best.copy()
+    left, outside = np.full(len(best), np.inf), np.ones(len(best), bool)
+    rng = np.random.default_rng(seed)
+    trying = best.copy()
+    for _ in range(starts + 1):
+        todo = np.flatnonzero((left > GOOD) | outside)
+        if not len(todo):
+            break
+        q, error = _descend(trying[todo], target[todo], arm)
+        q = wrapped(q, arm, guess[todo])
+        out = (np.abs(limits(q, arm)) > 0).any(axis=1)
+        solved, had = error <= GOOD, left[todo] <= GOOD
+        better = np.where(solved & had, outside[todo] & ~out, np.where(solved | had, solved, error < left[todo]))
+        best[todo[better]], left[todo[better]], outside[todo[better]] = q[better], error[better], out[better]
+        trying = rng.uniform(arm.limits[:, 0], arm.limits[:, 1], best.shape)
+    return best.reshape(*shape, n), left.reshape(shape)
+
+
+def wrapped(q: np.ndarray, arm: Arm, near: np.ndarray) -> np.ndarray:
+    """Angles (..., n) shifted by whole turns to the nearest of near (..., n) that the limits allow; slides stay."""
+    low, high = arm.limits.T
+    if arm.slides.any():
+        out, turning = np.array(q, float), ~arm.slides
+        only = replace(arm, joints=arm.joints[turning], limits=arm.limits[turning], slides=np.zeros(int(turning.sum()), bool))
+        out[..., turning] = wrapped(out[..., turning], only, np.broadcast_to(near, out.shape)[..., turning])
+        return out
+    turn = 2 * np.pi
+    q = q - turn * np.round((q - near) / turn)
+    q = np.where(q > high, q - turn * np.ceil((q - high) / turn), q)
+    q = np.where(q < low, q + turn * np.ceil((low - q) / turn), q)
+    return np.where(q > high, q - turn * np.round((q - near) / turn), q)
+
+
+def apart(q: np.ndarray, other: np.ndarray, arm: Arm) -> np.ndarray:
+    """(..., n) rad, of slides m, by which joint values q (..., n) differ from other ones, whole turns aside."""
+    away = np.asarray(q, float) - other
+    return away - np.where(arm.slides, 0.0, 2 * np.pi * np.round(away / (2 * np.pi)))
+
+
+def _descend(q: np.ndarray, target: np.ndarray, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+    """(q, error): Levenberg-Marquardt on the pose error of a flat batch, damped by the error's own size."""
+    q = q.copy()
+    error = np.full(len(q), np.inf)
+    going = np.arange(len(q))
+    for _ in range(MAX_ITERATIONS):
+        chain = frames(q[going], arm)
+        e = _twist(chain[:, -1], target[going])
+        error[going] = np.maximum(np.linalg.norm(e[:, :3], axis=1), np.linalg.norm(e[:, 3:], axis=1))
+        rest = error[going] > TOLERANCE
+        if not rest.any():
+            break
+        going, chain, e = going[rest], chain[rest], e[rest]
+        J = geometric(chain, slides=arm.slides)
+        damping = 0.5 * (e**2).sum(axis=1) + 1e-15  # vanishes with the error's square, so the end is Newton's
+        if J.shape[-1] <= 6:
+            step = np.linalg.solve(np.swapaxes(J, 1, 2) @ J + damping[:, None, None] * np.eye(J.shape[-1]),
+                                   np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
+        else:
+            step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6), e[..., None]))[..., 0]
+        q[going] += step / np.maximum(1.0, np.abs(step).max(axis=1) / REACH)[:, None]
+    return q, error
+
+
+def _twist(now: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """(m, 6) tangent on the right, translation first, that leads from now to target (m, 4, 4), parts taken separately."""
+    R = np.swapaxes(now[:, :3, :3], 1, 2)
+    move = (R @ (target[:, :3, 3:] - now[:, :3, 3:]))[..., 0]
+    return np.concatenate([move, Rotation.from_matrix(R @ target[:, :3, :3]).as_rotvec()], axis=1)

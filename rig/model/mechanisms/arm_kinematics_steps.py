@@ -1,0 +1,195 @@
+"""Kinematics in one global frame, step by step as a reader follows it: points and space vectors after each joint.
+
+Forward, the hand's points A, B, C (AB along z and AC along y at zero, 1 m each) turn about the axes where these stand at zero, or move along
+them, the last joint first. Inverse, joint 1 to joint 6: each is read from a point or a direction that the joints behind it cannot move, and the
+points are turned back before the next is read. A moves to where axes 5 and 6 cross; E is the elbow on axis 3, D the point on axis 4 (with three
+parallel axes; with a spherical wrist it is A itself); after the last step A, B, C lie where they are at zero.
+
+Where our order of reading differs. The source reads joint 5 after 2, 3 and 4, and joint 4 of a spherical wrist before 5, which its arms allow:
+there axis 5 is square to its neighbours, so that D and the turn of 4 can be seen in a front view. With axes that are not square, how far AB
+has turned about the parallel axes, or about axis 4, depends on joint 5: so joint 5's two values are read first (rig.model.mechanisms.wrist_branches
+has
+them at once for all branches), from the angle between AB and axis 2, or 4, which joints 2 to 4, or 4, do not change. Points are returned in
+the source's order all the same, and every joint is read from them, joint 5 once more.
+Source: patent CN111488654A, claims 1 to 5
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.model.design import Arm
+from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms.successive_regression import FREE
+from rig.model.mechanisms.six_joint_inverse import SixR, global_frame
+
+
+class Step(NamedTuple):
+    """What one step does and where points then are, in the global frame. joint : from 1, 0 for a step that moves none; value : of the joint, rad
+    or m; axis : (2, 3) a point (m) and the unit space vector about or along which it is moved; names : of the points; points : (k, 3) m."""
+
+    joint: int
+    value: float
+    axis: np.ndarray
+    names: tuple[str, ...]
+    points: np.ndarray
+
+
+def hand(arm: Arm) -> np.ndarray:
+    """(3, 3) m, points A, B, C of an Arm's hand at zero, in its global frame."""
+    F = global_frame(arm)
+    a = F.inv().apply(mechanism.forward(np.zeros(len(arm.joints)), arm).translation)
+    return np.array([a, a + [0, 0, 1], a + [0, 1, 0]])
+
+
+def forward(q: np.ndarray, arm: Arm) -> list[Step]:
+    """Steps of joint values q (n,) rad or m of any Arm: its points at zero, then after each joint, the last first."""
+    to_global = global_frame(arm).inv()
+    chain = (to_global * RigidTransform.from_matrix(mechanism.frames(np.zeros(len(q)), arm))).as_matrix()
+    abc = hand(arm)
+    steps = [Step(0, 0.0, np.zeros((2, 3)), tuple("ABC"), abc)]
+    for i in range(len(q) - 1, -1, -1):
+        o, u = chain[i, :3, 3], chain[i, :3, 2]
+        abc = abc + q[i] * u if arm.slides[i] else turned(abc, o, u, q[i])
+        steps.append(Step(i + 1, float(q[i]), np.array([o, u]), tuple("ABC"), abc))
+    return steps
+
+
+def inverse(T_base_platform: RigidTransform, six: SixR, q: np.ndarray) -> list[Step]:
+    """Steps by which a solution q (6,) rad of a pose is read, joint 1 to 6; the last leaves A, B, C as at zero, A at the crossing of 5 and 6.
+
+    q : of rig.model.mechanisms.six_joint_inverse.inverse: of two readings the one near it is taken, and what a singular pose leaves free
+    """
+    way = _Way(six, np.asarray(q, float), T_base_platform)
+    way.back(0, way.shoulder())
+    if six.kind == "spherical":
+        way.elbow(way.abc[0])
+        way.back(1, angle(six.points[2] - six.points[1], way.extra["E"] - six.points[1], six.axes[1]))
+        way.back(2, angle(six.key - six.points[2], way.abc[0] - six.points[2], six.axes[2]))
+        fifth = way.fifth(six.axes[3])
+        way.back(3, way.about(3, spun(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5])))
+    else:
+        fifth = way.fifth(six.axes[1])
+        turn = way.about(None, spun(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5]))
+        last = six.key - six.points[3]
+        way.extra["D"] = way.abc[0] - spun(last, six.axes[1], turn)
+        way.elbow(way.extra["D"])
+        way.back(1, angle(six.points[2] - six.points[1], way.extra["E"] - six.points[1], six.axes[1]))
+        way.back(2, angle(six.points[3] - six.points[2], way.extra["D"] - six.points[2], six.axes[2]))
+        way.back(3, way.about(3, spun(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5])))
+    way.back(4, angle(six.axes[5], way.carried(six.axes[5]), six.axes[4]))
+    mark = np.cross(six.axes[5], six.axes[4])
+    way.back(5, angle(mark, way.carried(mark), six.axes[5]))
+    return way.steps
+
+
+def returned(T_base_platform: RigidTransform, arm: Arm, q: np.ndarray) -> list[Step]:
+    """Steps by which the points of a pose () are returned by a solution q (n,) rad or m that was found otherwise, joint 1 to n, of any Arm.
+
+    The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.
+    """
+    frame = global_frame(arm)
+    chain = (frame.inv() * RigidTransform.from_matrix(mechanism.frames(np.zeros(len(q)), arm))).as_matrix()
+    moved = frame.inv() * T_base_platform * mechanism.forward(np.zeros(len(q)), arm).inv() * frame  # the hand since zero, in the global frame
+    abc = moved.apply(hand(arm))
+    steps = [Step(0, 0.0, np.zeros((2, 3)), tuple("ABC"), abc)]
+    for i, value in enumerate(q):
+        o, u = chain[i, :3, 3], chain[i, :3, 2]
+        abc = abc - value * u if arm.slides[i] else turned(abc, o, u, -value)
+        steps.append(Step(i + 1, float(value), np.array([o, u]), tuple("ABC"), abc))
+    return steps
+
+
+class _Way:
+    """The points of one pose on their way back to zero. abc : (3, 3) m; extra : {name: point} that joints still to be read move; steps : so far."""
+
+    def __init__(self, six: SixR, q: np.ndarray, T: RigidTransform) -> None:
+        self.six, self.q = six, q
+        turn = six.frame.inv() * T * mechanism.forward(np.zeros(6), six.arm).inv() * six.frame  # of the hand since zero, in the global frame
+        R = turn.rotation.as_matrix()
+        a = six.frame.inv().apply(T.translation) + R @ (six.key - six.hand[0])
+        self.abc = np.array([a, a + R[:, 2], a + R[:, 1]])
+        self.extra: dict[str, np.ndarray] = {}
+        self.steps = [Step(0, 0.0, np.array([six.key, six.key - six.hand[0]]), tuple("ABC"), self.abc)]
+
+    def carried(self, v: np.ndarray) -> np.ndarray:
+        """(3,) where a vector of the hand at zero (3,) now points."""
+        z, y = self.abc[1] - self.abc[0], self.abc[2] - self.abc[0]
+        return np.column_stack([np.cross(y, z), y, z]) @ v
+
+    def back(self, i: int, value: float) -> None:
+        """Turn all points back about axis i (from 0) by an angle (rad) that was read, and note the step."""
+        o, u = self.six.points[i], self.six.axes[i]
+        self.abc = turned(self.abc, o, u, -value)
+        self.extra = {name: turned(point, o, u, -value) for name, point in self.extra.items()}
+        self.steps.append(Step(i + 1, value, np.array([o, u]), **self.seen()))
+        self.extra = {name: point for name, point in self.extra.items() if i < {"E": 1, "D": 2}[name]}  # later joints leave it where it is
+
+    def seen(self) -> dict[str, Any]:
+        """names and points of a Step, as they now are."""
+        names = ("A", "B", "C", *sorted(self.extra))
+        return {"names": names, "points": np.array([*self.abc, *(self.extra[name] for name in names[3:])])}
+
+    def shoulder(self) -> float:
+        """rad, joint 1: turned back by it, A lies along axis 2 where it does at zero."""
+        (o, *_), (u, w, *_) = self.six.points, self.six.axes
+        flat, at = w - (u @ w) * u, self.abc[0] - o
+        level = w @ (self.six.key - o) - (u @ w) * (u @ at)
+        return self.two(0, flat @ at, -flat @ np.cross(u, at), level)
+
+    def fifth(self, axis: np.ndarray) -> float:
+        """rad, joint 5, from how far the hand's axis 6 leans to an axis (3,) that the joints between do not move."""
+        u, v = self.six.axes[4], self.six.axes[5]
+        tilt = (axis @ u) * (v @ u)
+        return self.two(4, float(axis @ v - tilt), float(axis @ np.cross(u, v)), float(axis @ self.carried(v) - tilt))
+
+    def elbow(self, point: np.ndarray) -> None:
+        """Find E on axis 3, as far from axis 2 and from a point (3,) m as the links say; of two the one near the solution."""
+        o, u = self.six.points[1:3], self.six.axes[1]
+        far = self.six.key if self.six.kind == "spherical" else self.six.points[3]
+        arm, fore, d = (v - (u @ v) * u for v in (o[1] - o[0], far - o[1], point - o[0]))
+        there = [o[0] + spun(o[1] - o[0], u, self.q[1])]  # where joint 2 is free
+        reach = np.linalg.norm(d)
+        if reach > FREE:
+            x = (arm @ arm - fore @ fore + reach**2) / (2 * reach)
+            h = np.sqrt(max(arm @ arm - x * x, 0.0))
+            foot, side = o[0] + u * (u @ (o[1] - o[0])) + x * d / reach, np.cross(u, d / reach)
+            there = [foot + h * side, foot - h * side]
+        self.extra["E"] = min(there, key=lambda e: abs(wrapped(angle(arm, e - o[0], u) - self.q[1])))
+        self.steps[-1] = self.steps[-1]._replace(**self.seen())
+
+    def about(self, i: int | None, start: np.ndarray, end: np.ndarray) -> float:
+        """rad about axis i (from 0), or about the three parallel axes together, that takes a vector (3,) to another; free ones as in the solution."""
+        u = self.six.axes[1 if i is None else i]
+        free = self.q[i] if i is not None else sum(self.q[k] * (self.six.axes[k] @ u) for k in (1, 2, 3))
+        return angle(start, end, u) if np.linalg.norm(np.cross(u, start)) > FREE and np.linalg.norm(np.cross(u, end)) > FREE else float(free)
+
+    def two(self, i: int, a: float, b: float, c: float) -> float:
+        """rad, joint i (from 0) of a cos + b sin = c: of the two values the one near the solution, which a free joint takes."""
+        r = float(np.hypot(a, b))
+        if r < FREE:
+            return float(self.q[i])
+        middle, half = np.arctan2(b, a), np.arctan2(np.sqrt(max(r - c, 0.0) * max(r + c, 0.0)), c)
+        return float(min((wrapped(middle + half), wrapped(middle - half)), key=lambda t: abs(wrapped(t - self.q[i]))))
+
+
+def angle(a: np.ndarray, b: np.ndarray, u: np.ndarray) -> float:
+    """rad from vector a (3,) to b (3,) about the unit vector u (3,)."""
+    a, b = a - (u @ a) * u, b - (u @ b) * u
+    return float(np.arctan2(u @ np.cross(a, b), a @ b))
+
+
+def spun(v: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+    """Vectors v (..., 3) turned about the unit vector u (3,) by t rad, right-handed."""
+    return Rotation.from_rotvec(t * u).apply(v)
+
+
+def turned(points: np.ndarray, o: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+    """Points (..., 3) m turned about the axis through o (3,) m along u (3,) by t rad."""
+    return o + spun(points - o, u, t)
+
+
+def wrapped(t: float) -> float:
+    """An angle (rad) brought to -pi .. pi."""
+    return float(t - 2 * np.pi * np.round(t / (2 * np.pi)))

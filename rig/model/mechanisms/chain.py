@@ -1,0 +1,163 @@
+"""Mechanisms one upon the other, each moving the base of the next: a hexapod on a gantry.
+
+T_base_platform = T_1(x_1) T_2(x_2) .. T_n(x_n): the platform of each stage is the base of the next. More axes than six leave the
+inverse a choice: the configuration nearest to the middle of all travels, each axis in shares of its own.
+"""
+
+from collections.abc import Iterator
+from types import ModuleType
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Stage
+from rig.errors import NotConverged, Unreachable
+from rig.model.mechanisms import arm, hexapod, two_strut_plane
+from rig.model.pose import difference, skew
+
+AXIS, UNIT = "axis", "m"
+KINDS: dict[str, ModuleType] = {"hexapod": hexapod, "planar2": two_strut_plane, "arm": arm}
+TOLERANCE = 1e-12  # m and rad
+GOOD = 1e-10  # m and rad; what counts as solved
+MAX_ITERATIONS = 60
+CENTRED = 0.5  # of the way to the middle that one step goes within what leaves the pose as it is
+LONGEST = 0.25  # of a travel, of one step
+
+
+def stages(values: np.ndarray, chain: Chain) -> Iterator[tuple[Stage, np.ndarray]]:
+    """(stage, its values (..., axes)) of commanded values (..., axes of all). Raises ValueError for another number of axes."""
+    values = np.asarray(values, float)
+    if values.shape[-1:] != (len(chain.axes),):
+        raise ValueError(f"expected values (..., {len(chain.axes)}) m or rad, got shape {values.shape}")
+    at = 0
+    for stage in chain.stages:
+        yield stage, values[..., at : at + len(stage.axes)]
+        at += len(stage.axes)
+
+
+def each(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
+    """[T (...)] of every stage's platform in its own base. Raises what a stage's own forward kinematics raises."""
+    return [KINDS[stage.kind].forward(own, stage) for stage, own in stages(values, chain)]
+
+
+def standing(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
+    """[T_base_stage (...)] where every stage's platform stands in the chain's base, the last the chain's own. Raises what a stage's own raises."""
+    out: list[RigidTransform] = []
+    for T in each(values, chain):
+        out.append(out[-1] * T if out else T)
+    return out
+
+
+def forward(values: np.ndarray, chain: Chain, guess: RigidTransform | None = None) -> RigidTransform:
+    """T_base_platform (...) of commanded values (..., axes of all) m or rad. guess : unused; raises what a stage's own raises."""
+    return standing(values, chain)[-1]
+
+
+def beyond(parts: list[RigidTransform]) -> list[np.ndarray]:
+    """[(..., 6, 6)] of every stage: change of the whole chain's tangent with that of its own platform, both on the right."""
+    after, out = np.broadcast_to(np.eye(4), parts[0].as_matrix().shape), []
+    for T in reversed(parts):
+        R, t = after[..., :3, :3], after[..., :3, 3]
+        back = np.zeros((*R.shape[:-2], 6, 6))
+        back[..., :3, :3] = back[..., 3:, 3:] = np.swapaxes(R, -1, -2)
+        back[..., :3, 3:] = np.swapaxes(R, -1, -2) @ -skew(t)
+        out.append(back)
+        after = T.as_matrix() @ after
+    return out[::-1]
+
+
+def jacobian(values: np.ndarray, chain: Chain) -> np.ndarray:
+    """(..., 6, axes of all) change of the pose's tangent on the right (m, rad) with the commanded values (m or rad)."""
+    parts = each(values, chain)
+    columns = [back @ _stage_jacobian(own, T, stage) for (stage, own), T, back in zip(stages(values, chain), parts, beyond(parts))]
+    return np.concatenate(columns, axis=-1)
+
+
+def _stage_jacobian(values: np.ndarray, T: RigidTransform, stage: Stage) -> np.ndarray:
+    if isinstance(stage, Arm):
+        return arm.jacobian(values, stage)
+    if isinstance(stage, Hexapod):
+        return np.linalg.inv(hexapod.jacobian(T, stage))
+    return np.linalg.pinv(two_strut_plane.jacobian(T, stage))
+
+
+def inverse(T_base_platform: RigidTransform, chain: Chain, guess: np.ndarray | None = None) -> np.ndarray:
+    """Commanded values (..., axes of all) of poses, the nearest to the middle of all travels that gives them. guess : where the search begins.
+
+    Damped steps, what leaves the pose as it is spent on the way to the middle (Liegeois 1977)
+    Raises Unreachable with the index of poses to which none leads
+    """
+    target = T_base_platform.reshape(-1) if len(T_base_platform.shape) != 1 else T_base_platform
+    low, high = travel(chain).T
+    middle, span = (low + high) / 2, high - low
+    x = np.broadcast_to(middle if guess is None else guess, (len(target), len(middle))).copy()
+    left, going = np.full(len(x), np.inf), np.arange(len(x))
+    for _ in range(MAX_ITERATIONS):
+        going, error = _misses(x, target, going, chain)
+        left[going] = np.maximum(np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1))
+        J = jacobian(x[going], chain) * span
+        pseudo = np.linalg.pinv(J, rcond=1e-9)
+        centre = CENTRED * (middle - x[going]) / span
+        step = (pseudo @ error[..., None])[..., 0] + centre - (pseudo @ (J @ centre[..., None]))[..., 0]
+        step /= np.maximum(1.0, np.abs(step).max(axis=1, keepdims=True) / LONGEST)
+        x[going] += span * step
+        if np.abs(step).max(initial=0) < TOLERANCE:
+            break
+    going, error = _misses(x, target, going, chain)
+    left[going] = np.maximum(np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1))
+    failed = np.flatnonzero(~(left <= GOOD))
+    if len(failed):
+        raise Unreachable(f"{len(failed)} of {len(left)} poses are out of the chain's reach:", failed,
+                          [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed])
+    return x.reshape(*T_base_platform.shape, -1)
+
+
+def _misses(x: np.ndarray, target: RigidTransform, going: np.ndarray, chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """(those of the poses (k,) at whose values all stages close, (m, 6) what they miss their targets by)."""
+    while len(going):
+        try:
+            return going, difference(forward(x[going], chain), target[going])
+        except NotConverged as error:
+            going = np.delete(going, error.index)
+    return going, np.zeros((0, 6))
+
+
+def limits(values: np.ndarray, chain: Chain) -> np.ndarray:
+    """How far commanded values (..., axes of all) lie outside the travels: negative below, positive above, 0 inside."""
+    return np.concatenate([KINDS[stage.kind].limits(own, stage) for stage, own in stages(values, chain)], axis=-1)
+
+
+def travel(chain: Chain) -> np.ndarray:
+    """(axes of all, 2) m or rad, least and greatest value that can be commanded."""
+    return np.concatenate([KINDS[stage.kind].travel(stage) for stage in chain.stages])
+
+
+def home(chain: Chain) -> np.ndarray:
+    """(axes of all,) m or rad, every stage's own home."""
+    return np.concatenate([KINDS[stage.kind].home(stage) for stage in chain.stages])
+
+
+def loads(T: RigidTransform, values: np.ndarray, chain: Chain, wrench: np.ndarray) -> np.ndarray:
+    """(n, axes of all) N or N m with which the axes hold a wrench (n, 6) on the platform, each alone: what power they would do."""
+    return -np.einsum("nij,ni->nj", jacobian(values, chain), wrench)
+
+
+def links(T: RigidTransform, values: np.ndarray, chain: Chain, gravity: np.ndarray) -> np.ndarray:
+    """(n, axes of all, 0): what the stages themselves weigh is not followed along a chain."""
+    return np.zeros((*np.shape(values), 0))
+
+
+def grown(T: RigidTransform, values: np.ndarray, chain: Chain, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(deviation (n, axes of all), sway (n, 6)) of stages whose axes' members have grown by shares (n, axes of all) of their length."""
+    parts, at, deviations, sway = each(values, chain), 0, [], np.zeros((len(share), 6))
+    for (stage, own), part, back in zip(stages(values, chain), parts, beyond(parts)):
+        longer, moved = KINDS[stage.kind].grown(part, own, stage, share[:, at : at + len(stage.axes)])
+        deviations.append(longer)
+        sway = sway + (back @ moved[..., None])[..., 0]
+        at += len(stage.axes)
+    return np.concatenate(deviations, axis=1), sway
+
+
+def ends(T: RigidTransform, chain: Chain) -> None:
+    """A chain is drawn as no struts."""
+    return None

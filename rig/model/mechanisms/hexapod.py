@@ -1,0 +1,198 @@
+"""Gough-Stewart platform: strut lengths of a pose, the pose of strut lengths, and the Jacobian between them."""
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.linalg import lu
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.model.design import Hexapod
+from rig.errors import NotConverged
+from rig.model.mechanisms import hexapod_kernels
+from rig.model.pose import transform_points
+
+AXIS, UNIT = "strut", "m"
+TOLERANCE = 1e-12  # m; what Newton leaves of a strut's length
+MAX_ITERATIONS = 60
+MAX_TURN = 0.4  # rad per step: keeps Newton from jumping into another assembly
+CHUNK = 4096  # poses at a time, so that the work stays in the cache
+
+
+def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
+    """Commanded strut lengths of a pose: joint centre to joint centre, less the strut's zero.
+
+    T_base_platform : RigidTransform (...); hexapod : Hexapod
+    Returns (..., 6) m; whether they are within the strut range is for `limits` to say
+    Source: Merlet, Parallel Robots, 2nd ed., ch. 3
+    """
+    matrix = np.ascontiguousarray(T_base_platform.as_matrix())
+    flat, out = matrix.reshape(-1, 4, 4), np.empty((matrix.size // 16, 6))
+    hexapod_kernels.in_parallel(
+        lambda part: hexapod_kernels.lengths(flat[part], hexapod.base_joints, hexapod.platform_joints, hexapod.strut_zeros, out[part]), len(flat)
+    )
+    return out.reshape(*matrix.shape[:-2], 6)
+
+
+def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
+    """Change of the strut lengths with the pose's tangent on the right.
+
+    T_base_platform : RigidTransform (...)
+    Returns (..., 6, 6), rows struts, columns x y z (m/m) and rx ry rz (m/rad) in the platform frame
+    Source: Merlet, Parallel Robots, 2nd ed., ch. 5
+    """
+    matrix = T_base_platform.as_matrix()
+    return _rows(matrix[..., :3, :3], matrix[..., :3, 3], hexapod)[1]
+
+
+def forward(lengths: np.ndarray, hexapod: Hexapod, guess: RigidTransform | None = None) -> RigidTransform:
+    """Platform pose that gives these commanded strut lengths: Newton on SE(3), the whole batch at once.
+
+    lengths : (..., 6) m, as commanded (the strut zeros are added here)
+    guess : RigidTransform () or (...), the home pose by default; decides which assembly is meant
+    Returns T_base_platform : RigidTransform (...)
+    Raises NotConverged with index, lengths and residual (m) of those poses that have no solution near the guess, or whose
+    solution lies beyond a singularity, in another assembly; ValueError for a wrong shape or lengths that are not finite
+    Source: Merlet, Parallel Robots, 2nd ed., ch. 4
+    """
+    lengths = np.asarray(lengths, float)
+    if lengths.shape[-1:] != (6,) or not np.isfinite(lengths).all():
+        raise ValueError(f"expected finite lengths (..., 6) m, got shape {lengths.shape}")
+    guess = hexapod.home if guess is None else guess
+    flat = lengths.reshape(-1, 6) + hexapod.strut_zeros
+    matrix, residual, crossed = np.empty((len(flat), 4, 4)), np.empty(len(flat)), np.empty(len(flat), bool)
+    start = guess.as_matrix()
+    if start.ndim > 2:
+        start = np.broadcast_to(start, (*lengths.shape[:-1], 4, 4)).reshape(-1, 4, 4)
+    _side_by_side(flat, start.reshape(-1, 4, 4), hexapod, (matrix, residual, crossed))
+    again = np.flatnonzero(~(residual <= TOLERANCE) | crossed)
+    if len(again):  # with pivots, and a word on what has no solution
+        began = start if start.ndim > 2 else np.broadcast_to(start, (len(flat), 4, 4))
+        for at in range(0, len(again), CHUNK):
+            part = again[at : at + CHUNK]
+            moved = began[part].copy()
+            residual[part] = _newton(moved, flat[part], hexapod)
+            matrix[part] = moved
+        _check(matrix, began, residual, lengths, hexapod, again)
+    return RigidTransform(matrix.reshape(*lengths.shape[:-1], 4, 4), normalize=False, copy=False)  # of unit quaternions, normal as it is
+
+
+def limits(lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
+    """How far commanded lengths (..., 6) lie outside the strut range: (..., 6) m, negative below, positive above, 0 inside."""
+    low, high = hexapod.strut_range.T
+    return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
+
+
+def travel(hexapod: Hexapod) -> np.ndarray:
+    """(6, 2) m, shortest and longest commanded length."""
+    return hexapod.strut_range
+
+
+def home(hexapod: Hexapod) -> np.ndarray:
+    """(6,) m, commanded lengths at the home pose."""
+    return inverse(hexapod.home, hexapod)
+
+
+def loads(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, wrench: np.ndarray) -> np.ndarray:
+    """(n, 6) N with which each strut pushes the platform to hold a wrench (n, 6) N, N m: J^T f + w = 0.
+
+    Source: Merlet, Parallel Robots, 2nd ed., ch. 9
+    """
+    return np.linalg.solve(np.swapaxes(jacobian(T, hexapod), 1, 2), -wrench[..., None])[..., 0]
+
+
+def links(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, gravity: np.ndarray) -> np.ndarray:
+    """(n, 6, 0): struts' own weight rests on the base."""
+    return np.zeros((*np.shape(lengths), 0))
+
+
+def grown(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(deviation (n, 6) m, sway (n, 6)) of struts grown by shares (n, 6) of their length: each is longer, nothing else moves."""
+    return share * lengths, np.zeros((len(share), 6))
+
+
+def ends(T: RigidTransform, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
+    """(base joints (6, 3), platform joints (n, 6, 3)) m in the base frame at poses T (n,)."""
+    return hexapod.base_joints, transform_points(T, hexapod.platform_joints)
+
+
+def _side_by_side(lengths: np.ndarray, start: np.ndarray, hexapod: Hexapod, out: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """Fill out, the matrix (n, 4, 4), residual (n,) m and crossed (n,) of lengths (n, 6) m, from start (n or 1, 4, 4)."""
+    q = Rotation.from_matrix(start[:, :3, :3]).as_quat(scalar_first=True)
+    t = np.ascontiguousarray(start[:, :3, 3])
+    struts = hexapod_kernels.Struts(
+        hexapod.base_joints, hexapod.platform_joints, _order(hexapod), 0.3 * float(np.linalg.norm(hexapod.home.translation)), MAX_TURN
+    )
+
+    def solve(part: slice) -> None:
+        begin = (q, t) if len(q) == 1 else (q[part], t[part])
+        hexapod_kernels.poses(lengths[part], struts, begin, TOLERANCE, *(one[part] for one in out))
+
+    hexapod_kernels.in_parallel(solve, len(lengths))
+
+
+@lru_cache(64)
+def _order(hexapod: Hexapod) -> np.ndarray:
+    """(6,) struts in the order in which elimination with pivots takes the Jacobian's rows at home."""
+    return np.argmax(lu(jacobian(hexapod.home, hexapod))[0], axis=0)
+
+
+def _rows(R: np.ndarray, t: np.ndarray, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
+    """Strut lengths (..., 6) and their Jacobian (..., 6, 6) at rotation R (..., 3, 3) and position t (..., 3)."""
+    struts = hexapod.platform_joints @ np.swapaxes(R, -1, -2) + t[..., None, :] - hexapod.base_joints
+    length = np.sqrt(np.einsum("...ij,...ij->...i", struts, struts))
+    u = (struts / length[..., None]) @ R  # unit directions, platform frame
+    a = hexapod.platform_joints
+    J = np.empty((*u.shape[:-1], 6))
+    J[..., :3] = u
+    J[..., 3] = a[:, 1] * u[..., 2] - a[:, 2] * u[..., 1]
+    J[..., 4] = a[:, 2] * u[..., 0] - a[:, 0] * u[..., 2]
+    J[..., 5] = a[:, 0] * u[..., 1] - a[:, 1] * u[..., 0]
+    return length, J
+
+
+def _newton(matrix: np.ndarray, lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
+    """Move matrix (n, 4, 4) in place until its strut lengths are those wanted (n, 6); returns the residual (n,) m."""
+    residual = np.full(len(matrix), np.inf)
+    open_ = np.arange(len(matrix))
+    reach = 0.3 * np.linalg.norm(hexapod.home.translation)
+    for _ in range(MAX_ITERATIONS):
+        R, t = matrix[open_, :3, :3], matrix[open_, :3, 3]
+        length, J = _rows(R, t, hexapod)
+        error = lengths[open_] - length
+        worst = np.abs(error).max(axis=1)
+        residual[open_] = worst
+        going = worst > TOLERANCE
+        if not going.any():
+            break
+        if not going.all():
+            open_, R, t, J, error = open_[going], R[going], t[going], J[going], error[going]
+        try:
+            step = np.linalg.solve(J, error[..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            step = (np.linalg.pinv(J) @ error[..., None])[..., 0]
+        turn, move = np.linalg.norm(step[:, 3:], axis=1), np.linalg.norm(step[:, :3], axis=1)
+        step /= np.maximum(1.0, np.maximum(turn / MAX_TURN, move / reach))[:, None]
+        matrix[open_, :3, 3] = t + (R @ step[:, :3, None])[..., 0]
+        matrix[open_, :3, :3] = R @ _rotation(step[:, 3:])
+    return residual
+
+
+def _rotation(rotvec: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) rotation matrices of rotation vectors (n, 3) rad."""
+    return Rotation.from_rotvec(rotvec).as_matrix()
+
+
+def _check(matrix: np.ndarray, start: np.ndarray, residual: np.ndarray, lengths: np.ndarray, hexapod: Hexapod, doubtful: np.ndarray) -> None:
+    """Raise NotConverged for poses (n, 4, 4) without a solution, or of those doubtful (k,), solved beyond a singularity."""
+    failed = np.flatnonzero(residual > 10 * TOLERANCE)
+    if len(failed):
+        worst = failed[np.argmax(residual[failed])]
+        raise NotConverged(f"{len(failed)} of {len(residual)} poses have no solution near the guess; worst leaves {residual[worst]:.3g} m "
+                           f"at lengths {lengths.reshape(-1, 6)[worst].round(6).tolist()} m", failed, lengths.reshape(-1, 6)[failed],
+                           residual[failed])
+    side, before = (np.linalg.det(_rows(part[:, :3, :3], part[:, :3, 3], hexapod)[1]) for part in (matrix[doubtful], start[doubtful]))
+    crossed = doubtful[np.sign(side) != np.sign(before)]
+    if len(crossed):
+        raise NotConverged(f"{len(crossed)} of {len(residual)} poses were found only beyond a singularity, in another assembly; first at "
+                           f"lengths {lengths.reshape(-1, 6)[crossed[0]].round(6).tolist()} m", crossed,
+                           lengths.reshape(-1, 6)[crossed], residual[crossed])

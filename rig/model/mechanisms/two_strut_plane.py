@@ -1,0 +1,85 @@
+"""Two struts to one hinge in the plane z = 0, the worked example of the configuration-space patent (fig. 1)."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.model.design import Planar2
+from rig.errors import NotConverged
+
+AXIS, UNIT = "strut", "m"
+
+
+def inverse(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
+    """Commanded strut lengths (..., 2) m of a pose : RigidTransform (...); only its x and y are looked at."""
+    position = T_base_platform.translation[..., None, :2]
+    return np.linalg.norm(position - planar.base_joints, axis=-1) - planar.strut_zeros
+
+
+def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
+    """(..., 2, 6) change of the strut lengths with the pose's tangent on the right, platform frame."""
+    matrix = T_base_platform.as_matrix()
+    struts = matrix[..., None, :2, 3] - planar.base_joints
+    u = np.zeros((*struts.shape[:-1], 3))
+    u[..., :2] = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
+    J = np.zeros((*struts.shape[:-1], 6))
+    J[..., :3] = u @ matrix[..., :3, :3]
+    return J
+
+
+def forward(lengths: np.ndarray, planar: Planar2, guess: RigidTransform | None = None) -> RigidTransform:
+    """Hinge position, as an unrotated RigidTransform (...), of commanded lengths (..., 2) m: the crossing of two circles.
+
+    guess : unused; the hinge is on the left of the line from base joint 1 to base joint 2
+    Raises NotConverged with index, lengths and residual (m) where the circles do not meet
+    """
+    lengths = np.asarray(lengths, float) + planar.strut_zeros
+    line = planar.base_joints[1] - planar.base_joints[0]
+    span = np.linalg.norm(line)
+    along = (lengths[..., 0] ** 2 - lengths[..., 1] ** 2 + span**2) / (2 * span)
+    square = lengths[..., 0] ** 2 - along**2
+    apart = np.flatnonzero(np.ravel(square < 0))
+    if len(apart):
+        pairs = lengths.reshape(-1, 2)[apart]
+        residual = np.sqrt(-square.ravel()[apart])
+        raise NotConverged(f"{len(apart)} of {square.size} pairs of lengths do not meet; first {pairs[0].tolist()} m, {residual[0]:.3g} m apart",
+                           apart, pairs, residual)
+    e = line / span
+    position = np.zeros((*lengths.shape[:-1], 3))
+    position[..., :2] = planar.base_joints[0] + along[..., None] * e + np.sqrt(square)[..., None] * np.array([-e[1], e[0]])
+    return RigidTransform.from_translation(position)
+
+
+def limits(lengths: np.ndarray, planar: Planar2) -> np.ndarray:
+    """How far commanded lengths (..., 2) lie outside the strut range: (..., 2) m, negative below, positive above, 0 inside."""
+    low, high = planar.strut_range.T
+    return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
+
+
+def travel(planar: Planar2) -> np.ndarray:
+    """(2, 2) m, shortest and longest commanded length."""
+    return planar.strut_range
+
+
+def home(planar: Planar2) -> np.ndarray:
+    """(2,) m, the middle of the strut ranges."""
+    return planar.strut_range.mean(axis=1)
+
+
+def loads(T: RigidTransform, lengths: np.ndarray, planar: Planar2, wrench: np.ndarray) -> np.ndarray:
+    """(n, 2) N with which the struts push the hinge to hold a wrench (n, 6); what lies across the plane its guide bears."""
+    return np.linalg.solve(np.swapaxes(jacobian(T, planar)[..., :2], 1, 2), -wrench[..., :2, None])[..., 0]
+
+
+def links(T: RigidTransform, lengths: np.ndarray, planar: Planar2, gravity: np.ndarray) -> np.ndarray:
+    """(n, 2, 0): struts' own weight rests on the base."""
+    return np.zeros((*np.shape(lengths), 0))
+
+
+def grown(T: RigidTransform, lengths: np.ndarray, planar: Planar2, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(deviation (n, 2) m, sway (n, 6)) of struts grown by shares (n, 2) of their length: each is longer, nothing else moves."""
+    return share * lengths, np.zeros((len(share), 6))
+
+
+def ends(T: RigidTransform, planar: Planar2) -> tuple[np.ndarray, np.ndarray]:
+    """(base joints (2, 3), hinge once for each strut (n, 2, 3)) m in the base frame at poses T (n,)."""
+    return np.pad(planar.base_joints, ((0, 0), (0, 1))), np.repeat(T.translation[:, None], 2, axis=1)

@@ -1,0 +1,147 @@
+"""Commands through time, with effects -> poses: the one forward model of motion, for the simulator and the diagnosis alike."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.model import mechanisms
+from rig.model.design import Chain, Design, Hexapod, Planar2
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.machine_motion import Motion, Path
+from rig.errors import NotConverged, RigError
+from rig.model.mechanism_kinds import axes_of
+from rig.model.mechanisms import chain, hexapod, two_strut_plane
+from rig.model.pose import difference, exp
+from rig.recording.recording_folder import Commands, Sensors
+
+MAX_ITERATIONS = 50
+TOLERANCE = 1e-12  # m or rad; of the fixed point between a pose and what depends on it
+ABOUT = 0.02  # s; before and after an exposure, for its velocity
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """What a machine did at n exposures.
+
+    T_base_platform : RigidTransform (n,); deviation : (n, axes) m or rad the axes stood beyond their command
+    rate, curvature : (n, 6) tangent per s and per s^2 at the exposure (on the right), None where not asked for
+    stages : of a chain T_base_stage : RigidTransform (n,) of every stage's platform but the last, which is T_base_platform
+    """
+
+    T_base_platform: RigidTransform
+    deviation: np.ndarray
+    rate: np.ndarray | None = None
+    curvature: np.ndarray | None = None
+    stages: tuple[RigidTransform, ...] = ()
+
+
+def motion(design: Design, commands: Commands, t: np.ndarray, effects: Iterable[Effect] = (), sensors: Sensors | None = None) -> Motion:
+    """Motion of a design (as it really is) at exposures logged at t (n,) s: clock and path as the effects make them.
+
+    commands : Commands; effects : Effects; sensors : Sensors or None
+    """
+    t = np.asarray(t, float)
+    began = np.r_[0.0, commands.starts][np.searchsorted(commands.starts, t, side="right")]  # each recording sets its clocks anew
+    for effect in effects:
+        if type(effect).times is not Effect.times:
+            t = began + effect.times(t - began)
+    knots = np.union1d(commands.t, t)
+    lengths = np.stack([np.interp(knots, commands.t, column) for column in commands.values.T], axis=1)
+    path = Path(knots, lengths, np.searchsorted(knots, t), commands.starts)
+    for effect in effects:
+        path = effect.follow(path, mechanisms.places(design.mechanism))
+    home = mechanisms.of(design.mechanism).home(design.mechanism)
+    return Motion(axes_of(design.mechanism), design.platform, design.actuator, design.gravity, t, path, sensors, home, None)
+
+
+def run(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect] = (), sensors: Sensors | None = None,
+        rates: bool = False) -> Run:
+    """Run of a machine under commands, with effects.
+
+    design : Design as it really is; commands : Commands; t : (n,) s, exposures as logged; effects : Effects, acting together
+    sensors : Sensors with the channels that some effects need; rates : whether velocities are wanted too
+    Effects that depend on the pose are solved with it as a fixed point. Raises NotConverged where there is none, RigError for an effect
+    that the machine or its recording lacks something for, and what `forward` raises.
+    """
+    if rates:
+        return _with_rates(design, commands, np.asarray(t, float), effects, sensors)
+    state = motion(design, commands, t, effects, sensors)
+    module, m = mechanisms.of(design.mechanism), design.mechanism
+    for effect in effects:
+        reason = effect.needs(state)
+        if reason:
+            raise RigError(f"{effect.name} {reason}")
+    fixed = sum((e.deviation(state) for e in effects if not e.on_pose), np.zeros(state.lengths.shape))
+    T = module.forward(state.lengths + fixed, m)
+    deviation = fixed
+    bound = [effect for effect in effects if effect.on_pose]
+    for _ in range(MAX_ITERATIONS if bound else 0):
+        state = replace(state, T=T)
+        before, deviation = deviation, fixed + sum(effect.deviation(state) for effect in bound)
+        if np.abs(deviation - before).max() < TOLERANCE:
+            break
+        T = module.forward(state.lengths + deviation, m, T)
+    else:
+        if bound:
+            left = np.abs(deviation - before).max(axis=1)
+            failed = np.flatnonzero(left >= TOLERANCE)
+            raise NotConverged(f"no balance between pose and {', '.join(e.name for e in bound)} at {len(failed)} exposures", failed,
+                               state.lengths[failed], left[failed])
+    sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
+    stages = chain.standing(state.lengths + deviation, m)[:-1] if isinstance(m, Chain) else []
+    return Run(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
+
+
+def effective(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
+              sensors: Sensors | None = None) -> np.ndarray:
+    """(n, axes) m that commands become under effects at exposures logged at t (n,) s; what depends on the pose is taken at T (n,).
+
+    Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as `motion`
+    """
+    out, sway = reached(design, commands, t, T, effects, sensors)
+    return out + swayed(design, T, sway) if sway.any() else out
+
+
+def reached(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
+            sensors: Sensors | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """((n, axes) m or rad that commands become, (n, 6) sway of the platform beyond that) under effects, taken at T (n,) as in `effective`.
+
+    What joints hold is displaced along with them in ways that no joint may make up for. Raises as `motion`
+    """
+    state = replace(motion(design, commands, t, effects, sensors), T=T)
+    out = state.lengths + sum((e.deviation(state) for e in effects), np.zeros(state.lengths.shape))
+    return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
+
+
+def swayed(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
+    """(n, axes) m by which struts seem longer where the platform at T (n,) is displaced by tangents (n, 6). Raises RigError without struts."""
+    m = design.mechanism
+    if isinstance(m, Hexapod):
+        return np.einsum("nij,nj->ni", hexapod.jacobian(T, m), sway)
+    if isinstance(m, Planar2):
+        return np.einsum("nij,nj->ni", two_strut_plane.jacobian(T, m), sway)
+    raise RigError(f"a {m.kind} has no struts")
+
+
+def rolls(design: Design, effects: Iterable[Effect]) -> bool:
+    """Whether the rows of some camera's images are exposed one after the other, so that velocities matter to what is seen."""
+    return any(camera.shutter == "rolling" for camera in design.cameras) or any(effect.rolls for effect in effects)
+
+
+def _with_rates(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect], sensors: Sensors | None) -> Run:
+    around = np.concatenate([t - ABOUT, t, t + ABOUT])
+    order = np.argsort(around, kind="stable")
+    done = run(design, commands, around[order], effects, sensors)
+    back = np.empty(len(order), int)
+    back[order] = np.arange(len(order))
+    before, at, after = np.split(back, 3)
+    T = done.T_base_platform
+    return Run(T[at], done.deviation[at], *rates(T[at], T[before], T[after]), tuple(stage[at] for stage in done.stages))
+
+
+def rates(T: RigidTransform, before: RigidTransform, after: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
+    """(rate (n, 6) tangent per s, curvature (n, 6) per s^2) of poses (n,), and where they were ABOUT s before and after."""
+    minus, plus = difference(T, before), difference(T, after)
+    return (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2

@@ -1,0 +1,1 @@
+"""A sensible rig.toml from a few figures, and the nominal arms that come with the program."""

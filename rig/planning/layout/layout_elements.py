@@ -1,0 +1,98 @@
+"""Cameras where they see a rig and cubes on its bodies, as the lines of a rig.toml."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.model.design import DICTIONARIES
+from rig.errors import RigError
+from rig.model.pose import vector
+
+FACES = ("+x", "-x", "+y", "-y", "+z")
+MARKER_SHARE = 0.8  # of a cube's edge
+DISTANCE_SHARE = 4.4  # cameras from the middle of what they see, over how far that reaches
+ELEVATION = 0.52  # rad above the middle
+FILLED = 1.6  # times that reach what fills the image
+
+
+class Ring(NamedTuple):
+    """Where cubes stand around a body. centre : (3,) m; radius, edge : m, of the circle and of a cube; turn : rad, of the first cube"""
+
+    centre: np.ndarray
+    radius: float
+    edge: float
+    turn: float
+
+
+def checked(radius: float, cameras: int, cubes: int, dictionary: str) -> None:
+    """Raise RigError for figures that make no rig, or a dictionary with too few identities for two bodies with so many cubes."""
+    if not 0.01 <= radius <= 20:
+        raise RigError(f"a radius of {radius:g} m makes no rig; expected 0.01 .. 20 m")
+    if cameras < 1 or cubes < 1:
+        raise RigError(f"expected at least one camera and one cube, got {cameras} and {cubes}")
+    if 2 * cubes * len(FACES) > DICTIONARIES.get(dictionary, 0):
+        raise RigError(f"{2 * cubes} cubes need {2 * cubes * len(FACES)} identities; {dictionary} has {DICTIONARIES.get(dictionary, 0)}")
+
+
+def camera_lines(middle: np.ndarray, reach: float, count: int, width: int, height: int) -> list[str]:
+    """Lines of so many cameras evenly around a middle (3,) m, that see as far as `reach` m from it. width, height : px"""
+    distance = DISTANCE_SHARE * reach
+    lines = []
+    for i in range(count):
+        around = 0.35 + 2 * np.pi * i / count
+        eye = middle + distance * np.array([np.cos(ELEVATION) * np.cos(around), np.cos(ELEVATION) * np.sin(around), np.sin(ELEVATION)])
+        lines += camera(f"cam{i}", looking(eye, (middle - eye) / distance), np.arcsin(FILLED / DISTANCE_SHARE), (width, height))
+    return lines
+
+
+def looking(eye: np.ndarray, ahead: np.ndarray) -> RigidTransform:
+    """Pose of a camera at a place (3,) m that looks along a unit direction (3,), level, OpenCV axes."""
+    right = np.cross(ahead, [0, 0, 1.0] if abs(ahead[2]) < 0.999 else [0, 1.0, 0])
+    right /= np.linalg.norm(right)
+    return RigidTransform.from_components(eye, Rotation.from_matrix(np.stack([right, np.cross(ahead, right), ahead], axis=1)))
+
+
+def camera(name: str, pose: RigidTransform, half_angle: float, size: tuple[int, int], mount: str = "fixed") -> list[str]:
+    """Lines of a camera that sees so far to the sides (rad). pose : in the base, or of one in the hand in the platform; size : px"""
+    width, height = size
+    focal = 0.5 * min(width, 1.25 * height) / np.tan(half_angle)
+    position, rotvec = np.split(vector(pose), 2)
+    matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]
+    where = "base" if mount == "fixed" else "platform"
+    return ["", "[[camera]]", f'name = "{name}"', f"width = {width}", f"height = {height}", f"matrix = {rows(matrix)}",
+            "distortion = [-0.1, 0.08, 0.0, 0.0, 0.0]   # OpenCV k1 k2 p1 p2 k3",
+            f"pose = {{ position = {row(position)}, rotvec = {row(rotvec)} }}   # camera in {where}, OpenCV axes",
+            *([] if mount == "fixed" else [f'mount = "{mount}"']), 'shutter = "global"']
+
+
+def cube_lines(name: str, body: str, dictionary: str, first: int, edge: float, place: Iterable[float], turn: Iterable[float]) -> list[str]:
+    """Lines of a cube on a body, its identities from `first` on. edge : m; place : (3,) m of its centre; turn : (3,) rotation vector, rad"""
+    faces = ", ".join(f'"{face}" = {first + k}' for k, face in enumerate(FACES))
+    turned = ", ".join(f"{value:.6f}" if value else "0.0" for value in turn)
+    return ["", "[[target]]", f'name = "{name}"', f'body = "{body}"', f"edge = {edge:.6g}   # m", f"marker = {MARKER_SHARE * edge:.6g}   # m",
+            f'dictionary = "{dictionary}"', f"faces = {{ {faces} }}",
+            f"pose = {{ position = {row(place)}, rotvec = [{turned}] }}   # cube in body"]
+
+
+def rings(cubes: int, dictionary: str, platform: Ring, base: Ring) -> list[str]:
+    """Lines of so many cubes around each of two bodies, every face with an identity of its own."""
+    lines = []
+    for k, (body, ring) in enumerate((("platform", platform), ("base", base))):
+        for i in range(cubes):
+            angle = ring.turn + 2 * np.pi * i / cubes
+            place = ring.centre + ring.radius * np.array([np.cos(angle), np.sin(angle), 0.0])
+            first = (k * cubes + i) * len(FACES)
+            lines += cube_lines(f"{body[0].upper()}{i + 1}", body, dictionary, first, ring.edge, place, (0, 0, angle))
+    return lines
+
+
+def row(values: Iterable[float]) -> str:
+    """Numbers as a TOML array."""
+    return "[" + ", ".join(f"{value:.9g}" if value else "0.0" for value in map(float, values)) + "]"
+
+
+def rows(values: Iterable[Iterable[float]]) -> str:
+    """Rows of numbers as a TOML array of arrays."""
+    return "[" + ", ".join(row(one) for one in values) + "]"

@@ -1,0 +1,239 @@
+"""Searches in the null space: the hand stays where it is, joint limits are kept, the measure grows.
+
+Three ways: along the gradient, projected on the null space; over postures sampled at random; and over the whole self-motion,
+traced densely from end to end, which says how good the others' answer is.
+Source: patent on force measurement with redundant manipulators, [0016], [0018]-[0020], [0024].
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.model import mechanisms
+from rig.model.design import Arm
+from rig.errors import RigError
+from rig.model.mechanisms import arm as mechanism
+from rig.model.pose import difference
+from rig.posture import force_transmission
+from rig.posture.exertable_wrench import Exertion
+from rig.posture.force_transmission import Wish
+
+HELD = {"pose": slice(0, 6), "position": slice(0, 3), "orientation": slice(3, 6)}  # rows of the Jacobian that must not move
+STILL = 1e-11  # m and rad, to which the hand is brought back after a step
+ITERATIONS = 400
+LONGEST = 0.15  # rad, of slides m; largest step of the gradient search
+SHORTEST = 1e-7  # rad; where steps have become smaller than this, the search has arrived
+TRACE = 0.02  # rad between postures of a traced self-motion
+LAPS = 3000  # postures at most in each direction
+DAMPING = 1e-12  # m^2 and rad^2; keeps the step finite at a singularity, where the hand then is not brought back and the step is refused
+RANK = 1e-7  # of the largest singular value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """m searches. q : (m, n) rad; value, start : (m,) the measure reached and that of the start
+    moved : (m, 2) by how much the hand moved, m and rad; at_limit : (m, n) bool, joints at a limit; steps : taken in all"""
+
+    q: np.ndarray
+    value: np.ndarray
+    start: np.ndarray
+    moved: np.ndarray
+    at_limit: np.ndarray
+    steps: int
+
+
+def solutions(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> Found:
+    """Found : postures q (m, n) rad as they are, where there is nothing to search about them. Raises RigError outside the joint limits"""
+    q = np.array(q, float, ndmin=2)
+    value = force_transmission.value(q, arm, wish)
+    return _found(q, value, value, q, arm, 0)
+
+
+def gradient_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "pose", above: float | None = None) -> Found:
+    """Found : steepest ascent from postures q (m, n) rad, projected on the null space, the hand brought back after each step.
+
+    held : "pose", "position" where the hand may turn, "orientation" where it may move; above : a limit at which it suffices to stop
+    Raises RigError where a start lies outside the joint limits, or where the arm has no freedom to spare
+    """
+    q = _starts(q, arm, held)
+    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.value(q, arm, wish)
+    first, now, step = q.copy(), start.copy(), np.full(len(q), 0.05)
+    low, high = arm.limits.T
+    done = np.zeros(len(q), bool) if above is None else now > above
+    steps = 0
+    while steps < ITERATIONS and not done.all():
+        steps += 1
+        todo = np.flatnonzero(~done)
+        way = _uphill(q[todo], arm, wish, held)
+        size = np.linalg.norm(way, axis=1)
+        trial = q[todo] + way / np.maximum(size, 1e-300)[:, None] * step[todo, None]
+        trial = bring_back(np.clip(trial, low, high), target[todo], arm, held)
+        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (left(trial, target[todo], arm, held) < STILL)
+        ok &= np.linalg.norm(trial - q[todo], axis=1) < 2 * step[todo] + SHORTEST  # no jump to another branch
+        reached = np.full(len(todo), -np.inf)
+        if ok.any():
+            reached[ok] = force_transmission.value(trial[ok], arm, wish)
+        better = reached > now[todo]
+        q[todo[better]], now[todo[better]] = trial[better], reached[better]
+        step[todo] = np.where(better, np.minimum(1.6 * step[todo], LONGEST), 0.4 * step[todo])
+        done[todo] = (step[todo] < SHORTEST) | (size < 1e-12)
+        if above is not None:
+            done |= now > above
+    return _found(q, now, start, first, arm, steps)
+
+
+def sampled_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, rng: np.random.Generator, held: str = "pose", count: int = 200,
+                   spread: float = 0.6) -> Found:
+    """Found : the best of `count` postures simulated about each start (m, n) rad by random steps in the null space, kept where
+    joint limits and hand are. spread : rad, of one step; rng : numpy Generator"""
+    q = _starts(q, arm, held)
+    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.value(q, arm, wish)
+    first, walker, best, now = q.copy(), q.copy(), q.copy(), start.copy()
+    for _ in range(count):
+        N = null_space(walker, arm, held)
+        way = np.einsum("mij,mj->mi", N, rng.normal(size=q.shape))
+        trial = walker + spread * rng.uniform(size=(len(q), 1)) * way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
+        trial = bring_back(trial, target, arm, held)
+        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (left(trial, target, arm, held) < STILL)
+        walker[ok] = trial[ok]
+        reached = force_transmission.value(walker, arm, wish)
+        better = reached > now
+        best[better], now[better] = walker[better], reached[better]
+    return _found(best, now, start, first, arm, count)
+
+
+def global_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "pose") -> Found:
+    """Found : the best posture of the whole self-motion through each start (m, n) rad, traced between the joint limits or round.
+
+    Steps of TRACE rad; the best one is polished by the gradient. Raises RigError where the null space is not one-dimensional
+    """
+    q = _starts(q, arm, held)
+    if spare(arm, held) != 1:
+        raise RigError(f"the self-motion has {spare(arm, held)} dimensions; it is traced where it has one; take the sampled search")
+    start = force_transmission.value(q, arm, wish)
+    best, now, steps = q.copy(), start.copy(), 0
+    for side in (1.0, -1.0):
+        for index, walker in _walk(q, arm, held, side):
+            reached = force_transmission.value(walker, arm, wish)
+            better = reached > now[index]
+            best[index[better]], now[index[better]], steps = walker[better], reached[better], steps + 1
+    polished = gradient_search(best, arm, wish, held)
+    return _found(polished.q, polished.value, start, q, arm, steps + polished.steps)
+
+
+def trace(q: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
+    """(k, n) rad, the self-motion through one posture q (n,) from end to end (or once round), every TRACE rad."""
+    q = _starts(np.atleast_2d(q), arm, held)
+    ahead, behind = [[walker[0] for _, walker in _walk(q, arm, held, side)] for side in (1.0, -1.0)]
+    return np.array([*behind[::-1], q[0], *ahead])
+
+
+def _walk(q: np.ndarray, arm: Arm, held: str, side: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield (index (k,), postures (k, n)) of the walkers still under way along the self-motion; the last few steps shrink towards
+    the joint limit that ends it."""
+    target, index, walker = mechanism.frames(q, arm)[:, -1], np.arange(len(q)), q.copy()
+    size, before = np.full(len(q), TRACE), None
+    for count in range(LAPS):
+        way = _tangent(walker, arm, held)
+        way *= (side * np.sign(way[np.arange(len(way)), np.abs(way).argmax(axis=1)]) if before is None else
+                np.where(np.einsum("mi,mi->m", way, before) < 0, -1.0, 1.0))[:, None]
+        trial = bring_back(walker + size[:, None] * way, target[index], arm, held)
+        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (left(trial, target[index], arm, held) < STILL)
+        ok &= np.linalg.norm(trial - walker, axis=1) < 2 * TRACE  # no jump to another branch
+        walker = np.where(ok[:, None], trial, walker)
+        size = np.where(ok, size, size / 4)
+        going = size > TRACE / 100
+        if count > 10:
+            apart = walker - q[index]
+            apart -= 2 * np.pi * np.round(apart / (2 * np.pi))
+            going &= np.linalg.norm(apart, axis=1) > 0.6 * TRACE
+        if ok.any():
+            yield index[ok], walker[ok]
+        index, walker, size, before = index[going], walker[going], size[going], way[going]
+        if not len(index):
+            return
+
+
+def _starts(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+    q = np.array(q, float, ndmin=2)
+    if held not in HELD:
+        raise ValueError(f"held must be one of {', '.join(HELD)}, not {held!r}")
+    if spare(arm, held) < 1:
+        raise RigError(f"{q.shape[1]} joints hold the hand's {held} with none to spare: there is no other posture nearby")
+    outside = np.argwhere(mechanism.limits(q, arm) != 0)
+    if len(outside):
+        i, j = outside[0]
+        scale, unit = (1e3, "mm") if arm.slides[j] else (np.degrees(1), "degrees")
+        low, high = scale * arm.limits[j]
+        raise RigError(f"posture {i} has {mechanisms.places(arm)[j]} at {scale * q[i, j]:.3f} {unit}, outside its limits {low:.3f} .. {high:.3f}")
+    return q
+
+
+def spare(arm: Arm, held: str) -> int:
+    """How many joints an arm has beyond those that hold what of the hand is held; 0 or less where no other posture is nearby."""
+    return len(arm.axes) - (HELD[held].stop - HELD[held].start)
+
+
+def _rows(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+    return mechanism.jacobian(q, arm, "base")[..., HELD[held], :]
+
+
+def null_space(q: np.ndarray, arm: Arm, held: str, fixed: np.ndarray | None = None) -> np.ndarray:
+    """(m, n, n) projectors on the null space at postures q (m, n) rad; joints in fixed (m, n) do not move."""
+    J = _rows(q, arm, held)
+    if fixed is not None:
+        J = np.concatenate([J, np.eye(q.shape[1]) * fixed[:, :, None]], axis=1)
+    return np.eye(q.shape[1]) - np.linalg.pinv(J, rcond=RANK) @ J
+
+
+def _tangent(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+    """(m, n) unit vectors along one-dimensional null spaces."""
+    return np.linalg.svd(_rows(q, arm, held))[2][:, -1].copy()
+
+
+def _uphill(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str) -> np.ndarray:
+    """(m, n) projected gradient; joints at a limit that it would leave are held, and the projection is made anew."""
+    slope = force_transmission.gradient(q, arm, wish)
+    low, high = arm.limits.T
+    fixed = np.zeros(q.shape, bool)
+    for _ in range(q.shape[1]):
+        way = np.einsum("mij,mj->mi", null_space(q, arm, held, fixed), slope)
+        beyond = ((q >= high - 1e-9) & (way > 0)) | ((q <= low + 1e-9) & (way < 0))
+        beyond &= np.abs(way) > 1e-9 * np.abs(way).max(axis=1, keepdims=True)
+        if not (beyond & ~fixed).any():
+            break
+        fixed |= beyond
+    return np.where(fixed, 0.0, way)
+
+
+def bring_back(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+    """Joint angles near q (m, n) at which the hand is at its target (m, 4, 4) again: Newton with the pseudo-inverse."""
+    for _ in range(6):
+        chain = mechanism.frames(q, arm)
+        e = _error(chain[:, -1], target, held)
+        if np.abs(e).max(initial=0) < 0.1 * STILL:
+            break
+        J = mechanism.geometric(chain, "base", arm.slides)[:, HELD[held]]
+        T = np.swapaxes(J, 1, 2)
+        q = q + (T @ np.linalg.solve(J @ T + DAMPING * np.eye(T.shape[2]), e[..., None]))[..., 0]
+    return q
+
+
+def _error(now: np.ndarray, target: np.ndarray, held: str) -> np.ndarray:
+    """(m, 3 or 6) what is missing to the target, in the axes of poses; small turns as half the difference of axes."""
+    move = target[:, :3, 3] - now[:, :3, 3]
+    turn = 0.5 * sum(np.cross(now[:, :3, k], target[:, :3, k]) for k in range(3))
+    return np.concatenate([move, turn], axis=1)[:, HELD[held]]
+
+
+def left(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+    """(m,) what the hand at postures q (m, n) misses of its targets (m, 4, 4), m or rad."""
+    return np.abs(_error(mechanism.frames(q, arm)[:, -1], target, held)).max(axis=1)
+
+
+def _found(q: np.ndarray, value: np.ndarray, start: np.ndarray, first: np.ndarray, arm: Arm, steps: int) -> Found:
+    moved = difference(mechanism.forward(first, arm), mechanism.forward(q, arm))
+    lengths = np.stack([np.linalg.norm(moved[:, :3], axis=1), np.linalg.norm(moved[:, 3:], axis=1)], axis=1)
+    low, high = arm.limits.T
+    return Found(q, value, start, lengths, (q <= low + 1e-6) | (q >= high - 1e-6), steps)

@@ -1,0 +1,1 @@
+"""What was commanded and seen, as arrays: reading, combining, masking, provenance."""

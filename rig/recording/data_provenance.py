@@ -1,0 +1,129 @@
+"""Which data something was learnt from, so that it is neither learnt twice nor held against what came of it.
+
+What one camera saw in one frame is marked by its content: the image file's bytes, the corners found in it (marker, corner, u, v), or, of
+an outside instrument, the pose's numbers; what measuring limbs read at it likewise. Neither the frame's number, nor its time, nor the
+camera's name, nor the rest of rig.toml is part of a mark: data that are copied, renumbered, cut short or told by another clock are the
+same data. What occurs twice within one recording (a black image, a pose told to few digits) tells it from nothing and is no mark.
+
+Marks go on through every step. A folder that `rig measure` made keeps, frame by frame, the marks of what it was measured from, in its
+manifest; so the raw recording is known again in what was measured from it, and the other way round. A calibration and an on-line
+state keep the marks of all that they were learnt from. Two things hold the same data where they share a mark: what was measured
+anew of the same machine differs in every image by its noise, so that chance does not do that.
+"""
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+
+from rig.errors import FileError
+from rig.formats.output_files.folder_manifest import digest, load
+from rig.model.pose import vector
+from rig.compute.worker_processes import cores
+from rig.recording.recording_folder import LIMB, Recording
+
+LENGTH = 16  # hexadecimal digits of a mark: two of a million alike in one case of 4e7
+Marks = dict[int, frozenset[str]]  # of each frame that has any
+
+
+def marks(recording: Recording) -> Marks:
+    """The marks of a recording's frames, its own and those of what it was measured from. Raises FileError for an image that cannot be read."""
+    if recording.parts:
+        return {part.frames + frame: own for part in recording.parts for frame, own in marks(part.recording).items()}
+    with meanwhile(recording) as marked:
+        return marked()
+
+
+@contextmanager
+def meanwhile(recording: Recording) -> Iterator[Callable[[], Marks]]:
+    """A function that gives the `marks` of one recording, whose images threads beside this one begin to read at once, where it may have any."""
+    paths = [recording.folder / name for name in recording.exposures.image if name]
+    if cores() < 2:
+        yield lambda: _marks(recording, dict(zip(paths, map(digest, paths))))
+        return
+    pool = ThreadPoolExecutor(cores())
+    try:
+        digests = pool.map(digest, paths)
+        yield lambda: _marks(recording, dict(zip(paths, digests)))
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _marks(recording: Recording, digests: dict[Path, str]) -> Marks:
+    """digests : of the images' files"""
+    found = [*_images(recording, digests), *((frame, mark) for part in (_corners, _poses, _limbs) for frame, mark in part(recording))]
+    often = Counter(mark for _, mark in found)
+    out = defaultdict(set)
+    for frame, mark in found:
+        if often[mark] == 1:
+            out[frame].add(mark)
+    origin = load(recording.folder).origin
+    for line in origin.data if origin is not None else ():
+        number, _, mark = line.partition(" ")
+        if number.isdigit():
+            out[int(number)].add(mark)
+    return {frame: frozenset(own) for frame, own in out.items()}
+
+
+def lines(of: Marks) -> tuple[str, ...]:
+    """The marks as a manifest keeps them, "frame mark" each."""
+    return tuple(f"{frame} {mark}" for frame, own in sorted(of.items()) for mark in sorted(own))
+
+
+def flat(of: Marks, frames: Iterable[int] | None = None) -> list[str]:
+    """The marks of some frames, all by default, in order."""
+    return sorted(set().union(*(own for frame, own in of.items() if frames is None or frame in set(frames))))
+
+
+def shared(of: Marks, known: Collection[str]) -> list[int]:
+    """The frames whose data are among those known by their marks."""
+    known = frozenset(known)
+    return sorted(frame for frame, own in of.items() if own & known)
+
+
+def _images(recording: Recording, digests: dict[Path, str]) -> list[tuple[int, str]]:
+    out = []
+    for frame, name in zip(recording.exposures.frame.tolist(), recording.exposures.image):
+        if name:
+            whole = digests[recording.folder / name]
+            if not whole:
+                raise FileError(recording.folder / name, "cannot be read")
+            out.append((frame, whole[:LENGTH]))
+    return out
+
+
+def _corners(recording: Recording) -> list[tuple[int, str]]:
+    c = recording.corners
+    if c is None:
+        return []
+    seen = defaultdict(list)
+    for frame, camera, marker, corner, (u, v) in zip(c.frame.tolist(), c.camera, c.marker.tolist(), c.corner.tolist(), c.uv):
+        seen[frame, camera].append((marker, corner, f"{u:.5f} {v:.5f}"))
+    return [(frame, _mark("corners", sorted(rows))) for (frame, _), rows in seen.items()]
+
+
+def _poses(recording: Recording) -> list[tuple[int, str]]:
+    p = recording.poses
+    if p is None:
+        return []
+    rows = np.atleast_2d(vector(p.T_base_platform))
+    return [(frame, _mark("pose", [f"{value:.9f}" for value in row])) for frame, row in zip(p.frame.tolist(), rows)]
+
+
+def _limbs(recording: Recording) -> list[tuple[int, str]]:
+    log = recording.sensors
+    names = sorted((name for name in log.channels if LIMB.fullmatch(name)), key=lambda name: int(name[1:])) if log is not None else []
+    if log is None or not names:
+        return []
+    frames, t = recording.exposures.times()
+    within = (log.t[0] <= t) & (t <= log.t[-1])
+    lengths = np.stack([np.interp(t[within], log.t, log.channels[name]) for name in names], axis=1)
+    return [(frame, _mark("limbs", [f"{value:.8f}" for value in row])) for frame, row in zip(frames[within].tolist(), lengths)]
+
+
+def _mark(kind: str, content: list) -> str:
+    return sha256(repr((kind, content)).encode()).hexdigest()[:LENGTH]

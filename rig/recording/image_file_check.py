@@ -1,0 +1,125 @@
+"""What an image file is, looked at before it is decoded: its format, the size it claims, whether it is whole, where it lies."""
+
+import os
+import re
+import struct
+from pathlib import Path
+from typing import BinaryIO
+
+from rig.formats import remote_folders
+from rig.model.design import Camera
+from rig.errors import FileError
+from rig.formats.input_files import open_file
+
+PNG, JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
+FORMATS = "PNG, JPEG, TIFF, BMP, PGM and PPM"  # whose size can be looked at before decoding
+MOST_PIXELS = 1 << 27  # of an image: 134 million, more than machine cameras have
+MOST_OF_A_PHOTOGRAPH = 1 << 26  # of a picture that no stated camera took: 67 million
+HEAD = 4096  # bytes
+SEGMENTS = 10_000  # of a JPEG before its frame, entries of a TIFF's directory
+FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of a JPEG that give its size
+PNM = re.compile(rb"P[2356](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
+
+
+def check_image(path: Path, camera: Camera | None = None) -> str | None:
+    """What is wrong with an image file, in words, or None.
+
+    path : file; camera : the Camera that took it, whose size it must have, or None for any. A PNG must end with its end chunk, a JPEG
+    with its end marker. Nothing is decoded
+    """
+    try:
+        with open_file(path, "no such image") as file:
+            return check_opened(file, camera)
+    except FileError as error:
+        return str(error).split(": ", 1)[1]
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+
+
+def check_opened(file: BinaryIO, camera: Camera | None = None, most: int = MOST_PIXELS) -> str | None:
+    """The same of an image that is open. most : px that it may have. Raises OSError where it cannot be read."""
+    head = file.read(HEAD)
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - 64))
+    tail = file.read()
+    try:
+        got = _size(file, head) if size else None
+    except (struct.error, ValueError):
+        got = None
+    if not size:
+        return "is an empty file"
+    if head.startswith(PNG) and (b"IEND\xaeB`\x82" not in tail or size < 57):
+        return f"is cut off after {size} bytes (a PNG without its end)"
+    if head.startswith(JPEG) and b"\xff\xd9" not in tail:
+        return f"is cut off after {size} bytes (a JPEG without its end)"
+    if got is None:
+        return f"is no image whose size can be told; images are {FORMATS}"
+    if camera is not None and got != (camera.width, camera.height):
+        return f"is {got[0]} x {got[1]} px, but camera {camera.name!r} has {camera.width} x {camera.height} px"
+    if not 0 < got[0] * got[1] <= most:
+        return f"claims {got[0]} x {got[1]} px; an image has at most {most}"
+    return None
+
+
+def claimed_size(path: Path) -> tuple[int, int] | None:
+    """(width, height) px that an image file claims, or None for what is none. Raises FileError where it cannot be opened."""
+    with open_file(path, "no such image") as file:
+        try:
+            return _size(file, file.read(HEAD))
+        except (struct.error, ValueError):
+            return None
+
+
+def _size(file: BinaryIO, head: bytes) -> tuple[int, int] | None:
+    """(width, height) px that an image claims, or None for what is none. Raises struct.error where it is cut off."""
+    if head.startswith(PNG):
+        return struct.unpack(">II", head[16:24]) if head[12:16] == b"IHDR" else None
+    if head.startswith(JPEG):
+        return _size_of_jpeg(file)
+    if head.startswith((b"II*\0", b"MM\0*")):
+        return _size_of_tiff(file, "<" if head[:2] == b"II" else ">", head)
+    if head.startswith(b"BM"):
+        if struct.unpack("<I", head[14:18])[0] == 12:
+            return struct.unpack("<HH", head[18:22])
+        width, height = struct.unpack("<ii", head[18:26])
+        return width, abs(height)
+    found = PNM.match(head)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def _size_of_jpeg(file: BinaryIO) -> tuple[int, int] | None:
+    at = 2
+    for _ in range(SEGMENTS):
+        file.seek(at)
+        marker, kind, length = struct.unpack(">BBH", file.read(4))
+        if marker != 0xFF:
+            return None
+        if kind in FRAME:
+            _, height, width = struct.unpack(">BHH", file.read(5))
+            return width, height
+        at += 1 if kind == 0xFF else 2 if kind == 0x01 or 0xD0 <= kind <= 0xD8 else 2 + length
+    return None
+
+
+def _size_of_tiff(file: BinaryIO, order: str, head: bytes) -> tuple[int, int] | None:
+    at, found = struct.unpack(order + "I", head[4:8])[0], {}
+    file.seek(at)
+    count = struct.unpack(order + "H", file.read(2))[0]
+    for _ in range(min(count, SEGMENTS)):
+        tag, kind, _, value = struct.unpack(order + "HHI4s", file.read(12))
+        if tag in (256, 257) and kind in (3, 4):
+            found[tag] = struct.unpack(order + ("H2x" if kind == 3 else "I"), value)[0]
+    return (found[256], found[257]) if len(found) == 2 else None
+
+
+def inside(folder: Path, name: str) -> str | None:
+    """What is wrong with the name of an image of a recording, in words, or None: its file lies in the folder, links followed."""
+    if not name.isprintable() or len(name) > 1000:
+        return "is no name of a file"
+    if remote_folders.is_remote(folder):
+        return "lies outside the recording, whose images are in its folder" if ".." in Path(name).parts or name.startswith("/") else None
+    try:
+        away = Path(name).is_absolute() or not (folder / name).resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError) as error:  # a ring of links
+        return f"cannot be followed: {error}"
+    return "lies outside the recording, whose images are in its folder" if away else None

@@ -1,0 +1,261 @@
+"""A recording folder <-> arrays: what the rig did and what was seen of it, all outside data checked here."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rig.formats.rig_toml import design_file
+from rig.formats import remote_folders, csv_table
+from rig.model.design import Design
+from rig.formats.checked_entries import name_problem
+from rig.errors import FileError, RigError
+from rig.recording.exposures import Exposures, Unreadable, load_exposures
+from rig.formats.output_files import complete
+from rig.model.mechanism_kinds import bodies_of
+from rig.report.notebook_display import shown
+from rig.recording.corner_and_pose_tables import Corners, Poses, load_corners, load_measured, load_poses
+from rig.recording.time_origin import Origin, decimal
+from rig.formats.csv_table import Table
+
+LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
+PAYLOAD = "payload_mass_kg"  # channel of sensors.csv, column of a plan in time: what the platform carries
+LAST_DWELL = 0.25  # share of frames that may follow the last command, in its dwell, before the file counts as cut off
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Commands:
+    """t : (n,) s, increasing; values : (n, axes) m or rad; between two rows every axis moves linearly, after the last it dwells
+    starts : (k,) s, rows at which another recording of the same machine begins (see rig.recording.combined_recordings): nothing before them is
+    remembered."""
+
+    t: np.ndarray
+    values: np.ndarray
+    starts: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def at(self, t: ArrayLike) -> np.ndarray:
+        """(..., axes) what was commanded at times t (s). Raises RigError for a time before the first command."""
+        t = np.asarray(t, float)
+        if (t < self.t[0]).any():
+            raise RigError(f"t = {t.min():g} s is before the first command (t = {self.t[0]:g} s)")
+        return np.stack([np.interp(t, self.t, column) for column in self.values.T], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensors:
+    """t : (n,) s; channels : {name: (n,) values in the unit its name says}, linear between rows; reading a recording sees to it that
+    the log covers the exposures to within the distance of its rows, over which the nearest row stands
+    starts : (k,) s, rows at which another recording's log begins"""
+
+    t: np.ndarray
+    channels: dict[str, np.ndarray]
+    starts: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def at(self, t: np.ndarray | Sequence[float], *names: str) -> np.ndarray:
+        """(n,) values at times t (n,) s of the first of these channels that there is. Raises RigError where there is none."""
+        for name in names:
+            if name in self.channels:
+                return np.interp(t, self.t, self.channels[name])
+        raise RigError(f"the model needs a sensor channel {' or '.join(map(repr, names))}, which the recording does not have")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A whole recording; parts that the folder lacks are None. All times are s from the recording's start: its first command,
+    or where nothing was commanded its first exposure; origin : of the owner's clock, to write them
+    skipped : images that cannot be used and were left out, as asked
+    parts : (Part, ..) where it is several recordings of one rig together (see rig.recording.combined_recordings)
+    stages : {number (from 1): Poses} of a chain's stages below the last, where the folder has them"""
+
+    folder: Path
+    design: Design
+    commands: Commands | None
+    exposures: Exposures
+    sensors: Sensors | None
+    corners: Corners | None
+    poses: Poses | None
+    origin: Origin = Origin()
+    skipped: tuple[Unreadable, ...] = ()
+    parts: tuple["Part", ...] = ()
+    stages: dict[int, Poses] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Its folder's name; of several, theirs."""
+        return " + ".join(part.recording.name for part in self.parts) or self.folder.resolve().name
+
+    @property
+    def apart(self) -> tuple["Part", ...]:
+        """The recordings that it consists of: itself, where it is one."""
+        return self.parts or (Part(self, 0, 0.0),)
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        frames, t = self.exposures.times()
+        parts = [name for name, part in (("commands", self.commands), ("sensors", self.sensors), ("corners", self.corners), ("poses", self.poses))
+                 if part is not None] + (["images"] if self.has_images else [])
+        cameras = ", ".join(f"{c.name} ({c.width} x {c.height})" for c in self.design.cameras) or "none"
+        return shown(f"{self.folder.name}: {len(frames)} frames over {np.ptp(t):.4g} s", [
+            f"a {self.design.mechanism.kind}; cameras: {cameras}; {len(self.design.targets)} targets", f"it has {', '.join(parts) or 'nothing'}"])
+
+    @property
+    def has_images(self) -> bool:
+        """Whether any exposure names an image."""
+        return any(self.exposures.image)
+
+    def commanded(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(frames, t, values (n, axes)): what was commanded at each frame. Raises RigError without commands.csv."""
+        if self.commands is None:
+            raise RigError(f"{self.folder}: there is no commands.csv, so nothing was commanded")
+        frames, t = self.exposures.times()
+        return frames, t, self.commands.at(t)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """One of several recordings together. recording : as it stands; frames : added to its frames' numbers; t : s, added to its times."""
+
+    recording: Recording
+    frames: int
+    t: float
+
+
+def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
+    """Recording of a folder, here or behind a URL (s3://..). skip_unreadable : whether images that cannot be used are left out, into `skipped`.
+
+    Raises FileError naming file, line and column of the first thing that cannot be used; of images, all that cannot be
+
+    >>> import rig
+    >>> recording = rig.load("tests/data/bench/check")
+    >>> recording.design.mechanism.kind, recording.commands.values.shape
+    ('hexapod', (14, 6))
+    """
+    folder = Path(folder)
+    remote_folders.look_anew()
+    if not remote_folders.is_folder(folder):
+        raise FileError(folder, "is a file, not a recording folder" if remote_folders.exists(folder) else "no such folder")
+    complete(folder)
+    if remote_folders.is_empty(folder):
+        raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
+    design = design_file.load(folder / "rig.toml")
+    commanded = _command_rows(folder / "commands.csv", design)
+    exposed = csv_table.read(folder / "frames.csv", ("frame", "t", "camera", "image"))
+    origin = _origin(exposed if commanded is None else commanded)
+    exposures, skipped = load_exposures(folder, design, exposed, origin, skip_unreadable)
+    commands = None if commanded is None else _commands(commanded, design, exposures, origin)
+    corners = load_corners(folder / "corners.csv", design, exposures)
+    known = set(exposures.frame.tolist())
+    poses = load_measured(folder / "poses.csv", known, design.instrument) if remote_folders.exists(folder / "poses.csv") else None
+    sensors = _sensors(folder / "sensors.csv", origin, exposures)
+    return Recording(folder, design, commands, exposures, sensors, corners, poses, origin, tuple(skipped), stages=_stages(folder, design, known))
+
+
+def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
+    """{number: Poses} of a folder's poses_stage1.csv .. Raises FileError for one of a stage that rig.toml does not have below the last."""
+    bodies = bodies_of(design.mechanism)
+    out = {}
+    for name in remote_folders.names(folder):
+        if not name.startswith("poses_stage") or not name.endswith(".csv"):
+            continue
+        body = name.removesuffix(".csv").replace("poses_stage", "stage ")
+        if body not in bodies:
+            raise FileError(folder / name, f"rig.toml has no {body!r} below a last platform; there are {', '.join(bodies)}")
+        out[int(body.removeprefix("stage "))] = load_measured(folder / name, known, design.instrument)
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wanted:
+    """Poses that a machine is to take. poses : Poses; t : (n,) s from the first, when each is to be held, or None where nobody says
+    origin : of the owner's clock, by which times are told"""
+
+    poses: Poses
+    t: np.ndarray | None
+    origin: Origin
+
+
+def load_wanted(path: str | Path) -> Wanted:
+    """Wanted of a table frame,x,y,z,rx,ry,rz with or without a column t. Raises FileError with line and column."""
+    poses, rows = load_poses(path, commanded=True), csv_table.read(path, ("frame",))
+    if "t" not in rows.columns:
+        return Wanted(poses, None, Origin())
+    origin = _origin(rows)
+    return Wanted(poses, _increasing(rows, origin), origin)
+
+
+def load_sensors(path: str | Path, origin: Origin) -> Sensors:
+    """Sensors of a sensors.csv beside no recording, its times told by an Origin. Raises FileError with line and column."""
+    return _sensor_rows(csv_table.read(path, ("t",)), origin)
+
+
+def _origin(rows: Table) -> Origin:
+    """The Origin that stands at 0 at the first row of a table with times."""
+    rows.times("t", Origin())  # which checks them
+    return Origin(decimal(rows.text("t")[0]))
+
+
+def _command_rows(path: Path, design: Design) -> Table | None:
+    if not remote_folders.exists(path):
+        return None
+    if not design.mechanism.axes:
+        raise FileError(path, 'stands beside a mechanism of kind "free", which cannot be commanded')
+    return csv_table.read(path, ("t", *design.mechanism.axes))
+
+
+def _commands(rows: Table, design: Design, exposures: Exposures, origin: Origin) -> Commands:
+    path, t = rows.path, _increasing(rows, origin)
+    for column in rows.columns:
+        if column not in ("t", *design.mechanism.axes) and column[:1] == design.mechanism.axes[0][0] and column[1:].isdigit():
+            raise FileError(path, f"column {column!r}: rig.toml has only {len(design.mechanism.axes)} axes", 1, rows.columns.index(column) + 1)
+    frames, times = exposures.times()
+    if times[0] < t[0]:
+        rows.fail(f"frame {frames[0]} was exposed at t = {origin.text(times[0])} s, before the first command (t = {origin.text(t[0])} s)", 0, "t")
+    after = np.flatnonzero(times > t[-1])
+    if len(after) > 1 and len(after) > LAST_DWELL * len(times):
+        rows.fail(f"{len(after)} of {len(times)} frames, from frame {frames[after[0]]} at t = {origin.text(times[after[0]])} s on, were exposed "
+                  f"after the last command (t = {origin.text(t[-1])} s): is the file cut off?", len(rows) - 1, "t")
+    return Commands(t, rows.matrix(design.mechanism.axes))
+
+
+def _increasing(rows: Table, origin: Origin) -> np.ndarray:
+    t, shown = rows.times("t", origin), rows.text("t")
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if len(back):
+        i = back[0] + 1
+        rows.fail(f"time must increase: t = {shown[i]} s follows {shown[i - 1]} s", i, "t", shown[i])
+    return t
+
+
+def _sensors(path: Path, origin: Origin, exposures: Exposures) -> Sensors | None:
+    if not remote_folders.exists(path):
+        return None
+    rows = csv_table.read(path, ("t",))
+    sensors = _sensor_rows(rows, origin)
+    if not all(LIMB.fullmatch(name) for name in sensors.channels):
+        _covers(rows, sensors.t, exposures, origin)
+    return sensors
+
+
+def _sensor_rows(rows: Table, origin: Origin) -> Sensors:
+    t, channels = _increasing(rows, origin), tuple(name for name in rows.columns if name != "t")
+    for name in channels:
+        if name_problem(name):
+            raise FileError(rows.path, f"column {name_problem(name)}", 1, rows.columns.index(name) + 1, name)
+    return Sensors(t, {name: rows.numbers(name) for name in channels})
+
+
+def _covers(rows: Table, t: np.ndarray, exposures: Exposures, origin: Origin) -> None:
+    """Raise FileError where exposures lie farther outside a log, at t (n,) s, than its rows are apart: nobody knows what was then.
+    One row alone states what never changed."""
+    if len(t) == 1:
+        return
+    times, apart = exposures.times()[1], np.diff(t).max()
+    for outside, row, word in ((times < t[0] - apart, 0, "begins"), (times > t[-1] + apart, len(rows) - 1, "ends")):
+        if outside.any():
+            far = times[outside][-1 if row else 0]
+            rows.fail(f"the log {word} at t = {origin.text(t[row])} s, but {outside.sum()} of {len(times)} frames were exposed "
+                      f"{'after it, up to' if row else 'before it, from'} {origin.text(far)} s{'' if row else ' on'}: values are not carried "
+                      "beyond a log; is it cut off, or of another clock?", row, "t")

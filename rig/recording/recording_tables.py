@@ -1,0 +1,81 @@
+"""Arrays -> the files of a recording, each written whole or not at all."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from rig.formats import remote_folders
+from rig.recording.exposures import Exposures
+from rig.formats.output_files import write_bytes, write_text
+from rig.recording.corner_and_pose_tables import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS, Corners, Poses
+from rig.recording.time_origin import Origin
+from rig.formats.input_files import read_bytes
+from rig.model.pose import TRIANGLE, angle_sigmas, roll_pitch_yaw, vector
+
+ANGLES = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
+    """Write a CSV file of a header (names) and rows (lines of text)."""
+    write_text(path, "\n".join([",".join(header), *rows]) + "\n")
+
+
+def write_configurations(path: Path, axes: Iterable[str], values: Iterable[np.ndarray]) -> None:
+    """Write configurations (k, axes) m or rad, numbered from 0, as the plan commands:FILE visits them; the figures keep 1e-7."""
+    write_table(path, ("frame", *axes), [f"{k}," + ",".join(f"{value:.7f}" for value in row) for k, row in enumerate(values)])
+
+
+def write_poses(path: Path, poses: Poses) -> None:
+    """Write a poses.csv, with covariance where there is one; the figures keep 1e-10 m and rad."""
+    header = ["frame", *POSE_COLUMNS, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())]
+    lines = [",".join(header)]
+    for i, (frame, values) in enumerate(zip(poses.frame, vector(poses.T_base_platform))):
+        cells = [str(frame), *(f"{value:.10f}" for value in values)]
+        if poses.covariance is not None:
+            cells += [f"{value:.9e}" for value in poses.covariance[i][TRIANGLE]]
+        lines.append(",".join(cells))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def write_angles(path: Path, poses: Poses) -> None:
+    """Write poses as x, y, z (m) and roll, pitch, yaw (rad) against the static frame, with standard deviations u_* where there is a covariance."""
+    sure = poses.covariance is not None
+    rows = np.concatenate([poses.T_base_platform.translation, roll_pitch_yaw(poses.T_base_platform)], axis=-1)
+    lines = [",".join([str(frame), *(f"{value:.10f}" for value in row)]) for frame, row in zip(poses.frame, np.atleast_2d(rows))]
+    if poses.covariance is not None:
+        sigma = np.concatenate([_positions(poses), angle_sigmas(poses.T_base_platform, poses.covariance)], axis=-1)
+        lines = [line + "".join(f",{value:.4e}" if np.isfinite(value) else "," for value in row) for line, row in zip(lines, sigma)]
+    write_table(path, ("frame", *ANGLES, *(f"u_{name}" for name in ANGLES if sure)), lines)
+
+
+def _positions(poses: Poses) -> np.ndarray:
+    """(n, 3) m, standard deviations along the static frame's axes: a covariance stands along the platform's."""
+    R, C = poses.T_base_platform.rotation.as_matrix(), poses.covariance
+    assert C is not None
+    return np.sqrt(np.einsum("nij,njk,nik->ni", R, C[:, :3, :3], R))
+
+
+def write_corners(path: Path, corners: Corners) -> None:
+    """Write a corners.csv with sigma and the whole covariance of each corner."""
+    c = corners
+    header, form = [*CORNER_COLUMNS], "%d,%s,%d,%d,%.5f,%.5f"
+    columns = [c.frame.tolist(), c.camera, c.marker.tolist(), c.corner.tolist(), *c.uv.T.tolist()]
+    if c.covariance is not None:
+        header, form = [*header, "sigma", *CORNER_COVARIANCE], form + ",%.5f,%.4e,%.4e,%.4e"
+        (uu, uv), (_, vv) = np.moveaxis(c.covariance, 0, -1)
+        columns += [column.tolist() for column in (np.sqrt((uu + vv) / 2), uu, uv, vv)]
+    write_table(path, header, (form % row for row in zip(*columns)))
+
+
+def copy_times(source: Path, target: Path, exposures: Exposures, origin: Origin) -> None:
+    """Put frames.csv (without image names), commands.csv and sensors.csv of one folder into another, which then is a recording.
+
+    origin : Origin that the folder's times are told by
+    """
+    lines = ["frame,t,camera,image"]
+    lines += [f"{frame},{origin.text(t)},{camera}," for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)]
+    write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
+    for name in ("commands.csv", "sensors.csv"):
+        if remote_folders.exists(Path(source) / name):
+            write_bytes(Path(target) / name, read_bytes(Path(source) / name))

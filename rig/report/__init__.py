@@ -1,0 +1,1 @@
+"""What people read: verdicts, pages, plots, views in three dimensions."""

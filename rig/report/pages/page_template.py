@@ -1,0 +1,64 @@
+"""The one template of all pages that commands write: a verdict first, what to do next, then the parts; one file that needs no network."""
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+
+from rig.formats.output_files import write_text
+from rig.report.verdict import Verdict
+from rig.report.pages.html_elements import capital, listed, words
+
+SHUT = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"  # nothing is fetched from anywhere
+
+
+class Link(NamedTuple):
+    """Another page. label : what it is; path : relative to the page that has the link, with /"""
+
+    label: str
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """What a page says. kind : of page, "measure"; title : what it is of; verdict; parts : HTML as rig.report.pages.html_elements and its figures
+    make it
+    next_steps : what to do next, commands between backticks; links : to other pages; scripts : of this page's own, JavaScript"""
+
+    kind: str
+    title: str
+    verdict: Verdict
+    parts: Sequence[str]
+    next_steps: Sequence[str] = ()
+    links: Sequence[Link] = ()
+    scripts: Sequence[str] = ()
+
+
+def write(path: Path | str, page: Page) -> None:
+    """Write a Page as a self-contained HTML file."""
+    write_text(path, text(page))
+
+
+def text(page: Page) -> str:
+    """HTML of a Page."""
+    state, why = page.verdict.state, page.verdict.why
+    links = "".join(f'<a href="{html.escape(link.path)}">{html.escape(link.label)}</a>' for link in page.links)
+    steps = listed(map(capital, page.next_steps), ordered=len(page.next_steps) > 1)
+    style, script = asset("theme.css") + asset("document.css") + asset("figure.css"), asset("document.js")
+    described = html.escape(f"{state}: {why}")
+    return (f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+            f'<meta http-equiv="Content-Security-Policy" content="{SHUT}"><meta name="color-scheme" content="light dark">'
+            f'<meta name="generator" content="rig {html.escape(page.kind)}"><meta name="description" content="{described}">'
+            f"<title>{html.escape(page.title)}</title><style>{style}</style></head>\n<body>\n"
+            f'<header class="{state}"><p class="verdict"><strong>{state}</strong> {words(capital(why))}.</p><h1>{html.escape(page.title)}</h1>'
+            + (f'<nav aria-label="other pages">{links}</nav>' if links else "")
+            + "</header>\n<main>\n" + (f'<section class="next"><h2>What to do next</h2>{steps}</section>\n' if page.next_steps else "")
+            + "\n".join(page.parts)
+            + "\n</main>\n" + "".join(f'<script type="module">{code}</script>\n' for code in (script, *page.scripts)) + "</body></html>\n")
+
+
+def asset(name: str) -> str:
+    """The text of a style or a script that pages share."""
+    return resources.files("rig.report.pages").joinpath(name).read_text(encoding="utf-8")

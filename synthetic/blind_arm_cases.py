@@ -1,0 +1,173 @@
+"""Blinded cases of arms: makes, instruments, protocols and left-out physics drawn at random; a third of them as hard as real recordings are."""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from rig.formats.rig_toml import design_file
+from rig.model import motion_simulation, mechanisms
+from rig.planning.configuration_sets import low_discrepancy
+from rig.model.design import Arm, Design, Instrument
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.random_effects import Drawing, log_uniform
+from rig.errors import RigError
+from rig.formats.output_files import write_text
+from rig.planning.plan import Plan, build, settled
+from rig.model.pose import exp
+from rig.recording.recording_folder import Commands, Sensors
+from synthetic import recording_simulation as simulation, secret_machine
+from synthetic.blind_cases import TRIES, schedule
+
+KINDS = ("nothing", "one", "two")  # of what is hidden
+FRAMES = 220  # poses of a recording by default
+SIGMA, TURN = (1e-5, 6e-5), (3.0, 8.0)  # m, and rad/m, of an instrument's poses
+HARD = 3  # one case in so many is hard
+STUDENT, WILD, WILDER, FEWER, UNDERSTATED = 3.0, (0.01, 0.03), 10.0, 0.25, 10.0
+HARDSHIPS = {"positions": "no rotations are measured", "wild": "1 to 3 % of the rows are off by ten sigma", "tails": "Student's t noise",
+             "understated": "the stated sigma is too small by ten", "untimed": "the times are lost, the order is true",
+             "missing": "a quarter of the rows is missing", "level": "the hand stays level"}
+UR10 = """schema = "rig/1"
+[environment]
+gravity = [0.0, 0.0, -9.80665]
+[mechanism]
+kind = "arm"
+joints = [[0.0, 0.1273, 0.0, 1.5707963267948966], [0.0, 0.0, -0.612, 0.0], [0.0, 0.0, -0.5723, 0.0],
+          [0.0, 0.163941, 0.0, 1.5707963267948966], [0.0, 0.1157, 0.0, -1.5707963267948966], [0.0, 0.0922, 0.0, 0.0]]
+limits = [[-3.0, 3.0], [-3.0, 0.0], [-2.5, 2.5], [-3.0, 3.0], [-2.5, 2.5], [-3.0, 3.0]]
+"""  # the maker's nominal figures; limits of a cell
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnArmCase:
+    """kind : of KINDS; make; simulation : Simulation with its noise-free poses; text : the owner's rig.toml; sigma : (2,) m, rad as it truly is
+    hard : of HARDSHIPS; plan : in words; rng : what draws the noise"""
+
+    kind: str
+    make: str
+    simulation: simulation.Simulation
+    text: str
+    sigma: np.ndarray
+    hard: tuple[str, ...]
+    plan: str
+    rng: np.random.Generator
+
+
+def makes() -> dict[str, str]:
+    """{make: the text of its rig.toml}: offset wrist, spherical wrist, seven joints."""
+    shipped = files("rig") / "arms"
+    return {"ur10": UR10, **{name: (shipped / f"{name}.toml").read_text(encoding="utf-8") for name in ("puma560", "panda")}}
+
+
+def draw(seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()) -> DrawnArmCase:
+    """Case `index` of a campaign of arms. effects : names to which the catalogue is confined, all that an arm's poses can show by default.
+
+    Raises RigError where nothing comes up in TRIES draws, or no effect of the catalogue is left
+    """
+    catalogue = [e for e in ALL if (not effects or e.name in effects) and "axis" in e.places and e.stage in MOTION_STAGES and not e.moving]
+    if not catalogue:
+        raise RigError(f"--effects: none of {', '.join(effects)} shows in poses of an arm at rest")
+    kind, numbers, rng = schedule(seed, index, kinds, len(catalogue))
+    for attempt in range(TRIES):
+        try:
+            return _drawn(kind, [catalogue[(n + attempt) % len(catalogue)] for n in numbers], rng, frames, index)
+        except RigError:  # an arm lacks what this effect needs: the next in the catalogue
+            if attempt == TRIES - 1:
+                raise
+    raise AssertionError
+
+
+def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, index: int) -> DrawnArmCase:
+    make = str(rng.choice(list(makes())))
+    hard = _hardships(make, rng) if index % HARD == 0 else ()
+    sigma = log_uniform(rng, *SIGMA) * np.array([1.0, rng.uniform(*TURN)])
+    stated = sigma / (UNDERSTATED if "understated" in hard else 1.0)
+    turn = "" if "positions" in hard else f"rotation_sigma = {stated[1]:.3g}\n"
+    text = f'{makes()[make]}\n[instrument]\nbase = "free"\ntool = "free"\nposition_sigma = {stated[0]:.3g}\n{turn}'
+    with tempfile.TemporaryDirectory() as folder:
+        write_text(Path(folder) / "rig.toml", text)
+        design = design_file.load(Path(folder) / "rig.toml")
+    if "level" in hard:
+        plan, route = "level", settled(_level(design, frames, rng), mechanisms.of(design.mechanism).home(design.mechanism), 0.5)
+    else:
+        ladder = 4 * len(_arm(design).joints)
+        plan = f"sobol:{max(frames - ladder - 20, 20)},ladder:1,repeat:20"
+        route = build(design, plan, int(rng.integers(1 << 30)))
+    effects = [_effect(e, design, route, rng) for e in hidden]
+    if len({(e.name, e.place) for e in effects}) < len(effects):
+        raise RigError("the same effect twice at one place")
+    done = simulation.simulate(secret_machine.draw(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng)
+    return DrawnArmCase(kind, make, done, text, sigma, hard, plan, rng)
+
+
+def _arm(design: Design) -> Arm:
+    assert isinstance(design.mechanism, Arm)
+    return design.mechanism
+
+
+def _hardships(make: str, rng: np.random.Generator) -> tuple[str, ...]:
+    """One or two of HARDSHIPS, those that a make can have."""
+    able = [name for name in HARDSHIPS if name != "level" or make == "ur10"]
+    return tuple(sorted(str(name) for name in rng.choice(able, int(rng.integers(1, 3)), replace=False)))
+
+
+def _level(design: Design, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count, 6) rad of an arm with three parallel axes whose hand points down all the time and turns about the vertical alone."""
+    q = low_discrepancy(_arm(design).limits, count, 0.8, seed=int(rng.integers(1 << 30)))
+    q[:, 3], q[:, 4] = -np.pi / 2 - q[:, 1] - q[:, 2], -np.pi / 2
+    return q[rng.permutation(count)]
+
+
+def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Generator) -> Effect:
+    """An effect at a random joint, its parameters over their usual ranges. Raises RigError where the arm lacks what it needs."""
+    sensors, _ = secret_machine.temperatures(float(route.t[-1]), np.random.default_rng(0), 0)
+    motion = motion_simulation.motion(design, route.commands, route.t, (), sensors)
+    motion = replace(motion, T=mechanisms.of(design.mechanism).forward(motion.lengths, design.mechanism))
+    place = str(rng.choice(mechanisms.places(design.mechanism)))
+    effect = kind.drawn(place, Drawing(design, route.t, motion, lambda effect, camera: 0.0), rng)
+    reason = effect.needs(motion)
+    if reason:
+        raise RigError(f"{kind.name} {reason}")
+    return effect
+
+
+def write_recording(case: DrawnArmCase, folder: Path) -> None:
+    """Write the recording of a case into a folder, with its noise and what makes it hard."""
+    rng, done, n = case.rng, case.simulation, len(case.simulation.plan.t)
+    noise = rng.standard_t(STUDENT, (n, 6)) if "tails" in case.hard else rng.normal(size=(n, 6))
+    if "wild" in case.hard:
+        wild = rng.choice(n, max(round(n * rng.uniform(*WILD)), 1), replace=False)
+        noise[wild] += WILDER * rng.choice([-1.0, 1.0], (len(wild), 6))
+    T = done.run.T_base_platform * exp(np.repeat(case.sigma, 3) * noise)
+    seen = rng.random(n) >= FEWER if "missing" in case.hard else np.ones(n, bool)
+    plan, log = done.plan, done.log
+    if "untimed" in case.hard:
+        plan, log = _untimed(plan), Sensors(done.log.t, {})
+    stated = replace(done.world.stated, instrument=_exact(done.world.stated))
+    shown = replace(done, plan=replace(plan, t=plan.t[seen]), log=log, run=replace(done.run, T_base_platform=T[seen]),
+                    world=replace(done.world, stated=stated))
+    simulation.write(shown, folder, case.text, rng)
+
+
+def _exact(design: Design) -> Instrument:
+    """The design's instrument without noise: poses are written as they are."""
+    instrument = design.instrument
+    assert instrument is not None
+    return replace(instrument, position_sigma=0.0, rotation_sigma=None if instrument.rotation_sigma is None else 0.0)
+
+
+def _untimed(plan: Plan) -> Plan:
+    """The plan with a second from each row or exposure to the next."""
+    t = np.union1d(plan.commands.t, plan.t)
+    return replace(plan, commands=Commands(np.searchsorted(t, plan.commands.t).astype(float), plan.commands.values),
+                   t=np.searchsorted(t, plan.t).astype(float), payload=np.array([(0.0, 0.0)]))
+
+
+def write_truth(case: DrawnArmCase, path: Path, **more: object) -> None:
+    """Write the truth of a case, with more besides, into a file."""
+    secret_machine.write_truth(path, case.simulation.world, case.simulation.run.T_base_platform, kind=case.kind, make=case.make,
+                      disturbance=" and ".join(case.hard) or None, sigma=case.sigma.tolist(), plan=case.plan, **more)

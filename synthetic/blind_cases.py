@@ -1,0 +1,191 @@
+"""Blinded cases: rigs, protocols and left-out physics drawn at random, written as recordings whose truth stays apart."""
+
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
+from rig.model import motion_simulation, mechanisms
+from rig.model.design import Camera, Design
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.random_effects import Drawing
+from rig.errors import RigError
+from rig.formats.output_files import write_text
+from rig.model.mechanism_kinds import axes_of
+from rig.recording.corner_and_pose_tables import Corners
+from rig.planning.plan import Plan, build
+from rig.recording.recording_folder import Sensors
+from synthetic import blind_image_settings, unlisted_physics, recording_simulation as simulation, secret_machine
+from synthetic.blind_image_settings import Eyes
+from vision import lens
+
+KINDS = ("nothing", "one", "two", "foreign", "noise")  # of what is hidden: nothing, effects of the catalogue, one out of the catalogue, a disturbance
+TIMES = {"nothing": 4, "one": 9, "two": 4, "foreign": 4, "noise": 2}  # a kind comes up in so many of 23 cases
+WITHHELD = {"temperature": "no temperature is logged", "payload": "no load is put on", "reversals": "every pose is approached from one side",
+              "motion": "no exposure while moving"}
+FRAMES = 380  # of a recording by default
+TRIES = 20  # of drawing something that the rig survives
+NOISE = (0.02, 0.08)  # px
+WARP_POINTS = 12  # each way, at which the size of a lens's missing part is measured
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnCase:
+    """One case before it is written.
+
+    kind : of KINDS; simulation : Simulation with all hidden effects at work; text : the owner's rig.toml; noise : px
+    disturbance : of out_of_catalogue.DISTURBANCES or None; plan : in words; rng : what draws the noise
+    hidden : the effects that a diagnosis should find; eyes : Eyes that it is drawn into images for, or None for corners
+    """
+
+    kind: str
+    simulation: simulation.Simulation
+    text: str
+    noise: float
+    disturbance: Callable[..., Corners] | None
+    plan: str
+    rng: np.random.Generator
+    hidden: tuple[Effect, ...] = ()
+    eyes: Eyes | None = None
+
+
+def schedule(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)) -> tuple[str, list[int], np.random.Generator]:
+    """(kind, numbers of its effects in a catalogue of so many, rng) of case `index` of a campaign: each comes up as often as the others."""
+    deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
+    shuffled = np.random.default_rng([seed, 1]).permutation(deck)
+    kind = KINDS[shuffled[index % len(deck)]]
+    before = sum({"one": 1, "two": 2}.get(KINDS[k], 0) for k in np.resize(shuffled, index))
+    count = {"one": 1, "two": 2}.get(kind, 0)
+    numbers = []
+    for k in range(before, before + count):
+        numbers.append(int(np.random.default_rng([seed, 2, k // catalogue]).permutation(catalogue)[k % catalogue]))
+    return kind, numbers, np.random.default_rng([seed, 3, index])
+
+
+def draw(seed: int, index: int, frames: int = FRAMES, withheld: Sequence[str] = (), kinds: Sequence[str] = KINDS,
+         effects: Sequence[str] = (), images: bool = False) -> DrawnCase:
+    """Case `index` of a campaign. effects : names to which the catalogue is confined, all by default; images : whether it is drawn into images,
+    with printing tolerances, and hides only what these can show
+
+    Raises RigError where nothing that the rig survives comes up in TRIES draws.
+    """
+    catalogue = [e for e in ALL if e.name in effects] or list(ALL)
+    catalogue = (blind_image_settings.shown(catalogue) or blind_image_settings.shown(list(ALL))) if images else catalogue
+    kind, numbers, rng = schedule(seed, index, kinds, len(catalogue))
+    if len(numbers) == 2 and numbers[0] == numbers[1]:
+        numbers[1] = (numbers[1] + 1) % len(catalogue)
+    for _ in range(TRIES - 1):
+        with suppress(RigError):
+            return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, withheld, images)
+    return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, withheld, images)
+
+
+def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, withheld: Sequence[str],
+           images: bool) -> DrawnCase:
+    eyes = blind_image_settings.eyes(rng) if images else None
+    text = _rig(rng) if eyes is None else eyes.seen_through(_rig(rng, eyes.width, eyes.height))
+    with tempfile.TemporaryDirectory() as folder:
+        write_text(Path(folder) / "rig.toml", text)
+        design = design_file.load(Path(folder) / "rig.toml")
+    plan = _protocol(frames, rng, withheld, images)
+    route = build(design, plan, int(rng.integers(1 << 30)), "reversals" in withheld)
+    duration = float(route.t[-1])
+    effects = [_effect(e, design, route, rng) for e in hidden]
+    if len({(e.name, e.place) for e in effects}) < len(effects):
+        raise RigError("the same effect twice at one place")
+    if kind == "foreign":
+        effects = [unlisted_physics.draw(design, duration, rng)]
+    slight = [] if eyes is None else [blind_image_settings.printed(design, rng)]
+    secret = secret_machine.draw(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
+    done = simulation.simulate(secret, route, rng)
+    kept = {name: v for name, v in done.log.channels.items() if not ("temperature" in withheld and "temperature" in name)}
+    disturbance = unlisted_physics.DISTURBANCES[rng.integers(len(unlisted_physics.DISTURBANCES))] if kind == "noise" else None
+    noise = _log(rng, *NOISE) if eyes is None else eyes.noise
+    return DrawnCase(kind, replace(done, log=Sensors(done.log.t, kept)), text, noise, disturbance, plan, rng, tuple(effects), eyes)
+
+
+def _rig(rng: np.random.Generator, width: int = 1280, height: int = 1024) -> str:
+    """Text of the rig.toml of a random rig of a plausible size."""
+    text = hexapod_layout.layout(
+        _log(rng, 0.15, 0.6), cameras=int(rng.choice([2, 3, 3, 3, 4])), width=width, height=height, cubes=int(rng.integers(3, 6))
+    )
+    joints = rng.choice(["cardan-cardan", "cardan-cardan", "cardan-ball"])
+    return text.replace("screw_lead = 0.004", f"screw_lead = {rng.choice([0.002, 0.004, 0.005, 0.01])}").replace('"cardan-cardan"', f'"{joints}"')
+
+
+def _protocol(frames: int, rng: np.random.Generator, withheld: Sequence[str], again: bool = False) -> str:
+    """Text of a plan of about so many frames: configurations, ladders, loads, motion, repeats in a random order.
+
+    again : whether ladders and repeats are always among them, where markers come back to the same pixels
+    """
+    parts = ["sobol", "sobol"]
+    parts += ["ladder"] * ((again or rng.random() < 0.85) and "reversals" not in withheld)
+    parts += ["payload"] * (rng.random() < 0.8 and "payload" not in withheld)
+    parts += ["moving"] * (int(rng.integers(1, 4)) if not {"motion", "reversals"} & set(withheld) else 0)
+    parts += ["repeat"] * (again or rng.random() < 0.3)
+    share = {"sobol": 3.0, "ladder": 2.5, "payload": 1.5, "moving": 1.0, "repeat": 1.0}
+    weights = np.array([share[part] for part in parts]) * rng.uniform(0.7, 1.3, len(parts))
+    counts = frames * weights / weights.sum()
+    each = {"ladder": 24, "payload": 3}  # frames for one of what the part counts
+    written = [f"{part}:{max(1, round(count / each.get(part, 1)))}" for part, count in zip(parts, counts)]
+    return ",".join(written[i] for i in rng.permutation(len(written)))
+
+
+def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Generator) -> Effect:
+    """An effect of the catalogue at a random place, its parameters drawn over their usual ranges."""
+    place = str(rng.choice(kind.places))
+    camera = design.cameras[rng.integers(len(design.cameras))]
+    target = design.targets[rng.integers(len(design.targets))]
+    axes = mechanisms.places(design.mechanism)
+    place = {"axis": axes[rng.integers(len(axes))], "camera": f"camera {camera.name}", "target": f"target {target.name}",
+             "marker": f"marker {target.ids[rng.integers(len(target.ids))]}"}.get(place, place)
+    sensors, _ = secret_machine.temperatures(float(route.t[-1]), np.random.default_rng(0), secret_machine.struts_of(axes_of(design.mechanism)))
+    motion = motion_simulation.motion(design, route.commands, route.t, (), sensors)
+    reason = kind(place).needs(motion) if kind.stage in MOTION_STAGES else None
+    if reason:
+        raise RigError(f"{kind.name} {reason}")
+    return kind.drawn(place, Drawing(design, route.t, motion, _displaced), rng)
+
+
+def _displaced(effect: Effect, camera: Camera) -> float:
+    """px RMS by which an effect of a camera moves corners all over its image."""
+    u, v = np.meshgrid(np.linspace(0.05, 0.95, WARP_POINTS) * camera.width, np.linspace(0.05, 0.95, WARP_POINTS) * camera.height)
+    uv = np.stack([u.ravel(), v.ravel()], axis=1)
+    points = np.column_stack([(uv - camera.matrix[:2, 2]) / camera.matrix[[0, 1], [0, 1]], np.ones(len(uv))])
+    real = effect.camera(camera)
+    moved = effect.print_(camera, lens.project(points, real.matrix, real.distortion)) - lens.project(points, camera.matrix, camera.distortion)
+    return float(np.sqrt(np.mean(moved**2)))
+
+
+def write_recording(case: DrawnCase, folder: Path) -> None:
+    """Write the recording of a case into a folder."""
+    spoil, disturbance = None, case.disturbance
+    if disturbance is not None:
+        def spoil(corners: Corners) -> Corners:
+            return disturbance(corners, case.simulation.world.stated, case.noise, case.rng)
+    images = None if case.eyes is None else case.eyes.images
+    simulation.write(case.simulation, folder, case.text, case.rng, case.noise, images, spoil=spoil)
+
+
+def corners_of(case: DrawnCase) -> Corners:
+    """The corners that a case's recording shows, as well as corners of its images are good for."""
+    return simulation.corners(case.simulation, case.noise, np.random.default_rng(0))
+
+
+def write_truth(case: DrawnCase, path: Path, **more: Any) -> None:
+    """Write the truth of a case, with more besides, into a file."""
+    disturbance = case.disturbance.__name__ if case.disturbance is not None else None
+    hidden = replace(case.simulation.world, effects=case.hidden)
+    secret_machine.write_truth(path, hidden, case.simulation.run.T_base_platform, kind=case.kind, disturbance=disturbance,
+                      noise_px=case.noise, plan=case.plan, **more)
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

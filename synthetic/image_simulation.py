@@ -1,0 +1,228 @@
+"""A simulation -> its images: exposures in time, rows of a rolling shutter at their own times, several processes at once."""
+
+import os
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.compute import dask_cluster
+from rig.model.design import Camera, Sensor
+from rig.effects.framework.effect import Effect
+from rig.errors import RigError
+from rig.formats.output_files import write_bytes
+from rig.compute.worker_processes import cores, done_by
+from synthetic import rig_meshes
+from synthetic.renderer import SAMPLES, Renderer, opengl
+from synthetic.image_sensor import expose
+from synthetic.recording_simulation import Simulation, carried, moved
+from vision.predict import State, facing, see
+from vision.targets import marker_map
+
+BLEND = 0.25  # px; pictures of a rolling shutter lie no farther apart than this, and rows are blended between two of them
+MOST = 33  # pictures for one exposure of a rolling shutter
+
+
+@dataclass(frozen=True, slots=True)
+class Images:
+    """sensor : Sensor; background : "plain" or "cluttered"; compression : of the PNG, 0..9; processes : 0 for one per core."""
+
+    sensor: Sensor
+    background: str = "plain"
+    compression: int = 1
+    processes: int = 0
+
+
+def render(simulation: Simulation, out: Path, images: Images, seed: int, progress: Callable[[int, int], None] | None = None) -> None:
+    """Draw every image of a simulation into out/images. seed : of the noise, the same for any number of processes.
+
+    Raises MissingLibrary where there is no OpenGL, RigError for an effect that the renderer cannot draw
+    """
+    check_drawable(simulation.world.effects)
+    opengl()
+    world, plan = simulation.world, simulation.plan
+    for camera in world.true.cameras:
+        (out / "images" / camera.name).mkdir(parents=True, exist_ok=True)
+    # camera by camera, since a process that changes camera makes a new framebuffer
+    work = [(f, i) for i in range(len(world.true.cameras)) for f in range(len(plan.t))]
+    there = None if images.processes else dask_cluster.at_work()
+    if there is not None:
+        there.map(partial(_draw_there, simulation, out, images, seed), work, progress)
+        return
+    count = min(images.processes or cores(), len(work))
+    if count <= 1:
+        _start(simulation, out, images, seed)
+        for done, item in enumerate(work, 1):
+            _draw(item)
+            if progress:
+                progress(done, len(work))
+        _state.pop("renderer").close()
+        return
+    before = os.environ.get("LP_NUM_THREADS")
+    os.environ["LP_NUM_THREADS"] = "1"  # each process draws with one thread
+    try:
+        done_by(count, "spawn", _draw, work, progress, _start, (simulation, out, images, seed))
+    finally:
+        os.environ.pop("LP_NUM_THREADS") if before is None else os.environ.update(LP_NUM_THREADS=before)
+
+
+def check_drawable(effects: Iterable[Effect]) -> None:
+    """Raise RigError for effects that act on corners alone and that a picture cannot show."""
+    for effect in effects:
+        if not drawable(type(effect)):
+            raise RigError(f"{effect.name} is not drawn into images, only into corners: simulate with --corners")
+
+
+def drawable(kind: type[Effect]) -> bool:
+    """Whether a picture can show an effect of a class: it does not act on corners alone."""
+    return kind.bend is Effect.bend and kind.print_ is Effect.print_
+
+
+_state: dict[str, Any] = {}  # of a drawing process: what it was started with
+_painter: list[ThreadPoolExecutor] = []  # of a worker of a cluster: the one thread that draws
+_opening = threading.Lock()
+
+
+def _start(simulation: Simulation, out: Path | None, images: Images, seed: int) -> None:
+    _state.clear()
+    _state.update(simulation=simulation, out=out, images=images, seed=seed)
+
+
+def _draw_there(simulation: Simulation, out: Path, images: Images, seed: int, item: tuple[int, int]) -> None:
+    """`_draw` by a worker of a cluster, whatever that has drawn before. OpenGL belongs to the thread that began it, so that one draws all."""
+    def draw() -> None:
+        if _state.get("out") != out:
+            if "renderer" in _state:
+                _state.pop("renderer").close()
+            os.environ["LP_NUM_THREADS"] = "1"
+            _start(simulation, out, images, seed)
+        _draw(item)
+
+    with _opening:
+        if not _painter:
+            _painter.append(ThreadPoolExecutor(1))
+    _painter[0].submit(draw).result()
+
+
+def _prepare() -> None:
+    """Make this process's scene, renderer and poses; here and not at its start, so that what fails is told to the caller."""
+    simulation, images, seed = _state["simulation"], _state["images"], _state["seed"]
+    design = simulation.world.true
+    for effect in simulation.world.effects:
+        design = replace(design, cameras=tuple(effect.camera(camera) for camera in design.cameras))
+    markers = marker_map(design)
+    for effect in simulation.world.effects:
+        markers = effect.attach(markers)
+    parts = rig_meshes.parts(design, images.background, np.random.default_rng(seed), markers)
+    cv2.setNumThreads(1)
+    _state.update(design=design, renderer=Renderer(parts, design), exposures=_exposures())
+
+
+def _draw(item: tuple[int, int]) -> None:
+    """Draw and write the image of (frame, camera index)."""
+    f, i = item
+    if "renderer" not in _state:
+        _prepare()
+    images, camera = _state["images"], _state["design"].cameras[i]
+    image = _exposed(f, i, images.sensor)
+    path = _state["out"] / "images" / camera.name / f"{f:05d}.png"
+    write_bytes(path, cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, images.compression])[1].tobytes())
+
+
+def _exposed(f: int, i: int, sensor: Sensor) -> np.ndarray:
+    """The image of (frame, camera index) by a sensor."""
+    seed, exposures = _state["seed"], _state["exposures"]
+    rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
+    pictures = [_picture(_state["design"].cameras[i], i, f, shift, [T[f] for T in stages]) for shift, stages in exposures]
+    radiance = sum(pictures[1:], pictures[0]) / np.float32(len(exposures))
+    return expose(radiance, sensor, rng, SAMPLES)
+
+
+def picture(simulation: Simulation, f: int, i: int, images: Images, seed: int) -> np.ndarray:
+    """The image, uint8 or uint16 (12 bits), of frame f by camera i, drawn in this process, whose scene is made once for a world.
+
+    simulation : Simulation, possibly another of the same world each time; images : Images; seed : of the noise
+    Raises what `render` raises
+    """
+    if "renderer" in _state and _state["simulation"].world is not simulation.world:
+        _state.pop("renderer").close()
+    if "renderer" not in _state:
+        check_drawable(simulation.world.effects)
+        _start(simulation, None, images, seed)
+        _prepare()
+    _state.update(simulation=simulation, images=images, seed=seed)
+    _state["exposures"] = _exposures()  # of this simulation, so it has to stand there
+    return _exposed(f, i, images.sensor)
+
+
+def _exposures() -> list[tuple[float, list[RigidTransform]]]:
+    """[(s before or after the middle of the exposure, where what moves stands at all frames)] of the pictures that make an image."""
+    simulation, shifts = _state["simulation"], _sub_exposures(_state["images"].sensor)
+    return [(shift, moved(simulation.run) if shift == 0 else simulation.at_times(simulation.plan.t + shift)) for shift in shifts]
+
+
+def _sub_exposures(sensor: Sensor) -> list[float]:
+    """Seconds before and after the middle of the exposure at which pictures are taken and averaged."""
+    if sensor.exposure <= 0 or sensor.exposures <= 1:
+        return [0.0]
+    return (((np.arange(sensor.exposures) + 0.5) / sensor.exposures - 0.5) * sensor.exposure).tolist()
+
+
+def _picture(camera: Camera, i: int, f: int, shift: float, stages: list[RigidTransform]) -> np.ndarray:
+    """Radiance seen by a camera, the exposure shifted (s), what moves at stages; rows of a rolling shutter at their own times."""
+    s = _state["simulation"]
+    t = s.plan.t[f] + shift
+    row_time = _row_time(camera, s.world.effects)
+    if not row_time:
+        return _view(camera, t, stages)
+    first, last = -camera.height / 2 * row_time, (camera.height / 2 - 1) * row_time
+    steps = min(MOST, 1 + int(np.ceil(_travel(i, s.at_times(np.array([t + first, t + last]))[-1]) / BLEND)))
+    if steps == 1:
+        return _view(camera, t, stages)
+    moments = t + np.linspace(first, last, steps)
+    poses = s.at_times(moments)
+    pictures = np.stack([_view(camera, moment, [T[k] for T in poses]) for k, moment in enumerate(moments)])
+    rows = np.arange(camera.height * SAMPLES)
+    place = (rows // SAMPLES) / max(camera.height - 1, 1) * (steps - 1)
+    low = np.minimum(place.astype(int), steps - 2)
+    share = (place - low).astype(np.float32)[:, None]
+    return (1 - share) * pictures[low, rows] + share * pictures[low + 1, rows]
+
+
+def _row_time(camera: Camera, effects: Iterable[Effect]) -> float:
+    """s from one row to the next, as stated and by effects."""
+    stated = camera.row_time if camera.shutter == "rolling" else 0.0
+    return stated + sum((float(effect.late(camera, np.array(camera.height / 2 + 1.0))) for effect in effects), 0.0)
+
+
+def _view(camera: Camera, t: float, stages: list[RigidTransform]) -> np.ndarray:
+    """Radiance seen by a camera at time t (s), its mount and focal length as the effects have them then."""
+    sensors = _state["simulation"].sensors
+
+    def channel(*names: str) -> np.ndarray:
+        return np.array([sensors.at([t], *names)[0]])
+
+    mount, focal = np.zeros(6), 1.0
+    for effect in _state["simulation"].world.effects:
+        mount = mount + effect.mount(camera, np.array([t]), channel)[0]
+        focal *= float(effect.focal(camera, np.array([t]), channel)[0])
+    return _state["renderer"].draw(camera.name, stages[-1], mount if mount.any() else None, focal, stages[:-1])
+
+
+def _travel(i: int, T: RigidTransform) -> float:
+    """px that the fastest corner in view of camera i moves between two poses (2,)."""
+    design = _state["design"]
+    state, markers = State(design.cameras, T, carried(design.cameras, T)), marker_map(design)
+    found = facing(state, markers)
+    found = found.take((found.camera == i) & (found.frame == 0))
+    if not len(found.frame):
+        return 0.0
+    later = replace(found, frame=np.ones_like(found.frame))
+    return float(np.abs(see(later, state, markers) - see(found, state, markers)).max())

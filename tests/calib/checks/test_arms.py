@@ -1,0 +1,28 @@
+"""Arms that are as they are: a hand that stays level and zeros a tenth of a radian off are no mistakes; a joint that turns the other way is one."""
+
+import numpy as np
+import pytest
+
+from calib.checks.arm_angles_and_poses import look
+from calib.samples.pose_samples import Samples
+from rig.recording import recording_folder
+from tests.calib import arm_worlds
+from tests.calib.models.arm.test_instrument_placement import SIGMA, case
+
+
+def written(folder, seed, spoil=None):
+    nominal, _, q, seen, _ = case(seed)
+    m = len(q)
+    samples = Samples(np.arange(m), np.arange(m) * 10.0, q if spoil is None else q * spoil, seen.value, seen.covariance, np.zeros((m, 6, 0)))
+    arm_worlds.write(folder, nominal, samples, sigma=SIGMA)
+    return recording_folder.load(folder)
+
+
+@pytest.mark.parametrize("seed", [0, 4])  # a level hand; all joints move
+def test_zeros_off_and_a_level_hand_are_no_mistakes(tmp_path, seed):
+    assert look(written(tmp_path / "rec", seed)) == ()
+
+
+def test_a_joint_that_turns_the_other_way_is_one_still(tmp_path):
+    found = look(written(tmp_path / "rec", 4, np.array([1, 1, -1, 1, 1, 1, 1])))
+    assert found and found[0].spoils

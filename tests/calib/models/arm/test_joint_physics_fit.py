@@ -1,0 +1,163 @@
+"""Physics in an arm's calibration: whatever moves its joints or its hand is undone by commands, and what was found of it is sure as it says."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from calib.files import calibration_file
+from calib.models.arm import error_model
+from calib.models.arm.certification import start_of
+from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.instrument_observations import of_samples
+from calib.models.arm.joint_physics_fit import Beforehand, History, together
+from calib.certify.calibration import Calibration
+from calib.models.wanted_pose_commands import command
+from calib.correct.physics import Physics
+from calib.correct.pose_route import Pace
+from calib.samples.recording_samples import sample_recording
+from rig.formats.rig_toml import design_file
+from rig.model import motion_simulation
+from rig.planning import plan
+from rig.recording import recording_folder
+from rig.planning.layout import shipped_arms
+from rig.cli.command_line import main
+from rig.planning.configuration_sets import low_discrepancy
+from rig.effects.framework.fit_coordinates import coordinates_of
+from rig.effects.texts.effect_text import parse
+from rig.model.pose import difference
+from rig.recording.recording_folder import Poses, Sensors
+from rig.recording.recording_tables import write_poses
+from synthetic import recording_simulation, secret_machine
+
+MOVING = ("backlash:joint 2:gap=4e-4", "hysteresis:joint 2:range=0.5,weight=0.001", "cyclic_error:joint 2:amplitude=3e-4,order=40,phase=0.5",
+          "transmission_error:joint 1:profile=0/4e-4/-3e-4/1e-4", "servo_lag:joint 1:time_constant=0.02", "scale_error:joint 1:scale=4e-4",
+          "creep:rig:fraction=0.002,time_constant=30", "axis_coupling:joint 2:scale=3e-4,other=1", "thermal_expansion:rig:coefficient=2e-5")
+SAG = "compliance:joint 2:moments=" + "/".join(["0", "3e-5", "2e-5", "0"] * 2 + ["0"] * 16)  # a horizontal arm's joints carry no weight
+GAP = "backlash:joint 2:gap=4e-4"
+
+
+def arm_named(tmp_path, name):
+    (tmp_path / "rig.toml").write_text(shipped_arms.design(name))
+    return design_file.load(tmp_path / "rig.toml")
+
+
+def known_to_be(design, *effects):
+    """Calibration of an arm that is as stated, but for effects."""
+    m, n = design.mechanism, len(coordinates_of(effects))
+    physics = Physics(effects, 1e-12 * np.eye(n), np.zeros((12 + 5 * len(m.joints), n)), design.gravity, design.actuator, design.platform,
+                      {"ambient_temperature_C": (21.0, 1.0)})
+    visited = low_discrepancy(m.limits, 40, 0.7, 5)
+    return Calibration(ArmCorrection(m, m, (None,) * len(m.joints), visited), 1e-14 * np.eye(12 + 5 * len(m.joints)), np.zeros(6), (), (), None, {},
+                       None, physics)
+
+
+@pytest.mark.parametrize(("name", "text"), [("puma560", text) for text in (*MOVING, SAG)] + [("scara", text) for text in MOVING])
+def test_whatever_moves_the_arm_is_undone(tmp_path, name, text):
+    design = arm_named(tmp_path, name)
+    calibration = known_to_be(design, parse(text), parse("scale_error:joint 1:scale=1e-4"))
+    m, count = design.mechanism, 8
+    T = error_model.predicted(low_discrepancy(m.limits, count, 0.6, 3), m)
+    t = 60 + 40.0 * np.arange(count)
+    warm = Sensors(np.array([0.0, 500.0]), {"ambient_temperature_C": np.array([20.0, 27.0])})
+    done = command(calibration, T, np.zeros(len(m.joints)), Pace(t, 0.0, 0.5, None), warm)
+    run = motion_simulation.run(design, done.route.commands(done.values), t, calibration.physics.effects, warm)
+    rest = difference(run.T_base_platform, T)
+    atol = 1e-8 if name == "puma560" else 2e-5  # what a growing link leaves to four joints is no joint's to undo
+    assert np.abs(rest[:, :3]).max() < 1e-8 and np.abs(rest[:, 3:]).max() < atol
+    plain = calibration.correction.inverse_without_physics(T)
+    bare = motion_simulation.run(design, done.route.commands(plain), t, calibration.physics.effects, warm)
+    assert np.abs(difference(bare.T_base_platform, T)).max() > 1e-5
+    np.testing.assert_allclose(done.T_base_platform.as_matrix(), T.as_matrix(), atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    """(Recording of a SCARA whose second joint has play, its secret)."""
+    at = tmp_path_factory.mktemp("scara")
+    design, rng = arm_named(at, "scara"), np.random.default_rng(3)
+    secret = secret_machine.draw(design, rng, 1.0, (parse(GAP),))
+    recording_simulation.write(
+        recording_simulation.simulate(secret, plan.build(design, "sobol:70", 3), rng), at / "rec", shipped_arms.design("scara"), rng
+    )
+    return recording_folder.load(at / "rec"), secret
+
+
+def fitted(read, effects, before=None, rows=slice(None)):
+    """Together of a recording's samples, from rough effects on."""
+    sampled = sample_recording(read)
+    samples = sampled.samples.take(np.arange(len(sampled.samples))[rows])
+    start = start_of(of_samples(samples), read.design.mechanism, sampled.instrument)
+    return together(samples, History(read.design, read.commands, read.sensors), start, effects, before)
+
+
+def test_a_gap_is_found_as_sure_as_it_says_whatever_it_starts_from(played):
+    read, _ = played
+    found = [fitted(read, (parse(f"backlash:joint 2:gap={gap}"),)) for gap in (1e-5, 9e-4)]
+    sigma = np.sqrt(found[0].own[0, 0])
+    assert 1e-6 < sigma < 3e-5 and abs(found[0].effects[0].gap - 4e-4) < 3 * sigma
+    assert found[0].effects[0].gap == pytest.approx(found[1].effects[0].gap, abs=0.02 * sigma)
+    sure = fitted(read, (parse(GAP),), Beforehand(np.array([3e-4]), np.array([sigma])))
+    between = (found[0].effects[0].gap + 3e-4) / 2  # as sure of the one as of the other
+    assert sure.effects[0].gap == pytest.approx(between, abs=0.05 * sigma) and sure.own[0, 0] == pytest.approx(sigma**2 / 2, rel=0.05)
+
+
+def test_what_is_held_out_says_nothing_of_the_gap(played):
+    """Held-out poses are poisoned: the gap that foretells them is found without."""
+    read, _ = played
+    found = fitted(read, (parse(GAP),))
+    held = np.arange(len(found.measured)) % 3 == 0
+    moved = found.measured.T_base_platform.as_matrix()
+    moved[held, :3, 3] += 0.05
+    spoilt = replace(found, measured=replace(found.measured, T_base_platform=RigidTransform.from_matrix(moved)))
+    np.testing.assert_allclose(spoilt.without(held).known, found.without(held).known, atol=1e-12)
+    assert np.abs(found.without(held).known - found.samples.known).max() > 1e-7
+
+
+def drives(tmp_path, capsys, name, effects, without=(), another=False):
+    """{"c", "plain"}: what `rig verify --wanted --json` says of poses that an arm was told to take, with the physics found and without.
+
+    without : how lines begin that its rig.toml lacks; another : whether another recording than the one calibrated was diagnosed
+    """
+    rig, truth = tmp_path / "rig.toml", tmp_path / "truth.json"
+    text = shipped_arms.design(name)
+    rig.write_text("\n".join(line for line in text.splitlines() if not (without and line.startswith(without))) + "\n")
+
+    def said(*words):
+        assert main([str(word) for word in words]) == 0, capsys.readouterr().err
+        return capsys.readouterr().out
+
+    options = [word for effect in effects for word in ("--effect", effect)]
+    said("simulate", rig, "--plan", "sobol:120", *options, "--seed", "3", "--out", tmp_path / "rec", "--truth", truth)
+    said("diagnose", tmp_path / "rec", "--out", tmp_path / "d")
+    if another:
+        said("simulate", rig, "--machine", truth, "--plan", "sobol:100", "--seed", "9", "--out", tmp_path / "rec", "--force")
+    told = said("calibrate", tmp_path / "rec", "--diagnosis", tmp_path / "d", "--out", tmp_path / "c.json")
+    assert "beyond the geometry: the physics that was found" in told and "undone by commands: " in told
+    said("calibrate", tmp_path / "rec", "--out", tmp_path / "plain.json")
+    known = calibration_file.load(tmp_path / "c.json").correction
+    ends = np.stack([known.visited.min(axis=0), known.visited.max(axis=0)], axis=1)
+    write_poses(tmp_path / "w.csv", Poses(np.arange(60), error_model.predicted(low_discrepancy(ends, 60, 0.7, 17), known.fitted), None))
+    out = {}
+    for way in ("c", "plain"):
+        said("correct", tmp_path / f"{way}.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / f"{way}.csv")
+        said("simulate", rig, "--machine", truth, "--plan", f"commands:{tmp_path / f'{way}.csv'}", "--seed", "11", "--out", tmp_path / f"drive-{way}")
+        taken = tmp_path / f"{way}.poses.csv"
+        out[way] = json.loads(said("verify", tmp_path / f"{way}.json", tmp_path / f"drive-{way}", "--wanted", taken if taken.exists() else
+                                   tmp_path / "w.csv", "--json"))["wanted"]
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "effects", "without", "another"), [
+    ("puma560", ("hysteresis:joint 2:range=0.5,weight=0.001", "cyclic_error:joint 3:amplitude=3e-4,order=3,phase=0.5"), (), False),
+    ("puma560", (SAG, "transmission_error:joint 4:profile=0/4e-4/-3e-4/1e-4/-2e-4"), (), True),
+    ("scara", ("backlash:joint 2:gap=1e-3",), ("rotation_sigma",), False)])
+def test_commands_undo_what_was_found_as_sure_as_they_say(tmp_path, capsys, name, effects, without, another):
+    """The bound is the stated uncertainty, the instrument's own included; positions alone are measured of the last arm."""
+    judged = drives(tmp_path, capsys, name, effects, without, another)
+    with_physics, plain = (judged[way]["position"]["rms"] for way in ("c", "plain"))
+    assert 0.8 < with_physics / judged["c"]["stated_uncertainty"]["position"] < 1.2
+    assert plain > 1.5 * with_physics

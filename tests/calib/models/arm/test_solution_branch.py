@@ -1,0 +1,57 @@
+"""Which joint solution an arm's command takes: the same in whatever frame poses are given, and the same elbow for the owner's model as corrected."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.models.arm import error_model
+from calib.models.arm.certification import calibrate
+from rig.errors import Unreachable
+from rig.model.mechanisms import arm as mechanism
+from rig.model.pose import difference, pose
+from tests.calib import arm_worlds as worlds
+from tests.rig.arms import SEVEN, UR10
+
+ELSEWHERE = pose([0.3, 2.0, -1.0], [0.3, -1.1, 0.8])
+
+
+def drawn(arm, seed, count=30, deviation=None):
+    """(Samples of a secret arm, poses (80,) that its joints can take, away from a stretched elbow and wrist)."""
+    rng = np.random.default_rng(seed)
+    true = worlds.secret(arm, rng)
+    samples = worlds.tracked(true, arm, count, rng, deviation=deviation)
+    q = worlds.configurations_of(arm, 200, rng)
+    bent = (np.abs(np.sin(q[:, 2])) > 0.2) & (np.abs(np.sin(q[:, 4])) > 0.2)
+    return samples, error_model.predicted(q[bent][:80], true)
+
+
+@pytest.mark.parametrize(("arm", "seed"), [(UR10, 5), (UR10, 8), (SEVEN, 3), (SEVEN, 5)])
+def test_the_tracker_elsewhere_changes_no_command(arm, seed):
+    samples, wanted = drawn(arm, seed)
+    here, _ = calibrate(samples, arm, worlds.TRACKER, False)
+    there, _ = calibrate(replace(samples, T_base_platform=ELSEWHERE * samples.T_base_platform), arm, worlds.TRACKER, False)
+    commands = here.inverse(wanted)
+    np.testing.assert_allclose(there.inverse(ELSEWHERE * wanted), commands, atol=1e-8)
+    assert np.abs(difference(here.predict(commands), wanted)).max() < 1e-10
+
+
+def test_the_single_step_is_on_the_elbow_of_the_fixed_point_and_no_whole_turn_is_counted():
+    samples, wanted = drawn(UR10, 0, 60, lambda q: 2e-3 * np.sin(q))
+    correction, _ = calibrate(samples, UR10, worlds.TRACKER, False)
+    try:
+        step = correction.single_step(wanted)
+    except Unreachable as error:  # beyond the owner's reach by micrometres
+        wanted = wanted[np.setdiff1d(np.arange(len(wanted)), error.index)]
+        step = correction.single_step(wanted)
+    off = correction.missed(wanted, step)
+    assert 1e-6 < np.nanmax(np.abs(off)) < 0.1
+    np.testing.assert_allclose(correction.inverse(wanted), step - off, atol=1e-6)
+    turned = step + 2 * np.pi * (step < 0)
+    np.testing.assert_allclose(correction.missed(wanted, turned), off, atol=1e-6)
+
+
+def test_joint_values_are_apart_by_less_than_half_a_turn_and_slides_by_all_of_it():
+    arm = replace(UR10, slides=np.arange(6) == 2)
+    apart = mechanism.apart(np.array([3.1, 0.0, 7.0, 0.0, 0.0, 0.0]), np.array([-3.1, 0.0, 0.0, 0.0, 0.0, 6.0]), arm)
+    np.testing.assert_allclose(apart, [6.2 - 2 * np.pi, 0, 7.0, 0, 0, 2 * np.pi - 6.0])

@@ -1,0 +1,106 @@
+"""Commands for wanted poses: the library gives those of the command line, leaves no known physics out, and states how sure each pose is."""
+
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+import calib
+from calib.files import calibration_file
+from calib.models.chain import error_model as chains
+from calib.models.platform.identification import parameters
+from calib.models.arm.correction import ArmCorrection
+from calib.certify.calibration import Calibration
+from calib.correct.correction import Correction
+from calib.correct.physics import Physics
+from calib.models.corrected_pose_covariance import pose_covariance
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout, two_strut_layout, shipped_arms
+from rig.model import mechanisms
+from rig.recording import recording_folder
+from rig.formats import csv_table
+from rig.planning.configuration_sets import low_discrepancy
+from rig.effects.framework.fit_coordinates import coordinates_of
+from rig.effects.texts.effect_text import parse
+from rig.errors import FileError, RigError, Unreachable
+from rig.recording.corner_and_pose_tables import Poses
+from rig.recording.recording_folder import Sensors
+from rig.recording.recording_tables import write_poses
+from tests import chained
+from tests.cli import command
+
+def designed(folder, kind):
+    """Design of a machine of a kind."""
+    if kind == "chain":
+        return chained.written(folder)
+    text = shipped_arms.design("puma560") if kind == "arm" else hexapod_layout.layout(0.3) if kind == "hexapod" else two_strut_layout.layout(0.3)
+    (folder / "rig.toml").write_text(text)
+    return design_file.load(folder / "rig.toml")
+
+
+def calibrated(design, *effects):
+    """Calibration of a machine as stated, a little unsure, but for effects."""
+    m = design.mechanism
+    kind, count = m.kind, len(m.axes)
+    known = None
+    p = 12 + 5 * count if kind == "arm" else len(chains.prior(m)) if kind == "chain" else len(parameters(m))
+    if effects:
+        n = len(coordinates_of(effects))
+        known = Physics(effects, 1e-12 * np.eye(n), np.zeros((p, n)), design.gravity, design.actuator, design.platform,
+                        {name: (21.0, 1.0) for name in ("ambient_temperature_C", *(f"strut{k}_temperature_C" for k in range(1, 7)))})
+    none = (None,) * count
+    correction = ArmCorrection(m, m, none, low_discrepancy(m.limits, 40, 0.7, 5)) if kind == "arm" else Correction(m, m, none)
+    scatter = np.repeat([2e-6, 1e-5], 3) if kind in ("arm", "chain") else np.full(count, 3e-6)
+    return Calibration(correction, 1e-12 * np.eye(p), scatter, (1,), (), None, {"seed": 0}, None, known)
+
+
+def wanted_of(design, count=6):
+    m = design.mechanism
+    return mechanisms.of(m).forward(low_discrepancy(mechanisms.of(m).travel(m), count, 0.5, 3), m)
+
+
+@pytest.mark.parametrize(("kind", "effects"), [("hexapod", ("backlash:strut3:gap=1e-4", "thermal_expansion:rig:coefficient=2e-5")),
+                                               ("arm", ("backlash:joint 2:gap=4e-4", "scale_error:joint 1:scale=4e-4"))])
+def test_the_library_commands_what_the_command_line_does_and_refuses_to_leave_physics_out(tmp_path, capsys, kind, effects):
+    design = designed(tmp_path, kind)
+    calibration, wanted = calibrated(design, *map(parse, effects)), wanted_of(design)
+    calibration_file.save(tmp_path / "c.json", calibration)
+    write_poses(tmp_path / "w.csv", Poses(np.arange(len(wanted)), wanted, None))
+    command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
+    given = csv_table.read(tmp_path / "k.csv", ("frame", *design.mechanism.axes)).matrix(design.mechanism.axes)
+    again = calibration_file.load(tmp_path / "c.json")
+    done = calib.commanded(again, wanted)
+    np.testing.assert_allclose(done.values, given, atol=1e-9)
+    np.testing.assert_allclose(calib.commanded(again, wanted[0]).values, given[:1], atol=1e-9)
+    assert np.abs(again.correction.inverse_without_physics(wanted) - given).max() > 1e-5
+    for one in (again.correction.inverse, again.correction.single_step):
+        with pytest.raises(RigError, match=r"physics that commands have to undo \(.*backlash at .*calib\.commanded"):
+            one(wanted)
+    sensors = Sensors(np.array([0.0]), {name: np.array([25.0]) for name in calibration.physics.channels})
+    t = 100.0 * (1 + np.arange(len(wanted)))
+    timed = calib.commanded(again, wanted, t, sensors)
+    np.testing.assert_array_equal(timed.route.times, t)
+    with pytest.raises(Unreachable, match="pose 0"):
+        calib.commanded(again, RigidTransform.from_translation([9.0, 0, 0]) * wanted)
+
+
+@pytest.mark.parametrize("kind", ["hexapod", "planar2", "arm", "chain"])
+@pytest.mark.parametrize("timed", [False, True])
+def test_how_sure_each_pose_is_stands_beside_the_commands_of_every_machine(tmp_path, capsys, kind, timed):
+    design = designed(tmp_path, kind)
+    calibration, wanted = calibrated(design), wanted_of(design)
+    calibration_file.save(tmp_path / "c.json", calibration)
+    write_poses(tmp_path / "w.csv", Poses(np.arange(len(wanted)), wanted, None))
+    if timed:
+        rows = (tmp_path / "w.csv").read_text().splitlines()
+        (tmp_path / "w.csv").write_text("\n".join([rows[0] + ",t", *(f"{row},{60 * (k + 1)}" for k, row in enumerate(rows[1:]))]) + "\n")
+    said = command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
+    assert "stated standard uncertainty of the poses: 0.0" in said
+    stated = recording_folder.load_poses(tmp_path / "k.poses.csv", commanded=True)
+    done = calib.commanded(calibration, wanted)
+    np.testing.assert_allclose(stated.covariance, pose_covariance(calibration, wanted, done.values), rtol=1e-6, atol=1e-18)
+    np.testing.assert_allclose(stated.T_base_platform.as_matrix(), wanted.as_matrix(), atol=1e-9)
+    with pytest.raises(FileError, match="not positive definite") if kind == "planar2" else nullcontext():
+        recording_folder.load_poses(tmp_path / "k.poses.csv")
+    assert (np.trace(stated.covariance[:, :3, :3], axis1=1, axis2=2) > 1e-12).all()

@@ -1,0 +1,66 @@
+"""What a recording's design cannot separate is stated: direction, time, temperature and load as functions of place."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calib.samples.confounded_conditions import DIRECTION, LOAD, TIME, Confounds, of_design
+from rig.recording.recording_folder import PAYLOAD
+
+AXES = tuple(f"strut {i + 1}" for i in range(6))
+
+
+def _design(n: int = 40, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-0.02, 0.02, (n, 6)), rng.choice([-1.0, 1.0], (n, 6)), 10.0 * np.arange(n)
+
+
+def _causes(found: Confounds) -> set[tuple[str, str]]:
+    return {(row.cause, row.axis) for row in found.serious}
+
+
+def test_a_direction_that_is_the_half_of_the_stroke_is_a_confound_and_a_random_one_is_none() -> None:
+    values, direction, t = _design()
+    assert not of_design(values, direction, t, {}, AXES).serious
+    direction[:, 2:5] = np.sign(values[:, 2:5])
+    found = of_design(values, direction, t, {}, AXES)
+    assert _causes(found) == {(DIRECTION, axis) for axis in AXES[2:5]}
+    assert "100 % a function of place on struts 3-5: play and place cannot be separated" in found.line()
+    assert json.loads(json.dumps(found.tree()))["serious"] == [f"direction of approach on {axis}" for axis in AXES[2:5]]
+
+
+@pytest.mark.parametrize(("name", "cause"), [("t", TIME), ("strut_3_temperature_C", "strut_3_temperature_C"), (PAYLOAD, LOAD)])
+def test_what_goes_with_place_is_a_confound(name: str, cause: str) -> None:
+    values, direction, t = _design()
+    slope = 20.0 + 100.0 * values[:, 0]
+    channels = {} if name == "t" else {name: slope}
+    found = of_design(values, direction, 1e3 * slope if name == "t" else t, channels, AXES)
+    assert {row.cause for row in found.serious} == {cause}
+
+
+def test_a_serpentine_grid_confounds_time_and_direction() -> None:
+    levels = np.array(np.meshgrid(*[[-1.0, 1.0]] * 6, indexing="ij")).reshape(6, -1).T
+    found = of_design(levels, np.sign(levels), 5.0 * np.arange(len(levels)), {}, AXES)
+    assert {row.cause for row in found.serious} == {DIRECTION, TIME}
+
+
+def test_chance_is_no_confound_however_few_the_poses() -> None:
+    """Of 200 random designs of 12 to 60 poses at most one is confounded; the mean share is what is expected by chance."""
+    shares, chances, accused = [], [], 0
+    for seed in range(200):
+        found = of_design(*_design(12 + seed % 49, seed), {}, AXES)
+        accused += bool(found.serious)
+        shares += [row.share for row in found.rows]
+        chances += [row.chance for row in found.rows]
+    assert accused <= 1
+    assert np.mean(shares) == pytest.approx(np.mean(chances), abs=0.01)
+
+
+def test_what_never_varied_is_named_and_too_few_poses_state_nothing() -> None:
+    values, direction, t = _design()
+    direction[:, 0] = 1.0
+    found = of_design(values, direction, t, {PAYLOAD: np.zeros(40)}, AXES)
+    assert found.constant == (f"{DIRECTION} on strut 1", LOAD)
+    few = of_design(values[:4], direction[:4], t[:4], {}, AXES)
+    assert not few.rows and few.unjudged and "none can be estimated from 4 poses" in few.line()

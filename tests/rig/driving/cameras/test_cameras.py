@@ -1,0 +1,226 @@
+"""Cameras: fresh frames only, their times on the host's clock, whole files only."""
+
+import types
+
+import cv2
+import numpy as np
+import pytest
+
+from rig.driving.cameras import CameraError, open_source
+from rig.driving.cameras.emulated_camera import EmulatedSource
+from rig.driving.cameras.folder_camera import FolderSource
+from rig.driving.cameras.genicam_camera import GenicamSource
+from rig.driving.cameras.clock_offset import Offset
+from rig.driving.cameras.opencv_camera import VideoSource
+from rig.model.design import Camera
+from rig.errors import RigError
+from rig.model.pose import pose
+from tests.rig.ticking import SIZE, Ticking
+
+
+def camera(source=None):
+    return Camera("cam0", *SIZE, np.diag([30.0, 30, 1]), np.zeros(5), pose([0, 0, 0], [0, 0, 0]), source=source)
+
+
+class Capture:
+    """A free-running cv2.VideoCapture: a frame every 0.1 s, up to four wait; stamped by a clock that is `off` s behind, where it stamps."""
+
+    def __init__(self, clock, stamps, off=700.0):
+        self.clock, self.stamps, self.off, self.taken, self.released = clock, stamps, off, round(clock.t * 10) - 20, False
+
+    def grab(self):
+        self.taken = max(self.taken + 1, int(self.clock.t * 10) - 3)
+        self.clock.t = max(self.clock.t, self.taken / 10)
+        return True
+
+    def get(self, key):
+        return (self.taken / 10 - self.off) * 1e3 if self.stamps else 0.0
+
+    def retrieve(self):
+        return True, np.full((SIZE[1], SIZE[0]), self.taken % 256, np.uint8)
+
+    def set(self, key, value):
+        return True
+
+    def release(self):
+        self.released = True
+
+
+@pytest.mark.parametrize("stamps", [True, False])
+def test_a_video_frame_is_fresh_and_its_time_is_the_hosts(stamps):
+    clock = Ticking()
+    source = VideoSource("cam0", Capture(clock, stamps), clock, SIZE)
+    source.set_exposure(0.02)
+    for _ in range(6):
+        clock.sleep(1.234)
+        asked = clock.now()
+        frame = source.grab()
+        arrived = clock.now()
+        assert frame.image[0, 0] == round(arrived * 10) % 256, "the frame that came last, not one that waited"
+        assert asked <= frame.t <= arrived
+        assert abs(frame.t - (arrived - 0.01)) <= 2 * frame.t_sigma
+        assert frame.t_sigma < 0.06
+
+
+def test_a_video_camera_that_is_gone_or_of_another_size_is_named():
+    clock = Ticking()
+    capture = Capture(clock, True)
+    with pytest.raises(CameraError, match="'cam0' gives 32 x 24 px, but rig.toml has 24 x 32"):
+        VideoSource("cam0", capture, clock, SIZE[::-1]).grab()
+    capture.grab = lambda: False
+    with pytest.raises(CameraError, match="plugged in"):
+        VideoSource("cam0", capture, clock, SIZE).grab()
+
+
+READING = [
+    "v4l2src ! videoconvert ! appsink", "v4l2src device=/dev/video0 ! video/x-raw, width=1280, format=(string)BGR ! videoconvert ! appsink",
+    "rtspsrc location=rtsp://u:p@h/x?a=b latency=0 ! rtph264depay ! avdec_h264 ! queue ! appsink drop=true",
+    "nvarguscamerasrc ! video/x-raw(memory:NVMM),width=1280,framerate=30/1 ! nvvidconv ! appsink"]
+WRITING = [
+    "v4l2src ! filesink location={}", "v4l2src ! tee name=t ! appsink t. ! filesink location={}", "v4l2src ! file://{}", "v4l2src ! video/x-raw",
+    "v4l2src ! appsink filesrc location=a ! filesink location={}", "playbin video-sink=filesink ! appsink", "appsink",
+    "v4l2src ! splitmuxsink location={} ! appsink", "camerabin location={} ! appsink", "v4l2src ! queue2 temp-template={} ! appsink",
+    "v4l2src name='a ! filesink location={} v4l2src ! appsink", "bin.( v4l2src ! filesink location={} ) ! appsink",
+    "v4l2src ! appsink t. ! filesink location={}"]
+
+
+def test_a_pipeline_opens_only_what_reads_decodes_and_converts(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr(cv2.videoio_registry, "getBackends", lambda: (cv2.CAP_GSTREAMER,))
+    closed = types.SimpleNamespace(isOpened=lambda: False, release=lambda: None)
+    monkeypatch.setattr(cv2, "VideoCapture", lambda place, kind: opened.append(place) or closed)
+    for text in WRITING:
+        with pytest.raises(CameraError, match="'cam0': gstreamer:.*(may write|must end in appsink|no setting|images come from)"):
+            open_source(camera("gstreamer:" + text.format(tmp_path / "written")), Ticking())
+    assert not opened
+    for text in READING:
+        with pytest.raises(CameraError, match="cannot be opened"):
+            open_source(camera(f"gstreamer:{text}"), Ticking())
+    assert opened == READING
+
+
+def test_a_device_that_is_not_there_is_said(tmp_path):
+    with pytest.raises(CameraError, match="cannot be opened"):
+        open_source(camera(f"uvc:{tmp_path}/video9"), Ticking())
+    with pytest.raises(CameraError, match="has no source"):
+        open_source(camera(), Ticking())
+
+
+def test_offset_narrows_drifts_and_sees_a_clock_set_anew():
+    rng, offset = np.random.default_rng(2), Offset()
+    t, true = 100.0, 37.25
+    for _ in range(50):
+        before, latency = t, rng.uniform(0.001, 0.03, 2)
+        offset.learn(before, before + latency[0] - true, before + latency.sum())
+        t += 1.0
+    at, sigma = offset.host(500.0, t)
+    assert abs(at - (500.0 + true)) < 2 * sigma and sigma < 2e-3
+    assert offset.host(500.0, t + 1000)[1] > 0.05, "what was known of two clocks wears out"
+    offset.learn(t, t - 5.0, t + 0.01)
+    assert offset.restarts == 1 and offset.host(t - 5.0, t)[0] == pytest.approx(t, abs=0.011)
+    with pytest.raises(RigError, match="backwards"):
+        offset.learn(2.0, 0.0, 1.0)
+
+
+class Node:
+    def __init__(self, value=None, run=None):
+        self.value, self.min, self.max, self.execute = value, 10.0, 1e5, run
+
+
+def genicam(clock, data_format="Mono12", off=250.0, latency=0.004):
+    """A harvesters ImageAcquirer that isn't there: stamps its exposures by a clock that is `off` s behind."""
+    nodes = types.SimpleNamespace(ExposureTime=Node(5000.0), TriggerMode=Node(), TriggerSource=Node(), ExposureAuto=Node())
+    acquirer = types.SimpleNamespace(remote_device=types.SimpleNamespace(node_map=nodes), started=False)
+    exposed = []
+
+    def trigger():
+        clock.sleep(latency)
+        exposed.append(clock.now())
+        clock.sleep(0.001)
+
+    class Buffer:
+        timestamp_ns = 0
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            self.payload.components[0].data[:] = 0  # the producer takes it back
+
+    def fetch(timeout):
+        if not exposed:
+            raise TimeoutError("no buffer")
+        clock.sleep(0.02)
+        buffer = Buffer()
+        buffer.timestamp_ns = int((exposed[-1] - off) * 1e9)
+        data = np.full(SIZE[0] * SIZE[1], 4095 if data_format != "Mono8" else 255, np.uint16)
+        buffer.payload = types.SimpleNamespace(components=[types.SimpleNamespace(width=SIZE[0], height=SIZE[1], data_format=data_format, data=data)])
+        return buffer
+
+    nodes.TriggerSoftware = Node(run=trigger)
+    acquirer.start, acquirer.stop, acquirer.destroy, acquirer.fetch = (lambda: None), (lambda: None), (lambda: None), fetch
+    return acquirer, nodes, exposed
+
+
+def test_a_genicam_camera_is_triggered_and_its_stamp_brought_to_the_host():
+    clock = Ticking()
+    acquirer, nodes, exposed = genicam(clock)
+    source = GenicamSource("cam0", acquirer, clock, SIZE)
+    assert nodes.TriggerMode.value == "On" and nodes.TriggerSource.value == "Software" and nodes.ExposureAuto.value == "Off"
+    assert source.set_exposure(0.002) == pytest.approx(0.002) and source.set_exposure(9.0) == pytest.approx(0.1)
+    source.set_exposure(0.01)
+    for _ in range(4):
+        clock.sleep(0.5)
+        frame = source.grab()
+        assert abs(frame.t - (exposed[-1] + 0.005)) <= 2 * frame.t_sigma < 0.04
+        assert frame.image.dtype == np.uint16 and frame.image.max() == 65520 and frame.image.shape == SIZE[::-1]
+    nodes.TimestampLatch = Node(run=lambda: setattr(nodes, "TimestampLatchValue", Node((clock.now() - 250.0) * 1e9)))
+    nodes.TimestampLatchValue = Node(0)
+    sharper = source.grab()
+    assert sharper.t_sigma < 1e-3 and abs(sharper.t - (exposed[-1] + 0.005)) < 3e-3
+
+
+def test_a_genicam_camera_that_is_silent_or_packs_its_pixels_is_named():
+    clock = Ticking()
+    acquirer, _, _ = genicam(clock, "Mono12p")
+    with pytest.raises(CameraError, match="Mono12p"):
+        GenicamSource("cam0", acquirer, clock, SIZE).grab()
+    acquirer.fetch = lambda timeout: None
+    with pytest.raises(CameraError, match="gave no image in 5 s"):
+        GenicamSource("cam0", acquirer, clock, SIZE).grab()
+
+
+def png(value):
+    return cv2.imencode(".png", np.full(SIZE[::-1], value, np.uint8))[1].tobytes()
+
+
+def test_a_watched_folder_gives_whole_files_that_came_after_asking(tmp_path):
+    clock = Ticking()
+    (tmp_path / "old.png").write_bytes(png(1))
+    source = FolderSource(camera(), tmp_path, clock)
+    (tmp_path / "unasked.png").write_bytes(png(2))
+    whole = png(7)
+    clock.due = [(1000.5, lambda: (tmp_path / "new.png").write_bytes(whole[:40])), (1000.6, lambda: (tmp_path / "new.png").write_bytes(whole[:-5])),
+                 (1000.7, lambda: (tmp_path / "new.png").write_bytes(whole))]
+    frame = source.grab()
+    assert frame.image[0, 0] == 7 and 1000.7 <= clock.now() < 1000.8
+    assert abs(frame.t - 1000.25) < 0.02 and frame.t_sigma == pytest.approx(0.5 / 12**0.5, abs=0.02)
+    raw = cv2.imencode(".bmp", np.full(SIZE[::-1], 9, np.uint8))[1].tobytes()  # has no end mark: it must stop growing
+    start = clock.now()
+    clock.due = [(start + 0.1 * k, lambda k=k: (tmp_path / "b.bmp").write_bytes(raw[: len(raw) * k // 5])) for k in range(1, 6)]
+    assert source.grab().image[0, 0] == 9 and clock.now() >= start + 0.7
+    with pytest.raises(CameraError, match="no whole image appeared"):
+        source.grab()
+
+
+def test_a_watched_folder_refuses_another_size(tmp_path):
+    clock = Ticking()
+    source = FolderSource(camera(), tmp_path, clock)
+    clock.due = [(1000.1, lambda: (tmp_path / "a.png").write_bytes(cv2.imencode(".png", np.zeros((8, 8), np.uint8))[1].tobytes()))]
+    with pytest.raises(CameraError, match="8 x 8 px, but rig.toml has 32 x 24"):
+        source.grab()
+
+
+def test_an_emulators_camera_needs_an_emulator():
+    with pytest.raises(CameraError, match="rig emulate"):
+        EmulatedSource("cam0", "127.0.0.1:1", Ticking(), SIZE)

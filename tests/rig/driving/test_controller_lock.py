@@ -1,0 +1,152 @@
+"""One process drives a device, whoever it is and whatever its environment; whoever else may stop it."""
+
+import fcntl
+import os
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+
+import pytest
+
+from rig.driving import serial_port as ports
+from rig.driving.clock import SystemClock
+from rig.model.controller_settings import port_problem
+from rig.errors import LinkLost, RigError
+from rig.driving.controller_lock import Occupied, interrupt, lock_names
+from rig.driving.serial_port import SerialPort
+from tests.conftest import ROOT
+
+HOLD = ("import sys, signal\nfrom rig.driving.controller_lock import Occupied\nfrom rig.errors import RigError\n"
+        "def end(*_): raise KeyboardInterrupt\nsignal.signal(signal.SIGTERM, end)\n"
+        "try:\n    with Occupied(*sys.argv[1:]):\n        print('held', flush=True)\n        signal.pause()\n"
+        "except RigError as error:\n    print(error, flush=True)\nexcept KeyboardInterrupt:\n    print('ended', flush=True)\n")
+STOP = ("import sys\nfrom rig.driving.clock import SystemClock\nfrom rig.driving.controller_lock import interrupt\nfrom rig.errors import RigError\n"
+        "try:\n    print(interrupt(sys.argv[1], SystemClock(), 5.0), flush=True)\nexcept RigError as error:\n    print(error, flush=True)\n")
+ENVIRONMENTS = ({"XDG_RUNTIME_DIR": "/tmp"}, {}, {"XDG_RUNTIME_DIR": "/nowhere", "HOME": "/nowhere", "TMPDIR": "/nowhere"})
+NOBODY = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", "--inh-caps=-all"]
+
+
+@pytest.fixture
+def device():
+    """The path of a terminal that nobody drives."""
+    ends = os.openpty()
+    yield os.ttyname(ends[1])
+    for end in ends:
+        os.close(end)
+
+
+def python(code, *words, env=None, before=()):
+    whole = {"PYTHONPATH": str(ROOT), **(env or {})}
+    return subprocess.Popen([*before, sys.executable, "-c", code, *words], stdout=subprocess.PIPE, text=True, env=whole, cwd="/")
+
+
+def one_is_refused_and_stopped(device, link, *, users=((), (), ())):
+    first = python(HOLD, device, env=ENVIRONMENTS[0], before=users[0])
+    assert first.stdout.readline() == "held\n"
+    second = python(HOLD, str(link), env=ENVIRONMENTS[1], before=users[1])
+    refused = second.communicate()[0]
+    assert f"process {first.pid}" in refused and "is driving" in refused
+    assert python(STOP, str(link), env=ENVIRONMENTS[2], before=users[2]).communicate()[0] == f"{first.pid}\n"
+    assert first.communicate()[0] == "ended\n"
+
+
+def test_a_second_process_is_refused_whatever_its_environment_and_the_first_is_stopped_from_a_bare_one(device, tmp_path):
+    (tmp_path / "link").symlink_to(device)
+    one_is_refused_and_stopped(device, tmp_path / "link")
+
+
+@pytest.mark.slow
+def test_a_hundred_times_of_a_hundred(device, tmp_path):
+    (tmp_path / "link").symlink_to(device)
+    for _ in range(100):
+        one_is_refused_and_stopped(device, tmp_path / "link")
+
+
+@pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="takes root, to become somebody else")
+@pytest.mark.parametrize("users", [((), NOBODY, NOBODY), (NOBODY, (), ())])
+def test_users_are_refused_and_stopped_by_each_other(device, users):
+    if subprocess.run(
+        [*NOBODY, sys.executable, "-c", "import rig.driving.controller_lock"], capture_output=True, cwd="/", env={"PYTHONPATH": str(ROOT)}
+    ).returncode:
+        pytest.skip("this Python is out of other users' reach")
+    one_is_refused_and_stopped(device, device, users=users)
+
+
+def test_processes_that_begin_at_once_are_one(device):
+    several = [python(HOLD, device) for _ in range(5)]
+    try:
+        said = [process.stdout.readline() for process in several]
+        assert said.count("held\n") == 1 and sum("is driving" in line for line in said) == 4
+    finally:
+        for process in several:
+            process.kill()
+            process.communicate()
+    assert interrupt(device, SystemClock(), 0.0) is None
+
+
+def test_one_device_has_one_name_whatever_path_or_address_leads_there(device, tmp_path):
+    (tmp_path / "link").symlink_to(device)
+    assert lock_names(str(tmp_path / "link")) == lock_names(device)
+    assert set(lock_names("socket://localhost:5007")) & set(lock_names("socket://127.0.0.1:5007"))
+    assert not set(lock_names("socket://127.0.0.1:5007")) & set(lock_names("socket://127.0.0.1:5008"))
+    assert not set(lock_names(device)) & set(lock_names(device + "0"))
+
+
+def test_who_only_looks_stops_nobody_and_a_forked_child_holds_nothing(device):
+    with Occupied(device):
+        for _ in range(50):
+            with pytest.raises(RigError, match=f"process {os.getpid()} is driving"):
+                Occupied(device)
+        child = os.fork()
+        if not child:
+            signal.pause()
+    try:
+        Occupied(device).__exit__()
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+
+
+def test_a_killed_process_leaves_nothing(device):
+    first = python(HOLD, device)
+    assert first.stdout.readline() == "held\n"
+    first.kill()
+    first.communicate()
+    assert interrupt(device, SystemClock(), 0.0) is None
+    Occupied(device).__exit__()
+
+
+def test_an_open_device_is_locked_for_others_and_free_again(device, monkeypatch):
+    def exclusive():
+        return struct.unpack("i", fcntl.ioctl(other, 0x80045440, bytes(4)))[0]  # TIOCGEXCL
+
+    other = os.open(device, os.O_RDWR | os.O_NOCTTY)
+    port = SerialPort(device, 115200, SystemClock())
+    assert not exclusive(), "at a pseudo-terminal it would outlive a killed process"
+    with pytest.raises(LinkLost, match="cannot open"):
+        SerialPort(device, 115200, SystemClock())
+    port.close()
+    monkeypatch.setattr(ports, "PSEUDO_TERMINALS", ())
+    port = SerialPort(device, 115200, SystemClock())
+    assert exclusive()
+    port.close()
+    assert not exclusive()
+    os.close(other)
+
+
+@pytest.mark.parametrize("url", ["spy:///dev/null?file={}", "SPY://loop://?file={}", "alt:///dev/null?class=PosixPollSerial", "hwgrep://.*",
+                                 "cp2110://x", "file://{}", "://{}", "loop://\x1b[2J"])
+def test_a_port_of_another_scheme_is_refused_and_writes_nothing(url, tmp_path):
+    kept = tmp_path / "kept"
+    kept.write_text("kept")
+    assert "is no port" in port_problem(url.format(kept))
+    with pytest.raises(LinkLost, match="is no port"):
+        SerialPort(url.format(kept), 115200, SystemClock())
+    assert kept.read_text() == "kept"
+
+
+@pytest.mark.parametrize("url", ["/dev/ttyUSB0", "COM3", "/dev/serial/by-id/usb-1a86", "socket://grbl.local:23", "rfc2217://10.0.0.2:4000", "loop://"])
+def test_ports_are_what_they_were(url):
+    assert port_problem(url) is None

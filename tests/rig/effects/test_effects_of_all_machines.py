@@ -1,0 +1,184 @@
+"""The laws of effects over all mechanisms: what sits there changes nothing at zero, something finite when drawn; what cannot, says why."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rig.model import motion_simulation, mechanisms
+from rig.model.design import Actuator, Arm, Design, Planar2, Platform
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.framework.effect import MOTION_STAGES, Context
+from rig.effects.framework.effect_validity import check
+from rig.effects.framework.random_effects import Drawing
+from rig.effects.framework.machine_motion import Path
+from rig.effects.texts.effect_text import parse
+from rig.effects.catalogue.vibration import one_direction
+from rig.errors import RigError
+from rig.model.pose import difference
+from rig.recording.recording_folder import Commands, Sensors
+from tests.rig.arms import UR10
+
+KINDS = ("hexapod", "planar2", "arm")
+MOVING = [kind for kind in ALL if kind.stage in MOTION_STAGES]
+ALONE = {"screw_coupling": {"hexapod"}, "base_expansion": {"hexapod", "planar2"}}  # where not all mechanisms can have them
+
+
+def setting_of(design, kind):
+    """(design, Commands, t, Sensors) of a machine of a kind that moves to and fro, all logged that there is to log."""
+    gravity, platform = design.gravity, Platform(3.0, np.array([0.01, 0.0, 0.02]), np.zeros(3))
+    if kind == "planar2":
+        mechanism = Planar2([[0.0, 0.0], [1.0, 0.0]], [[0.6, 1.2], [0.6, 1.2]])
+        gravity = np.array([0.0, -9.80665, 0.0])
+    else:
+        mechanism = Arm(UR10.joints, [[-2.5, 2.5]] * 6) if kind == "arm" else design.mechanism
+    design = Design(kind, gravity, mechanism, None, Actuator(0.004, "cardan-cardan", None), platform, (), ())
+    low, high = mechanisms.of(mechanism).travel(mechanism).T
+    rng = np.random.default_rng(5)
+    t = np.cumsum(np.r_[0.0, rng.uniform(0.5, 4, 80)])
+    values = (low + high) / 2 + 0.6 * (high - low) / 2 * rng.uniform(-1, 1, (81, len(low)))
+    values[10:20] = values[10]
+    channels = {f"strut{i + 1}_temperature_C": np.array([20.0, 24.0]) for i in range(len(low))} if kind != "arm" else {}
+    sensors = Sensors(np.array([0.0, 1e3]), {"ambient_temperature_C": np.array([21.0, 25.0]), **channels})
+    return design, Commands(t, values), np.sort(rng.uniform(1, t[-1], 60)), sensors
+
+
+def context_of(setting):
+    design, commands, t, sensors = setting
+    T = motion_simulation.run(design, commands, t).T_base_platform
+    return Context(design, t, sensors, replace(motion_simulation.motion(design, commands, t, (), sensors), T=T))
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def there(request, design):
+    """(kind of mechanism, its setting, its Context)."""
+    setting = setting_of(design, request.param)
+    return request.param, setting, context_of(setting)
+
+
+def test_an_interface_is_kept_by_every_mechanism(there):
+    kind, (design, *_), context = there
+    module, m = mechanisms.of(design.mechanism), context.motion
+    assert mechanisms.places(design.mechanism) == tuple(f"{module.AXIS} {i + 1}" for i in range(len(m.home)))
+    power = module.loads(m.T, m.lengths, design.mechanism, np.zeros((60, 6)))
+    assert power.shape == m.lengths.shape and not power.any()
+
+
+@pytest.mark.parametrize("kind", MOVING, ids=lambda kind: kind.name)
+def test_zero_changes_nothing_and_a_drawn_one_something(there, kind):
+    mechanism, (design, commands, t, sensors), context = there
+    if mechanism not in ALONE.get(kind.name, KINDS):
+        with pytest.raises(RigError, match=f"{kind.name} takes"):
+            kind.sites(context)
+        return
+    clean = motion_simulation.run(design, commands, t, (), sensors).T_base_platform
+    rng = np.random.default_rng(1)
+    drawing = Drawing(design, t, context.motion, lambda effect, camera: 1.0)
+    for place in kind.sites(context)[-2:]:
+        zero = motion_simulation.run(design, commands, t, [_other(check(kind(place)), context)], sensors)
+        np.testing.assert_allclose(difference(zero.T_base_platform, clean), 0, atol=1e-9)
+        found = motion_simulation.run(design, commands, t, [check(kind.drawn(place, drawing, rng))], sensors)
+        moved = np.abs(difference(found.T_base_platform, clean))
+        assert moved.shape == (60, 6) and np.isfinite(moved).all() and 1e-9 < moved.max() < 0.5
+
+
+def _other(effect, context):
+    return replace(effect, other=2.0) if effect.place == context.motion.places[0] and hasattr(effect, "other") else effect
+
+
+@pytest.mark.parametrize("kind", MOVING, ids=lambda kind: kind.name)
+def test_columns_are_the_derivatives_of_the_model(there, kind):
+    """A candidate's columns times its coefficients are what its effect does."""
+    mechanism, (design, *_), context = there
+    if mechanism not in ALONE.get(kind.name, KINDS) or kind.stage == "command" or "frequency" in {p.role for p in kind.parameters}:
+        return
+    rng = np.random.default_rng(2)
+    for place in kind.sites(context)[-2:]:
+        for candidate in kind.candidates(place, context):
+            shape = candidate.grid[len(candidate.grid) // 2]
+            columns = candidate.deviation(shape, context.motion)
+            assert columns.shape == (*context.motion.lengths.shape, max(len(candidate.linear), 1))
+            coefficients = np.array([column.step for column in candidate.linear]) * rng.uniform(0.5, 2, len(candidate.linear))
+            effect = check(candidate.effect(shape, coefficients))
+            told = columns @ (coefficients if len(coefficients) else np.ones(1))
+            np.testing.assert_allclose(effect.deviation(context.motion), told, rtol=1e-6, atol=1e-3 * np.abs(told).max() * 1e-3)
+
+
+def test_covariates_are_drawn_for_every_axis(there):
+    mechanism, _, context = there
+    drawing = Drawing(context.design, context.t, context.motion, lambda effect, camera: 1.0)
+    for kind in MOVING:
+        if mechanism in ALONE.get(kind.name, KINDS):
+            shown = kind.drawn(kind.sites(context)[0], drawing, np.random.default_rng(3)).covariate(context.motion)
+            assert len(shown.values) == 60 and np.isfinite(shown.values).all() and "," in shown.label or "turn" in shown.label
+
+
+def test_what_a_machine_lacks_is_said(design):
+    bare = setting_of(design, "arm")
+    bare = (replace(bare[0], platform=Platform(None, None, None)), *bare[1:])
+    context = context_of(bare)
+    for text, says in (("compliance:joint2:stiffness=1e5", "needs .platform. mass"), ("compliance:joint2:moments=1e-6", "takes 24 moments"),
+                       ("screw_coupling:rig:gain=0.5", "takes a hexapod"), ("backlash:strut2:gap=1e-5", "axes are joint 1 to joint 6"),
+                       ("axis_coupling:joint2:scale=1e-3,other=9", "1 to 6"), ("axis_coupling:joint2:scale=1e-3,other=2", "than its own")):
+        with pytest.raises(RigError, match=says):
+            motion_simulation.run(*bare[:3], [parse(text)], bare[3])
+    found = [c for name in ("compliance", "joint_clearance") for kind in ALL if kind.name == name for c in kind.candidates("joint 2", context)]
+    assert len(found) == 2 and all(c.grid for c in found)  # the weight of its links is linear in what is not stated
+
+
+def test_effects_that_show_on_the_way_are_not_asked_for_at_rest(design):
+    design, commands, t, sensors = setting_of(design, "planar2")
+    still = Commands(commands.t, np.tile(commands.values[:1], (len(commands.t), 1)))
+    context = context_of((design, still, t, sensors))
+    for kind in MOVING:
+        if kind.moving:
+            with pytest.raises(RigError, match="at rest"):
+                kind.sites(context)
+
+
+def test_a_joint_holds_its_links_as_newton_and_euler_say(design):
+    """The regressor times masses and mass moments is the torque of recursive Newton-Euler at rest."""
+    from rig.model.mechanisms import arm, arm_dynamics
+
+    rng, mechanism = np.random.default_rng(4), Arm(UR10.joints, UR10.limits)
+    q, mass, centre = rng.uniform(-2, 2, (20, 6)), rng.uniform(1, 5, 6), rng.uniform(-0.1, 0.1, (6, 3))
+    own = np.column_stack([mass, mass[:, None] * centre]).ravel()
+    torque = arm_dynamics.torques(q, np.zeros(6), np.zeros(6), mechanism, arm_dynamics.Links(mass, centre, np.zeros((6, 3, 3))), design.gravity)
+    np.testing.assert_allclose(arm.links(None, q, mechanism, design.gravity) @ own, torque, atol=1e-9)
+
+
+def test_links_that_grow_move_the_hand_as_longer_links_do():
+    from rig.model.mechanisms import arm
+
+    q, grown = np.random.default_rng(6).uniform(-2, 2, (10, 6)), replace(UR10, joints=UR10.rows * [1, 1 + 1e-6, 1 + 1e-6, 1, 1])
+    sway = arm.grown(None, q, UR10, np.full((10, 6), 1e-6))[1]
+    np.testing.assert_allclose(sway, difference(arm.forward(q, UR10), arm.forward(q, grown)), atol=1e-11)
+
+
+def test_a_shaking_has_one_notation(design):
+    """A direction and a phase may be written in many ways: all shake alike, and `written` is the same for all."""
+    setting = setting_of(design, "hexapod")
+    motion = context_of(setting).motion
+    texts = ("mode=0.6/0/0.8/0.5/0/0,phase=1", "mode=1.2/0/1.6/1/0/0,phase=1", f"mode=-0.6/0/-0.8/-0.5/0/0,phase={1 - np.pi}")
+    shakes = [parse(f"vibration:rig:amplitude=2e-5,frequency=3.3,{text}") for text in texts]
+    for shake in shakes:
+        np.testing.assert_allclose(shake.sway(motion), shakes[0].sway(motion), atol=1e-18)
+        np.testing.assert_allclose(shake.written().sway(motion), shakes[0].sway(motion), atol=1e-18)
+        np.testing.assert_allclose([*shake.written().mode, shake.written().phase], [0.6, 0, 0.8, 0.5, 0, 0, 1], atol=1e-12)
+
+
+def test_one_direction_is_found_among_twelve_numbers():
+    rng = np.random.default_rng(7)
+    X, phase, direction = rng.normal(size=(200, 12)) * np.tile([1, 1, 1, 50, 50, 50], 2), np.array([0.6, 0.8]), rng.normal(size=6)
+    x = np.outer(phase, direction).ravel()
+    drop, found = one_direction(X.T @ X @ x, X.T @ X)
+    np.testing.assert_allclose(found, x, rtol=1e-6)
+    assert drop == pytest.approx(x @ X.T @ X @ x)
+
+
+def test_a_last_step_does_not_depend_on_knots_or_waits():
+    t, values = np.array([0.0, 1, 2, 3, 5, 6, 9]), np.array([[0.0, 0], [0, 0], [1, 2], [1, 2], [3, 0], [4, -1], [4, -1]])
+    path = Path(t, values, np.array([1, 2, 3, 4, 5, 6]))
+    expected = [[0, 0], [1, 2], [1, 2], [2, -2], [3, -3], [3, -3]]  # the last two knots lie on one straight way
+    np.testing.assert_allclose(path.last_step, expected)
+    np.testing.assert_allclose(path.with_knots(np.linspace(0.1, 8.9, 40)).last_step, expected, atol=1e-12)

@@ -1,0 +1,142 @@
+"""Effects of a user's own: a file is one of the catalogue's kind, and what is wrong with it is told with file and line."""
+
+import hashlib
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rig.model import motion_simulation
+from rig.cli.command_line import main
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.texts.effect_text import from_dict, parse, to_dict
+from rig.effects.texts.user_effect_files import catalogue, load
+from rig.errors import FileError
+from tests.rig.effects.test_effects_of_all_machines import context_of, setting_of
+
+SOUND = '''"""A coupling."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.base import Effect, Motion, Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class Mine(Effect):
+    """Deviation size * sin(90 * q), q the travel of strut 2."""
+
+    place: str
+    size: float = 0.0
+    name: ClassVar = "mine"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (Parameter("size", "m", (-1e-2, 1e-2), (3e-6, 1e-4), signed=True),)
+    experiment: ClassVar = "move strut 2 alone"
+    action: ClassVar = "Look at what ties the {axis} to strut 2."
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self.axes(motion.places) * self.size * np.sin(90 * motion.stroke[:, [1]])
+'''
+HOOK = "        return self.axes(motion.places) * self.size * np.sin(90 * motion.stroke[:, [1]])\n"
+WRONG = [  # what stands in place of what, what is said of it
+    ("import numpy as np", "import numpy as np oh", "mine.py:6:.*no Python"),
+    ("import numpy as np", "import nothing_of_the_kind", "mine.py:6: cannot be run: ModuleNotFoundError"),
+    ("(Effect)", "", "mine.py: defines no effect"),
+    ("frozen=True, ", "", "mine.py:12: Mine must be a frozen dataclass"),
+    ('name: ClassVar = "mine"', 'name: ClassVar = "backlash"', "mine.py:12: Mine collides with the catalogue's backlash"),
+    ('name: ClassVar = "mine"', 'name: ClassVar = "My own"', "mine.py:12: .*small letters"),
+    ('"struts"', '"somewhere"', "mine.py:12: .*stage 'somewhere'"),
+    ('("axis",)', '("leg",)', "mine.py:12: .*sits at"),
+    ('("axis",)', '"axis"', "mine.py:12: .*sits at"),
+    ("size: float = 0.0", "size: float", "mine.py:12: .*no default"),
+    ('"size", "m"', '"sise", "m"', "mine.py:12: .*fields place, size"),
+    ("signed=True)", 'role="strange")', "mine.py:12: .*role 'strange'"),
+    ("(3e-6, 1e-4)", "(0, 0)", "mine.py:12: .*how large size usually is"),
+    ('"""Deviation size * sin(90 * q), q the travel of strut 2."""', "", "mine.py:12: .*no docstring"),
+    ('action: ClassVar = "Look', 'remark: ClassVar = "Look', "mine.py:12: .*nothing of its action"),
+    ("def deviation(", "def deviates(", "mine.py:12: .*does nothing"),
+]
+FAILS = [  # the model, what is said of it
+    ("        return self.size / 0 * motion.stroke\n", "mine.py:25: mine.deviation fails: ZeroDivisionError"),
+    ("        return self.size * motion.stroke[:, 0]\n", r"mine.py:24: mine.deviation answers numbers of shape \(60,\).*\(60, 6\)"),
+    ("        return self.size * np.inf + motion.stroke\n", "mine.py:24: .*no finite number"),
+    ("        return 1e-6 + self.size * motion.stroke\n", "mine.py:12: mine changes something with its parameters at their defaults"),
+]
+
+
+def written(folder, old="", new=""):
+    assert old in SOUND
+    (folder / "mine.py").write_text(SOUND.replace(old, new, 1) if old else SOUND)
+    return folder / "mine.py"
+
+
+def test_a_sound_file_is_an_effect_like_any_other(tmp_path, design):
+    path = written(tmp_path)
+    plugin = load(path)
+    known = catalogue((plugin,))
+    assert list(known) == [*(kind.name for kind in ALL), "mine"] and plugin.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    effect = parse("mine:strut3:size=2e-5", known)
+    assert from_dict(to_dict(effect), known) == effect
+    setting = setting_of(design, "hexapod")
+    done = motion_simulation.run(*setting[:3], [effect], setting[3])
+    stroke = context_of(setting).moved().stroke
+    np.testing.assert_allclose(done.deviation, 2e-5 * np.sin(90 * stroke[:, [1]]) * (np.arange(6) == 2), atol=1e-18)
+
+
+@pytest.mark.parametrize("old, new, said", WRONG, ids=[said for *_, said in WRONG])
+def test_what_is_wrong_with_a_file_is_told_with_its_line(tmp_path, old, new, said):
+    with pytest.raises(FileError, match=said):
+        load(written(tmp_path, old, new))
+
+
+@pytest.mark.parametrize("model, said", FAILS, ids=[said for _, said in FAILS])
+def test_a_model_that_fails_is_told_with_its_line(tmp_path, design, model, said):
+    (kind,) = load(written(tmp_path, HOOK, model)).kinds
+    context = context_of(setting_of(design, "hexapod"))
+    with pytest.raises(FileError, match=said) as told:
+        kind("strut 1", 1e-5).deviation(context.moved())
+        kind.sites(context)
+    assert said.split(":")[1] == str(pickle.loads(pickle.dumps(told.value)).line)  # as a process of its own hands it on
+
+
+def test_two_files_do_not_share_a_name(tmp_path):
+    first = load(written(tmp_path))
+    (tmp_path / "other.py").write_text(SOUND)
+    with pytest.raises(FileError, match="other.py:12: there is an effect 'mine' already, in .*mine.py"):
+        catalogue((first, load(tmp_path / "other.py")))
+
+
+def test_a_file_that_is_none_is_refused(tmp_path):
+    with pytest.raises(FileError, match="nothing.py: cannot be read: No such file"):
+        load(tmp_path / "nothing.py")
+    (tmp_path / "half.py").write_bytes(SOUND[:900].encode() + b"\n\xff")
+    with pytest.raises(FileError, match=r"half.py:\d+: is no text in UTF-8"):
+        load(tmp_path / "half.py")
+
+
+def test_commands_take_the_file(tmp_path, rig_text, capsys):
+    (tmp_path / "rig.toml").write_text(rig_text)
+    path, options = written(tmp_path), ["--plan", "sobol:3", "--effect", "mine:strut3:size=2e-5"]
+    simulate = ["simulate", str(tmp_path / "rig.toml"), *options, "--truth", str(tmp_path / "truth.json"), "--out", str(tmp_path / "rec")]
+    assert main(simulate) == 1 and "there is no effect 'mine'" in capsys.readouterr().err
+    assert main([*simulate, "--effects", str(tmp_path)]) == 1 and "cannot be read: Is a directory" in capsys.readouterr().err
+    assert main([*simulate, "--effects", str(path)]) == 0 and "mine at strut 3" in capsys.readouterr().out
+    again = [*simulate[:2], "--plan", "sobol:3", "--machine", str(tmp_path / "truth.json"), "--out", str(tmp_path / "again")]
+    assert main(again) == 1 and "truth.json" in capsys.readouterr().err
+    assert main([*again, "--effects", str(path)]) == 0
+
+
+def test_a_model_may_look_at_where_the_platform_is_and_which_way_it_came(design):
+    motion = context_of(setting_of(design, "hexapod")).moved()
+    home, T = design.mechanism.home, motion.posed()
+    np.testing.assert_allclose(motion.displaced[:, :3], T.translation - home.translation, atol=1e-9)
+    np.testing.assert_allclose(motion.displaced[:, 3:], (T.rotation * home.rotation.inv()).as_rotvec(), atol=1e-9)
+    assert not replace(motion, T=type(home).concatenate([home])).displaced.round(9).any()
+    steps = np.diff(motion.path.lengths, axis=0)
+    for i, at in ((0, motion.path.at[-1]), (3, motion.path.at[20])):
+        own = steps[:at, i]
+        assert motion.path.direction[list(motion.path.at).index(at), i] == np.sign(own[own != 0][-1])

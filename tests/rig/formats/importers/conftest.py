@@ -1,0 +1,10 @@
+"""A good recording with poses, which tests write in other people's ways and import; none changes it."""
+
+import pytest
+
+from tests.calib.checks.good import make
+
+
+@pytest.fixture(scope="package")
+def good(tmp_path_factory):
+    return make("poses", tmp_path_factory.mktemp("good") / "rec")

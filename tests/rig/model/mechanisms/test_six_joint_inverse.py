@@ -1,0 +1,128 @@
+"""Six joints in one global frame: against the Denavit-Hartenberg chain, all branches, near singular and out of reach."""
+
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from rig.formats.rig_toml import design_file
+from rig.model.design import Arm
+from rig.errors import RigError, Unreachable
+from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import six_joint_inverse
+from rig.model.pose import difference
+from tests.rig.arms import HALF, SEVEN, UR10, random_arm
+
+PUMA = design_file.load(files("rig") / "arms" / "puma560.toml").mechanism
+OFFSET = Arm([[0, 0.29, 0.15, -HALF], [-HALF, 0, 0.27, 0], [0, 0, 0.07, -HALF], [0, 0.302, 0, HALF], [0, 0, 0, -HALF], [np.pi, 0.072, 0, 0]],
+             [[-3.1, 3.1]] * 6)
+TILTED = Arm([[0.2, 0.3, 0.1, 1.3], [0, 0.1, 0.4, 0], [0.3, 0.1, 0.05, -1.2], [0, 0.4, 0, 1.4], [0.1, 0, 0, -1.1], [0, 0.1, 0.02, 0.3]],
+             [[-3, 3]] * 6)
+ARMS = {"puma": PUMA, "offset": OFFSET, "UR10": UR10, "tilted": TILTED}
+
+
+def near_singular(q, rng):
+    """Joint angles with wrists and elbows within 1e-6 rad of where two branches meet, some exactly there."""
+    q = q.copy()
+    third = len(q) // 4
+    q[:third, 4] = rng.uniform(-1e-6, 1e-6, third)
+    q[third : third + 20, 4] = 0.0
+    return q
+
+
+def check(six, q):
+    """(closure (m,) worst of all branches, missed (m,)): every branch must give the pose back, one of them the angles.
+
+    Within s of a singularity the angles themselves are only determined to (rounding / s), so they are compared after weighing by s
+    """
+    matrix = mechanism.frames(q, six.arm)[:, -1]
+    T = mechanism.forward(q, six.arm)
+    found = six_joint_inverse.inverse(T, six)
+    back = mechanism.frames(np.where(found.there[..., None], found.q, 0), six.arm)[..., -1, :, :]
+    closure = np.where(found.there, np.abs(back - matrix[:, None]).max(axis=(-1, -2)), 0).max(axis=1)
+    apart = np.abs(np.exp(1j * np.where(found.there[..., None], found.q, np.nan)) - np.exp(1j * q[:, None])).max(axis=-1)
+    sine = np.minimum(1, np.abs(np.sin(q[:, 4])))
+    return closure, ~(np.nanmin(np.where(found.there, apart, 9), axis=1) * sine < 1e-8), found
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_forward_is_the_chain_of_denavit_and_hartenberg(name):
+    q = np.random.default_rng(0).uniform(-3, 3, (500, 6))
+    np.testing.assert_allclose(
+        difference(six_joint_inverse.forward(q, six_joint_inverse.six(ARMS[name])), mechanism.forward(q, ARMS[name])), 0, atol=1e-13
+    )
+
+
+def test_the_frame_stands_at_the_crossing_of_the_first_axes():
+    six = six_joint_inverse.six(PUMA)
+    np.testing.assert_allclose(six.axes[:2], [[0, 0, 1], [0, 1, 0]], atol=1e-15)
+    np.testing.assert_allclose([six.frame.translation[2], six.points[1] @ six.points[1]], [0.6718, 0], atol=1e-15)
+    np.testing.assert_allclose(six.hand[1:] - six.hand[0], [[0, 0, 1], [0, 1, 0]], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_every_branch_returns_and_none_is_missed(name):
+    rng = np.random.default_rng(1)
+    closure, missed, found = check(six_joint_inverse.six(ARMS[name]), near_singular(rng.uniform(-np.pi, np.pi, (4000, 6)), rng))
+    assert closure.max() < 1e-11 and not missed.any() and not found.reason.any()
+    assert np.isnan(found.q[~found.there]).all()
+
+
+def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
+    """Those that the numeric solver finds from many starts are exactly these."""
+    q = np.random.default_rng(2).uniform(-2, 2, (5, 6))
+    six = six_joint_inverse.six(OFFSET)
+    T = mechanism.forward(q, OFFSET)
+    found = six_joint_inverse.inverse(T, six)
+    for i in range(5):
+        many = mechanism.forward(np.tile(q[i], (150, 1)), OFFSET)
+        numeric, left = mechanism.solve(many, OFFSET, np.random.default_rng(3).uniform(-3, 3, (150, 6)), starts=0)
+        numeric = numeric[left < 1e-10]
+        apart = np.abs(np.exp(1j * numeric[:, None]) - np.exp(1j * found.q[i])).max(axis=-1)
+        assert np.nanmin(apart, axis=1).max() < 1e-7  # nothing beyond the listed
+        assert len(np.unique(np.nanargmin(apart, axis=1))) == found.there[i].sum()  # and every listed one is real
+
+
+def test_singular_poses_are_named():
+    six = six_joint_inverse.six(PUMA)
+    stretched = -np.arctan2(0.0203, 0.4318) + HALF  # elbow, upper arm and wrist in one line
+    q = np.tile([0.3, 0.4, 0.5, 0.6, 0.7, 0.8], (4, 1))
+    q[[1, 3], 4], q[2:, 2] = 0, -stretched
+    found = six_joint_inverse.inverse(mechanism.forward(q, PUMA), six)
+    assert [found.why(i) for i in range(4)] == ["regular", "singular: wrist", "singular: elbow", "singular: elbow, wrist"]
+
+
+def test_a_free_joint_takes_what_is_near():
+    six = six_joint_inverse.six(PUMA)
+    q = np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8])
+    found = six_joint_inverse.inverse(mechanism.forward(q, PUMA), six, near=q)
+    assert np.nanmin(np.abs(found.q - q).max(axis=1)) < 1e-9
+
+
+@pytest.mark.parametrize("position, reason", [([2.0, 0, 0.6], "too far, by 1.1"), ([0.05, 0, 0.7], "axis 1 than the arm's offset allows"),
+                                              ([0.0, 0.15005, 0.672], "too near the shoulder")])
+def test_poses_out_of_reach_say_why(position, reason):
+    bare = Arm(PUMA.joints * np.where(np.arange(6) == 5, 0, 1)[:, None], PUMA.limits)  # the hand is the wrist
+    matrix = np.eye(4)
+    matrix[:3, 3] = position
+    T = type(mechanism.forward(np.zeros(6), bare)).from_matrix(matrix)
+    found = six_joint_inverse.inverse(T, six_joint_inverse.six(bare))
+    assert not found.there.any() and reason in found.why(0)
+    with pytest.raises(Unreachable, match="pose 0: out of reach"):
+        six_joint_inverse.nearest(T, six_joint_inverse.six(bare), np.zeros(6))
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
+def test_nearest_branch_within_the_limits(shape):
+    rng = np.random.default_rng(4)
+    low, high = PUMA.limits.T
+    q = rng.uniform(low, high, (*shape, 6))
+    found = six_joint_inverse.nearest(mechanism.forward(q, PUMA), six_joint_inverse.six(PUMA), q + 1e-4)
+    np.testing.assert_allclose(found, q, atol=1e-9)
+
+
+@pytest.mark.parametrize("arm, words", [(SEVEN, "six joints, not 7"), (random_arm(np.random.default_rng(0)), "take rig.model.mechanisms.arm.inverse"),
+                                        (Arm(UR10.joints * [1, 1, 1, 0], UR10.limits), "parallel")])
+def test_arms_without_a_closed_form_are_told_what_misses(arm, words):
+    with pytest.raises(RigError, match=words):
+        six_joint_inverse.six(arm)

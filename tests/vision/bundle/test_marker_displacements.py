@@ -1,0 +1,106 @@
+"""A block moved by hand before a hand-held camera: tags off their places are found, no frame is flipped, none is filled in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rig.formats.rig_toml import design_file
+from rig.model.pose import difference, log
+from tests.vision.tumbling import scene
+from vision.bundle.bundle_adjustment import adjust
+from vision.bundle.held_out_frames import crossvalidate
+from vision.bundle.observability import determined
+from vision.bundle.marker_displacements import listed, places
+from vision.bundle.estimate_update import aligned
+from vision.recording_adjustment import measure
+from vision.recording_measurement import refused
+from vision.targets import marker_map
+
+FREE = ("lenses", "markers")
+
+
+@pytest.fixture(scope="module")
+def worked():
+    observations, stated, true, t = scene(1)
+    return observations, stated, true, t, measure(observations, stated, marker_map(stated), FREE, t=t)
+
+
+def datums(measured, true):
+    """Base and platform frame of the stated places, in the true ones: what measured poses must be turned by to be compared."""
+    a = measured.adjustment
+    seen, stated = a.unknowns.seen, a.stated.markers
+    on = stated.on_platform[seen]
+    return [aligned(true.markers.corners[rows].reshape(-1, 3), stated.corners[rows].reshape(-1, 3)) for rows in (seen[~on], seen[on])]
+
+
+def test_frames_are_solved_and_their_covariance_is_true(worked):
+    observations, stated, true, t, m = worked
+    assert len(m.frames) >= 0.9 * len(t)
+    base, platform = datums(m, true)
+    errors = difference(m.T_base_platform, base * true.platform[m.frames] * platform.inv())
+    assert np.abs(errors[:, 3:]).max() < 0.1 and np.linalg.norm(errors[:, :3], axis=1).max() < 0.02  # no flip
+    square = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(m.covariance), errors)
+    assert np.median(square) == pytest.approx(5.35, rel=0.35)
+
+
+def test_tags_off_their_places_are_found_within_their_intervals(worked):
+    observations, stated, true, t, m = worked
+    found = places(m, t)
+    base, platform = datums(m, true)
+    inside = []
+    markers = m.adjustment.stated.markers
+    rows = {int(number): row for row, number in enumerate(markers.id)}
+    for move in found.moves:
+        row = rows[int(move.name.split()[1])]
+        there = (platform if markers.on_platform[row] else base) * true.markers.T_body_marker[row]
+        inside += (np.abs(log(markers.T_body_marker[row].inv() * there) - move.by) < move.ci95).tolist()
+    assert np.mean(inside) > 0.85 and len(found.moves) == len(m.adjustment.unknowns.seen)
+    assert sum(move.moved for move in found.moves) >= len(found.moves) - 1
+    assert found.weighted[0] > 3 > 1.3 > found.weighted[1] and not found.odd
+    assert np.median(found.after) < 0.5 * np.median(found.before)
+
+
+def test_held_out_frames_are_as_far_off_as_the_covariance_says(worked):
+    m = worked[-1]
+    held = crossvalidate(m.used(), m.adjustment)
+    assert held.ratio == pytest.approx(1, abs=0.12) and held.corners == m.inliers.sum()
+    a = m.adjustment
+    unmoved = adjust(m.used(), replace(a.state, markers=a.stated.markers), ("lenses",), stated=a.stated)
+    assert crossvalidate(m.used(), unmoved).ratio > 2  # places as stated do not describe these images
+
+
+def test_the_statement_names_who_holds_the_frames(worked):
+    lines = "\n".join(determined(worked[-1].adjustment).lines())
+    assert "base frame is held by the stated places of its markers, taken together" in lines and "camera poses as stated" in lines
+
+
+def test_stated_places_that_contradict_are_told(worked):
+    observations, stated, true, t, _ = worked
+    m = measure(observations, stated, marker_map(stated), ("lenses",), t=t)
+    assert len(refused(m)) > 0.05 * len(t) and len(m.frames) < len(worked[-1].frames)
+
+
+def test_one_sighting_counts_only_where_neighbours_confirm_it(worked):
+    observations, stated, true, t, m = worked
+    full = [f for f in range(20, 100) if (observations.frame[observations.on_platform] == f).sum() >= 8 and f in m.frames]
+    f = full[len(full) // 2]
+    mine = (observations.frame == f) & observations.on_platform
+    one = observations.marker == observations.marker[mine][0]
+    alone = observations.take(~mine | one)
+    timed = measure(alone, stated, marker_map(stated), FREE, t=t)
+    untimed = measure(alone, stated, marker_map(stated), FREE)
+    assert f in timed.frames and "single sighting" in untimed.unsolved[f]
+    k, j = timed.frames.tolist().index(f), m.frames.tolist().index(f)
+    assert np.linalg.norm(difference(timed.T_base_platform[k], m.T_base_platform[j])[3:]) < 0.2
+
+
+def test_places_are_written_into_rig_toml_and_read_back(worked, tmp_path):
+    m = worked[-1]
+    text = '\n'.join(['schema = "rig/1"', '[mechanism]', 'kind = "free"'] + [
+        f'[[target]]\nname = "{target.name}"\nbody = "{target.body}"\ndictionary = "{target.dictionary}"\nedge = 1.0\nmarker = 0.5\n'
+        'faces = {"+x" = 0}\npose = { position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }' for target in m.design.targets])
+    path = tmp_path / "rig.toml"
+    path.write_text(design_file.with_places(text, listed(m)))
+    again = marker_map(design_file.load(path))
+    np.testing.assert_allclose(again.corners, m.adjustment.state.markers.corners, atol=1e-8)

@@ -1,0 +1,61 @@
+"""Edge spread functions: plain ones as they should be, and one that is not plain learnt from the images."""
+
+import numpy as np
+from scipy.ndimage import correlate1d
+from scipy.special import ndtr
+
+from tests.vision.corners.sheet import NAME, sheet
+from tests.vision.pictures import SIZE, camera, picture, quad
+from vision.corners.marker_detection import place
+from vision.corners.cell_whiteness import GRID
+from vision.corners.marker_reader import Read
+from vision.corners.edge_spread import PLAIN, WIDTHS, empty_profile, learn
+
+
+def test_plain_edges_are_odd_and_their_slope_is_theirs():
+    share, slope = PLAIN.tables[..., 0], PLAIN.tables[..., 1]
+    np.testing.assert_allclose(share + share[..., ::-1], 1, atol=1e-9)
+    np.testing.assert_allclose(np.gradient(share[2:], GRID, axis=-1), slope[2:], atol=2e-3)
+    np.testing.assert_allclose(share[-1], np.broadcast_to(ndtr(GRID), share[-1].shape), atol=1e-3)  # a wide edge is a Gaussian's
+
+
+def test_a_plain_edge_is_a_gaussian_seen_through_pixels():
+    """An upright edge, by averaging the Gaussian over each pixel."""
+    blur = np.sqrt(WIDTHS[3] ** 2 - 1 / 12)
+    fine = (np.arange(2000) + 0.5) / 2000 - 0.5
+    expected = ndtr((GRID[:, None] * WIDTHS[3] + fine) / blur).mean(axis=1)
+    np.testing.assert_allclose(PLAIN.tables[3, 0, :, 0], expected, atol=2e-5)
+
+
+def test_what_a_camera_does_to_edges_is_learnt(design):
+    """Sharpened images: what is learnt halves what the fits leave, and corners do not get worse for it."""
+    rng = np.random.default_rng(0)
+    markers, images, truth = sheet(design), [], []
+    for k in range(10):
+        corners = quad(rng, side=90, tilt=rng.uniform(0, 0.8))
+        sharp = picture(corners, NAME, k, blur=0.5)
+        for axis in (0, 1):
+            sharp = correlate1d(sharp, [-0.1, 1.2, -0.1], axis=axis)
+        images.append((sharp + rng.normal(0, 0.3, (SIZE, SIZE))).astype(np.float32))
+        truth.append(corners)
+
+    def fit(spread):
+        profile = empty_profile()
+        found = [place(image, camera(), markers, Read([k], corners[None]), spread=spread, profile=profile)
+                 for k, (image, corners) in enumerate(zip(images, truth))]
+        error = np.concatenate([f.corners[0] - corners for f, corners in zip(found, truth)])
+        return profile, np.median([f.noise[0] for f in found]), np.sqrt(np.mean(error**2)), np.median([f.blur[0] for f in found])
+
+    spread = PLAIN
+    _, noise_before, error_before, _ = fit(spread)
+    for _ in range(4):
+        profile, _, _, width = fit(spread)
+        spread = learn(spread, profile, width)
+    _, noise_after, error_after, _ = fit(spread)
+    assert noise_after < 0.5 * noise_before and error_after < error_before
+
+
+def test_too_few_pixels_teach_nothing():
+    profile = empty_profile()
+    profile[0, 10] = 5, 1.0, 1.0
+    assert learn(PLAIN, profile, 0.7) is PLAIN

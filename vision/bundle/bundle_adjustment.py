@@ -1,0 +1,170 @@
+"""Many frames -> cameras, lenses, markers' places and platform poses together: Gauss-Newton with the Schur complement over frames.
+
+Unknowns are shared (each fixed camera's pose, each lens, each marker's and target's place) or belong to one frame (the
+platform's pose, each moving camera's pose). The stated places of the base's markers, all together, hold the base frame,
+those of the platform's markers the platform frame.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rig.model.design import Camera
+from rig.errors import NotEnoughData, RigError
+from vision.bundle.normal_equations import linearise, normal_equations, promised, reduce, step
+from vision.bundle.repeated_corners import condensed
+from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
+from vision.bundle.estimate_update import move, offset, to_datums
+from vision.bundle.printing_errors import Printing
+from vision.bundle.unknown_priors import lens_prior, unknowns
+from vision.corner_observations import Observations, Whitener, whitener
+from vision.predict import State, predict
+
+MAX_ITERATIONS = 120
+CONVERGED = 1e-9  # relative decrease of the cost
+OPEN = 1e-14  # of the best determined direction's information; what has less is not determined
+MORE, LEAST = 3.0, 1e-8  # damping after a step that does not pay, over the one before; the first
+
+
+class NoOptimum(RigError):
+    """An adjustment that finds no optimum, or not within MAX_ITERATIONS: what is stated is far from what is seen."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjustment:
+    """The optimum and what is known of it, for corners' covariance as given (scale it by what the residuals say).
+
+    state : State; residuals : (n, 2) px, seen less predicted; whitened : (n, 2)
+    platform_given_cameras : (F, 6, 6) covariance of each platform pose were all shared unknowns known, tangent on the right
+    platform_common : (F, 6, k) factor of what the shared unknowns' uncertainty adds, the same k draws for every frame
+    shared_factor : (s, k) of the shared unknowns in their own units, named by shared_names: with the same draws they are off by this times z
+    prior : (s,) standard deviation that each was given before the images, infinite for none
+    dof : observations less the unknowns that they determine; cost : sum of whitened squares, priors' included
+    unknowns : Unknowns, what was adjusted, being of the groups `free`; stated : State that the priors pull to
+    printing : how far printed markers were taken to be off, or None
+    """
+
+    state: State
+    residuals: np.ndarray
+    whitened: np.ndarray
+    platform_given_cameras: np.ndarray
+    platform_common: np.ndarray
+    shared_factor: np.ndarray
+    shared_names: list[tuple[str, str]]
+    prior: np.ndarray
+    dof: float
+    cost: float
+    unknowns: Unknowns
+    stated: State
+    free: tuple[str, ...]
+    printing: Printing | None = None
+
+    @property
+    def of_prints(self) -> np.ndarray:
+        """(s,) bool, which of the shared unknowns are how markers are printed."""
+        out, prints = np.zeros(len(self.shared_names), bool), self.unknowns.prints
+        for columns in (*prints.rows.values(), prints.together):
+            out[columns] = True
+        return out
+
+    @property
+    def platform_covariance(self) -> np.ndarray:
+        """(F, 6, 6) covariance of each platform pose, cameras' uncertainty included, tangent on the right."""
+        return self.platform_given_cameras + self.platform_common @ np.swapaxes(self.platform_common, 1, 2)
+
+    @property
+    def shared_covariance(self) -> np.ndarray:
+        """(s, s) covariance of the shared unknowns, in their own units."""
+        return self.shared_factor @ self.shared_factor.T
+
+
+def adjust(observations: Observations, state: State, free: Sequence[str] = ("poses", "lenses"), progress: Callable[[float], None] | None = None,
+           stated: State | None = None, worth: Callable[[Camera], np.ndarray] = lens_prior, printing: Printing | None = None) -> Adjustment:
+    """Cameras, places and poses that fit all corners best, weighted by the corners' covariance.
+
+    observations : Observations, outliers taken out; state : State to start from, with its markers where these are free
+    free : which of "poses" (of fixed cameras), "lenses", "markers" (each on its target: face misplacement) and "targets" (each
+    in its body: cube misplacement) are adjusted; the rest is held and taken as known
+    progress : called after each iteration with the cost, or None
+    stated : State whose lenses and places are what the owner stated, `state` by default
+    worth : function of a Camera, the standard deviations (4 + terms,) that its stated lens is given
+    printing : how far printed markers are taken to be off where they are not free, or None
+    The mean motion of all corners of a body's markers from where they are stated is held at zero, and so is the mean motion
+    of a target's markers on it where both are free. Without targets on the base the stated camera poses hold the base
+    frame: their mean motion is held at zero.
+    Returns Adjustment. Raises NotEnoughData where unknowns outnumber observations, NoOptimum where there is none to be found.
+    Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000
+    """
+    stated = state if stated is None else stated
+    u, estimate = unknowns(observations, state, stated, free, worth, printing)
+    if 2 * len(observations) < int(u.used.sum()) + int((u.prior == 0).sum()):
+        raise NotEnoughData(f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns")
+    few, spare = condensed(observations, state)
+    W = whitener(few)
+    damping, cost, blocks = 0.0, np.inf, None
+    for _ in range(MAX_ITERATIONS):
+        if blocks is None:
+            residual, derivatives = linearise(few, estimate, u, W)
+            away = offset(estimate, stated, u)
+            cost = float((residual**2).sum() + (u.prior * away**2).sum()) + spare
+            blocks = normal_equations(few, derivatives, u, away)
+            if progress:
+                progress(cost)
+        steps = step(blocks, u, damping)
+        moved = move(estimate, u, *steps)
+        new = cost_of(few, moved, stated, u, W) + spare
+        if not new <= cost:
+            if promised(blocks, *(step(blocks, u) if damping else steps)) <= CONVERGED * max(cost, 1.0):
+                if new - cost <= CONVERGED * max(cost, 1.0):
+                    estimate = moved
+                break  # at the bottom: what a step still promises drowns in the rounding of the cost; taken, it is as good to the last digits
+            damping = max(MORE * damping, LEAST)
+            if damping > 1e8:
+                raise NoOptimum(f"the adjustment of {len(observations)} corners finds no way down from a cost of {cost:.6g}")
+            continue
+        done = cost - new <= CONVERGED * max(cost, 1.0)
+        estimate, damping, blocks = moved, damping / MORE if damping > LEAST else 0.0, None
+        if done:
+            break
+    else:
+        raise NoOptimum(f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations")
+    return replace(_finish(observations, few, W, to_datums(estimate, stated, u), stated, u, tuple(free)), printing=printing)
+
+
+def cost_of(observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, W: Whitener) -> float:
+    """Sum of whitened squares, the priors' included; infinite where a corner falls behind its camera. W : Whitener."""
+    uv, ahead = predict(observations, estimate.state)
+    if (ahead[:, 2] <= 0).any():
+        return np.inf
+    return float((W(observations.uv - uv) ** 2).sum() + (unknowns.prior * offset(estimate, stated, unknowns) ** 2).sum())
+
+
+def _finish(observations: Observations, few: Observations, W: Whitener, estimate: Estimate, stated: State, u: Unknowns,
+            free: tuple[str, ...]) -> Adjustment:
+    """The Adjustment of Observations that were adjusted as few, with their Whitener."""
+    residual, derivatives = linearise(few, estimate, u, W)
+    away = offset(estimate, stated, u)
+    blocks = normal_equations(few, derivatives, u, away)
+    uv, _ = predict(observations, estimate.state)
+    residual = whitener(observations)(observations.uv - uv)
+    gain, reduced, _ = reduce(blocks)
+    factor = u.basis @ _inverse_root(u.basis.T @ reduced @ u.basis, u)
+    given = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2
+    cost = float((residual**2).sum() + (u.prior * away**2).sum())
+    own = factor * u.scale[:, None]
+    taken = u.basis.shape[1] - (u.prior[:, None] * factor**2).sum()  # a term held by what was stated takes no observation
+    dof = float(2 * len(observations) - u.used.sum() - taken)
+    return Adjustment(estimate.state, observations.uv - uv, residual, given, (gain @ factor)[:, :6] * POSE_SCALE, own, u.names,
+                      np.where(u.prior > 0, u.scale, np.inf), dof, cost, u, stated, free)
+
+
+def _inverse_root(information: np.ndarray, u: Unknowns) -> np.ndarray:
+    """Square root of the inverse of what the images say (k, k) of the basis' directions. Raises NotEnoughData naming what they leave open."""
+    if not len(information):
+        return np.zeros((0, 0))
+    values, vectors = np.linalg.eigh((information + information.T) / 2)
+    if not values[0] > OPEN * values[-1]:
+        worst = np.argsort(-np.abs(u.basis @ vectors[:, 0]))[:3]
+        raise NotEnoughData("the images leave open where this is: " + ", ".join(" ".join(u.names[i]) for i in worst))
+    return vectors / np.sqrt(values)

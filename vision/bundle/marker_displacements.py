@@ -1,0 +1,149 @@
+"""Which markers and targets sit off their stated places, by how much, and what that did to the residuals."""
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from scipy import special
+from scipy.spatial.transform import RigidTransform
+
+from rig.model.design import Marker
+from rig.model.pose import log
+from vision.bundle.bundle_adjustment import Adjustment, adjust
+from vision.bundle.normal_equations import linearise, normal_equations, promised, step
+from vision.bundle.estimate_update import offset
+from vision.bundle.unknown_priors import unknowns
+from vision.corner_observations import Observations, whitener
+from vision.pose.ambiguous_poses import MOST, angle, expect, reach_of
+from vision.predict import State, predict
+from vision.targets import MarkerMap
+
+HALVED = 0.5  # of the corners' scatter; stated places are doubted where markers that may move leave less than this
+PROOF = 0.999  # probability with which an unmoved marker stays unmentioned
+WIDE = 1.96  # standard deviations on either side of a 95 % interval
+
+
+class Measured(Protocol):
+    """What is asked here of a vision.recording_adjustment.Measurement, which stands above."""
+
+    @property
+    def frames(self) -> np.ndarray:
+        """(f,) numbers of the solved frames."""
+
+    @property
+    def T_base_platform(self) -> RigidTransform:
+        """(f,) poses of the solved frames."""
+
+    @property
+    def observations(self) -> Observations:
+        """Of all frames."""
+
+    @property
+    def adjustment(self) -> Adjustment:
+        """Of the solved frames together."""
+
+    def used(self) -> Observations:
+        """Observations that were adjusted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Move:
+    """How far one marker or target sits from its stated place, along its own axes: by : (6,) m, rad; ci95 : (6,) half widths;
+    moved : whether chance is ruled out."""
+
+    name: str
+    by: np.ndarray
+    ci95: np.ndarray
+    moved: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """What adjusting places did. moves : one per marker or target; frames : (f,) numbers
+    before, after : (f,) px, RMS per axis over the platform's corners of each frame, places as stated and as adjusted, all
+    else adjusted both times, the same corners; weighted : (before, after) whitened squares over degrees of freedom, of all
+    corners; odd : {frame number: degrees} that turn against the frames around them
+    """
+
+    moves: tuple[Move, ...]
+    frames: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    weighted: tuple[float, float]
+    odd: dict[int, float]
+
+
+def places(measurement: Measured, t: np.ndarray) -> Places:
+    """Places of a Measurement whose markers were free. t : (F,) s of all frames of the recording."""
+    m, a = measurement, measurement.adjustment
+    solved = np.searchsorted(m.observations.frames, m.frames)
+    kept = m.used()
+    rest = tuple(group for group in a.free if group not in ("markers", "targets"))
+    stated = replace(a.stated, platform=a.state.platform, moving=a.state.moving, markers=a.stated.markers,
+                     cameras=tuple(replace(s, pose=c.pose) for s, c in zip(a.stated.cameras, a.state.cameras)))
+    before = adjust(kept, stated, rest, stated=a.stated)
+    weighted = before.cost / before.dof, a.cost / a.dof
+    return Places(moves(a), m.frames, _by_frame(kept, before.state, len(m.frames)), _by_frame(kept, a.state, len(m.frames)),
+                  weighted, _odd(m, t[solved]))
+
+
+def doubtful(measurement: Measured, markers: MarkerMap) -> bool:
+    """Whether the stated places of the markers are what most of the corners' scatter comes from: what one linear step with all of them free
+    promises to take away. markers : MarkerMap as stated"""
+    a, kept = measurement.adjustment, measurement.used()
+    state = replace(a.state, markers=markers)
+    u, estimate = unknowns(kept, state, replace(a.stated, markers=markers), (*a.free, "markers"))
+    W = whitener(kept)
+    residual, derivatives = linearise(kept, estimate, u, W)
+    away = offset(estimate, replace(a.stated, markers=markers), u)
+    blocks = normal_equations(kept, derivatives, u, away)
+    left = (residual**2).sum() - promised(blocks, *step(blocks, u))
+    dof = 2 * len(kept) - u.used.sum() - u.basis.shape[1]
+    return bool(dof > 0 and left / dof < HALVED**2 * a.cost / a.dof)
+
+
+def listed(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
+    """{target name: (Marker, ...)} as adjusted."""
+    m = measurement.adjustment.state.placed
+    out: dict[str, list[Marker]] = {}
+    for row, name in enumerate(m.target):
+        out.setdefault(name, []).append(Marker(int(m.id[row]), float(m.side[row]), m.T_body_marker[row], float(m.margin[row])))
+    return {name: tuple(rows) for name, rows in out.items()}
+
+
+def moves(a: Adjustment) -> tuple[Move, ...]:
+    """(Move, ...) of the markers that an Adjustment left free."""
+    u, out = a.unknowns, []
+    moved = log(a.stated.placed.T_body_marker.inv() * a.state.placed.T_body_marker)
+    ids = a.state.placed.id
+    for row, columns in u.markers.items():
+        by = moved[row]
+        C = a.shared_covariance[columns, columns]
+        scale = a.prior[columns]
+        values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
+        free = values > 1e-12
+        square = ((vectors.T @ (by / scale))[free] ** 2 / values[free]).sum()
+        out.append(Move(f"marker {ids[row]}", by, WIDE * np.sqrt(np.diag(C)), bool(free.any() and special.chdtrc(free.sum(), square) < 1 - PROOF)))
+    return tuple(out)
+
+
+def _by_frame(observations: Observations, state: State, count: int) -> np.ndarray:
+    """(count,) px, RMS per axis of the platform's corners in each frame."""
+    on = observations.on_platform
+    square = ((observations.uv - predict(observations, state)[0]) ** 2).sum(axis=1)
+    frame = observations.frame[on]
+    return np.sqrt(np.bincount(frame, weights=square[on], minlength=count) / (2 * np.bincount(frame, minlength=count)))
+
+
+def _odd(m: Measured, t: np.ndarray) -> dict[int, float]:
+    """{frame number: degrees} of solved frames whose platform turns against those around it by more than these predict."""
+    found = dict(enumerate(m.T_base_platform.as_matrix()))
+    reach = reach_of(found, t)
+    out: dict[int, float] = {}
+    if reach is None:
+        return out
+    for f, T in found.items():
+        expected, limit = expect(found, f, t, reach)
+        if expected is not None and limit < MOST and angle(expected, T) > max(2 * limit, MOST):
+            out[int(m.frames[f])] = float(np.degrees(angle(expected, T)))
+    return out

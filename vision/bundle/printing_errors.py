@@ -1,0 +1,94 @@
+"""Printed markers are a little off their stated places and sides, as printers and glue leave them: shared unknowns held by priors.
+
+Of each marker its place (x, y on its face), how far it stands off it (z), how it is turned, its side; and the side of all together, because
+one printer's feed and one paper stretch them alike. How much of each there is, a recording tells: vision/bundle/printing_variance.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from rig.model.pose import exp, log
+from rig.model.manufacturing_tolerances import PLACES, SIDES
+from vision.targets import MarkerMap
+
+NAMES = ("x", "y", "z", "rx", "ry", "rz", "side")
+KINDS = (slice(0, 2), slice(2, 3), slice(3, 6), slice(6, 7))  # of NAMES that vary alike: on the face, off it, turned, larger
+SIDE = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Printing:
+    """place, lift, turn, side : standard deviations of printed markers' x and y, z, angles and side, as shares of what is tolerated; 0 for none.
+
+    What is tolerated is PLACES.sigma (m) of a place, the same at the middle of its edges of an angle, SIDES.sigma of a side
+    """
+
+    place: float
+    lift: float
+    turn: float
+    side: float
+
+    def __str__(self) -> str:
+        """In words, standard deviations."""
+        um, kinds = self.place * PLACES.sigma * 1e6, []
+        kinds += [f"places on their faces by {um:.1f} um"] * (self.place > 0) + [f"off their faces by {self.lift * PLACES.sigma * 1e6:.1f} um"] * (
+            self.lift > 0) + [f"turned by {self.turn * PLACES.sigma * 1e6:.1f} um at their edges"] * (self.turn > 0)
+        return ", ".join(kinds + [f"sides by {self.side * SIDES.sigma:.3%}"] * (self.side > 0)) + " (standard deviations, told by this recording)"
+
+    @property
+    def parts(self) -> list[int]:
+        """Which of NAMES there are."""
+        shares = (self.place, self.lift, self.turn, self.side)
+        return [k for kind, share in zip(KINDS, shares) if share > 0 for k in range(len(NAMES))[kind]]
+
+    def sigma(self, side: float) -> np.ndarray:
+        """(parts,) m, rad and shares: standard deviations of a marker of that side (m)."""
+        m, rad = PLACES.sigma, 2 * PLACES.sigma / side
+        full = np.array([self.place * m] * 2 + [self.lift * m] + [self.turn * rad] * 3 + [self.side * SIDES.sigma])
+        return full[self.parts]
+
+
+class Prints(NamedTuple):
+    """Columns of the unknowns. parts : which of NAMES each marker has; rows : {row of the marker map: slice}; together : slice of the side of all,
+    empty where sides are as stated."""
+
+    parts: list[int]
+    rows: dict[int, slice]
+    together: slice
+
+
+NONE = Prints([], {}, slice(0, 0))
+
+
+def printed(markers: MarkerMap, prints: Prints, step: np.ndarray) -> MarkerMap:
+    """The MarkerMap after a step (s,) of the shared unknowns, m, rad and shares."""
+    own, grown = np.zeros((len(markers.id), len(NAMES))), float(step[prints.together].sum())
+    for row, columns in prints.rows.items():
+        own[row, prints.parts] = step[columns]
+        own[row, SIDE] += grown
+    return replace(markers, T_body_marker=markers.T_body_marker * exp(own[:, :SIDE]), side=markers.side * np.exp(own[:, SIDE]))
+
+
+def off(markers: MarkerMap, stated: MarkerMap, prints: Prints, out: np.ndarray) -> None:
+    """Write into out (s,) how far markers are from stated, m, rad and shares.
+
+    Only each marker's whole side shows in images: of it the part that all have in common is what its prior and theirs make likeliest.
+    """
+    away = np.concatenate([log(stated.T_body_marker.inv() * markers.T_body_marker), np.log(markers.side / stated.side)[:, None]], axis=1)
+    rows = list(prints.rows)
+    if prints.together.stop > prints.together.start:
+        grown = away[rows, SIDE].sum() / (len(rows) + 1)
+        out[prints.together] = grown
+        away[:, SIDE] -= grown
+    for row, columns in prints.rows.items():
+        out[columns] = away[row, prints.parts]
+
+
+def derivative(J: np.ndarray, moved: np.ndarray, in_marker: np.ndarray) -> np.ndarray:
+    """(n, 2, 7) of corners to NAMES. J : (n, 2, 3) to the corner in its marker's frame; moved : (n, 2, 6) to a motion; in_marker : (n, 3) m"""
+    return np.concatenate([moved, J @ in_marker[..., None]], axis=2)
+

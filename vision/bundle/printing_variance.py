@@ -1,0 +1,161 @@
+"""How far printed markers are off beyond chance, told by the recording itself: variance components of an adjustment, by restricted likelihood.
+
+Source: Harville, Maximum likelihood approaches to variance component estimation, JASA 72, 1977; fixed point: MacKay, Neural Computation 4, 1992
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from rig.compute.parallel_map import threaded
+from vision.bundle.bundle_adjustment import Adjustment, adjust
+from vision.bundle.repeated_corners import as_one, repeats, sums
+from vision.bundle.normal_equations import linearise, normal_equations, promised, reduce, step
+from vision.bundle.estimate_update import offset
+from vision.bundle.printing_errors import KINDS, NAMES, Printing
+from vision.bundle.robust_adjustment import Sorted, standing_error, within_gate
+from vision.bundle.unknown_priors import unknowns
+from vision.corner_observations import Observations, only, whitener
+from vision.predict import State
+
+MOST = 2.0  # of what is tolerated; markers farther off than that were not printed so, they were put elsewhere
+TRIAL = Printing(1.0, 1.0, 1.0, 1.0)
+PROOF = 12.1  # by which twice the log likelihood has to rise: one degree of freedom, a chance of 1 in 2000, and half the time nothing rises at all
+FEWEST = 16  # markers, from which a variance is told to a third of itself
+ROUNDS, SETTLED = 200, 1e-3  # of the fixed point; relative change of a standard deviation at which it ends
+LEAST = 1e-3  # of what is tolerated, below which there is nothing
+SORTED, AGAIN, FALLS = 2, 4, 0.95  # times that prints are told: for the corners sorted anew, and where each takes that share off the standing error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Told:
+    """What images say of prints, all else free. information : (q, q), right : (q,) in units of what is tolerated; kind : (q,) which variance each
+    has; cost, dof : of the adjustment without them."""
+
+    information: np.ndarray
+    right: np.ndarray
+    kind: np.ndarray
+    cost: float
+    dof: float
+
+
+def printed(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> Sorted:
+    """The Sorted of an adjustment with markers taken to be printed as the recording tells, or as it was where it tells nothing.
+
+    observations : Observations of all frames; fit : Sorted of them, places of markers as stated
+    What stands still in the images may be a print or the pixel grid (see standing_error). At first all of it counts as the grid's, which errs
+    corner by corner and camera by camera: prints must show beyond that. What they then explain is taken off it, and they are told again.
+    """
+    a = fit.adjustment
+    kept = replace(only(observations, fit.solved), covariance=fit.covariance[np.isin(observations.frame, fit.solved)])
+    good = fit.inliers[np.isin(observations.frame, fit.solved)]
+    if len(np.unique(kept.marker[good])) < FEWEST:
+        return fit
+    used, standing = np.zeros(len(good), bool), np.inf
+    for turn in range(AGAIN):
+        weights, now = standing_error(kept, good, a.state)
+        if now >= FALLS * standing and (turn >= SORTED or (good == used).all()):
+            break
+        used, standing = good, now
+        weighed = replace(kept, covariance=weights).take(used)
+        printing = _printing(_told(weighed, fit.adjustment, free))
+        if printing is None:
+            return fit
+        a = adjust(weighed, replace(a.state, markers=a.stated.markers), free, stated=a.stated, printing=printing)
+        good = within_gate(kept, a.state)
+    cost = a.cost - (a.whitened**2).sum() + (whitener(kept.take(used))(a.residuals) ** 2).sum()  # standing errors in it, as in fit.scale
+    scale = float(np.sqrt(cost / a.dof))
+    inliers = fit.inliers.copy()
+    inliers[np.isin(observations.frame, fit.solved)] = used
+    return Sorted(a, fit.solved, inliers, scale**2 * fit.covariance, scale * fit.scale)
+
+
+def _merged(observations: Observations, state: State) -> Observations:
+    """Observations in which repeats of a corner are one, their mean, weighed as all of them: they count as one degree of freedom."""
+    rows, group, first = repeats(observations, state.moving)
+    count = np.bincount(group)
+    return as_one(observations, rows, first, sums(observations.uv[rows], group) / count[:, None],
+                  observations.covariance[first] / count[:, None, None])
+
+
+def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _Told:
+    """_Told of observations weighed as standing_error has it, linearised at an Adjustment."""
+    one = _merged(observations, a.state)
+    u, estimate = unknowns(one, a.state, a.stated, free, printing=TRIAL)
+    residual, derivatives = linearise(one, estimate, u, whitener(one))
+    away = offset(estimate, a.stated, u)
+    blocks = normal_equations(one, derivatives, u, away)
+    _, reduced, _ = reduce(blocks)
+    covariance = u.basis @ np.linalg.inv(u.basis.T @ reduced @ u.basis) @ u.basis.T
+    columns = np.concatenate([np.arange(c.start, c.stop) for c in (*u.prints.rows.values(), u.prints.together)])
+    inverse = np.linalg.inv(covariance[np.ix_(columns, columns)])
+    kind = [k for k, part in enumerate(KINDS) for _ in range(len(NAMES))[part]]
+    shared, local = step(blocks, u)
+    right = inverse @ shared[columns]
+    cost = float((residual**2).sum() + (u.prior * away**2).sum()) - promised(blocks, shared, local) + float(right @ shared[columns])
+    return _Told(inverse - np.eye(len(columns)), right, np.array(kind * len(u.prints.rows) + [len(KINDS) - 1]), cost,
+                 a.dof - 2 * (len(observations) - len(one)))
+
+
+def _printing(told: _Told) -> Printing | None:
+    """Printing with the variances that are there beyond chance, or None where none is."""
+    there = np.ones(len(KINDS), bool)
+    sigma, best = _likeliest(told, there)
+    while there.any():
+        kinds = np.flatnonzero(there).tolist()
+        fewer = [there & (np.arange(len(KINDS)) != k) for k in kinds]
+        without = dict(zip(kinds, threaded(partial(_likeliest, told, start=sigma), fewer)))
+        least = min(without, key=lambda k: without[k][1])
+        if without[least][1] - best > PROOF:
+            return Printing(*sigma.tolist())
+        there[least] = False
+        sigma, best = without[least]
+    return None
+
+
+def _likeliest(told: _Told, there: np.ndarray, start: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+    """(standard deviations (kinds,) of those that are `there`, minus twice their restricted log likelihood but for a constant)."""
+    sigma = np.where(there, 1.0 if start is None else start, 0.0)
+    noise, part = told.cost / told.dof, _of(told, sigma)
+    for _ in range(ROUNDS):
+        width = sigma[part.kind]
+        inverse = _inverse(noise * np.eye(len(width)) + width[:, None] * part.information * width)
+        x = width * (inverse @ (width * part.right))
+        known = 1 - noise * np.diag(inverse)
+        left = told.cost - 2 * part.right @ x + x @ part.information @ x
+        new = sigma.copy()
+        for k in np.flatnonzero(sigma > 0):
+            own = part.kind == k
+            new[k] = min(np.sqrt((x[own] ** 2).sum() / max(known[own].sum(), 1e-9)), MOST)
+        new[new < LEAST] = 0.0
+        noise, done = float(left / (told.dof - known.sum())), (np.abs(new - sigma) <= SETTLED * sigma).all()
+        part = part if ((new > 0) == (sigma > 0)).all() else _of(told, new)
+        sigma = new
+        if done:
+            break
+    width = sigma[part.kind]
+    M = noise * np.eye(len(width)) + width[:, None] * part.information * width
+    z = width * part.right
+    likelihood = np.linalg.slogdet(M / noise)[1] + told.dof * np.log(noise) + (told.cost - z @ np.linalg.solve(M, z)) / noise
+    return sigma, float(likelihood)
+
+
+def _of(told: _Told, sigma: np.ndarray) -> _Told:
+    """_Told of the numbers on prints that are not held at nothing. sigma : (kinds,)"""
+    on = np.flatnonzero(sigma[told.kind] > 0)
+    return replace(told, information=told.information[np.ix_(on, on)], right=told.right[on], kind=told.kind[on])
+
+
+def _inverse(M: np.ndarray) -> np.ndarray:
+    """(q, q) inverse of a symmetric positive definite M (q, q). Raises LinAlgError where it is not."""
+    if not len(M):
+        return M
+    factor, bad = dpotrf(M, lower=1, clean=1)
+    if bad:
+        raise np.linalg.LinAlgError(f"the information of {len(M)} numbers on prints, noise added, is not positive definite")
+    below, _ = dpotri(factor, lower=1)  # what is above the diagonal is nought, as `clean` has left it
+    whole = below + below.T
+    whole[np.diag_indices_from(whole)] = below.diagonal()
+    return np.asarray(whole)

@@ -1,0 +1,38 @@
+"""How numba compiles: once, to files named after all kernels' sources, without the interpreter's lock, in fast mathematics."""
+
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from rig.compute.kernel_cache import kernel_folder
+from rig.compute.numba_kernels import Kernel
+
+# all of fast mathematics but the promise that nothing is infinite or no number
+_FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
+_OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FAST}
+
+F = TypeVar("F", bound=Callable)
+
+
+@cache
+def _folder() -> str:
+    """Where compiled kernels are kept. Numba itself would not notice that a kernel in another file, called from this one, has changed."""
+    from numba import config
+
+    here, settings = Path(__file__).parent, cast(Any, config)
+    sources = [path.read_bytes() for path in sorted(here.glob("*.py"))]
+    digest = hashlib.sha256(b"".join(source for source in sources if b"@kernel" in source)).hexdigest()[:16]
+    parent = Path(settings.CACHE_DIR) if settings.CACHE_DIR else kernel_folder() or here / "__pycache__"
+    return str(parent / f"kernels-{digest}")
+
+
+def kernel(function: F) -> F:
+    """Compile a function when it is first called, or load what was compiled in an earlier run."""
+    return cast(F, Kernel(function, _OPTIONS, _folder))
+
+
+def kernel_part(function: F) -> F:
+    """The same for what one kernel alone calls: it is taken into that one, and not compiled by itself as well."""
+    return cast(F, Kernel(function, {**_OPTIONS, "inline": "always"}, _folder))

@@ -1,0 +1,40 @@
+"""Cameras that the platform carries (mount "hand"): the base is the body that is seen, and the platform stands where that says, inverted.
+
+In the platform's own frame such a camera stands still and the base's markers move. So it is measured like any rig, with base and platform
+exchanged; the stated pose of the camera in the platform holds the platform's frame, the markers' stated places the base's.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rig.model.design import Design
+from rig.model.pose import adjoint
+from rig.recording.recording_folder import Recording
+from vision.recording_adjustment import Measurement
+
+
+def in_hand(design: Design) -> bool:
+    """Whether a rig's cameras are carried by its platform; rig.toml has all of them there, or none."""
+    return any(camera.mount == "hand" for camera in design.cameras)
+
+
+def exchanged(recording: Recording) -> Recording:
+    """A recording as seen from the hand: its cameras stand still, and the base's targets are on the body that moves; others as they are."""
+    return replace(recording, design=seen_from(recording.design)) if in_hand(recording.design) else recording
+
+
+def seen_from(design: Design) -> Design:
+    """A design whose cameras are in the hand as seen from there, see `exchanged`."""
+    cameras = tuple(replace(camera, mount="fixed") for camera in design.cameras)
+    return replace(design, cameras=cameras, targets=tuple(replace(target, body="platform") for target in design.targets))
+
+
+def of_platform(measured: Measurement) -> Measurement:
+    """The Measurement of a body whose poses are the inverses: poses, covariances and what they share.
+
+    T exp(xi) of the one is T^-1 exp(-Ad xi) of the other, with Ad that of T.
+    """
+    seen = adjoint(measured.T_base_platform)
+    return replace(measured, T_base_platform=measured.T_base_platform.inv(),
+                   covariance=seen @ measured.covariance @ np.swapaxes(seen, 1, 2), common=-seen @ measured.common)

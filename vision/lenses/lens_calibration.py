@@ -1,0 +1,172 @@
+"""One camera's lens from photographs of a flat board: lens models compared on photographs held out, and how well it projects."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.model.design import Camera
+from rig.errors import NotEnoughData
+from vision import lens
+from vision.bundle.bundle_adjustment import Adjustment, adjust
+from vision.lenses.calibration_board import Board, BoardView
+from vision.corner_observations import Observations, only
+from vision.pose.pose_refinement import GATE, MEDIAN
+from vision.predict import State, predict
+
+MODELS = (0, 4, 5, 8, 12, 14)  # distortion terms, OpenCV's order; 0: a pinhole
+ROUNDS = 6
+LEAST_CORNERS = 6  # in a photograph that counts
+LEAST_IMAGES = 3
+WIDE = {"k1": 1.0, "k2": 2.0, "p1": 0.05, "p2": 0.05, "k3": 5.0, "k4": 0.5, "k5": 0.5, "k6": 0.5,
+        "s1": 0.02, "s2": 0.02, "s3": 0.02, "s4": 0.02, "tau_x": 0.03, "tau_y": 0.03}  # nothing is stated: these only keep a term finite
+UNMODELLED = 0.1  # px, a first guess of what board, print and lens add to every corner beyond its own covariance
+PINNED = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """One lens model fitted. terms : distortion terms adjusted; camera : Camera; residuals : (n, 2) px, of all corners
+    inliers : (n,) bool; rms : px per axis, of the inliers it was fitted to; adjustment : Adjustment."""
+
+    terms: int
+    camera: Camera
+    residuals: np.ndarray
+    inliers: np.ndarray
+    rms: float
+    adjustment: Adjustment
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """A model on photographs held out in turn. terms; rms : px per axis, over all; by_image : px per axis; corners : how many."""
+
+    terms: int
+    rms: float
+    by_image: tuple[float, ...]
+    corners: int
+
+
+def observations_of(views: Sequence[BoardView], board: Board) -> Observations:
+    """Observations of BoardViews, one frame each; corners count four to a `marker`. Raises NotEnoughData where too few are usable."""
+    usable = [(f, view) for f, view in enumerate(views) if len(view.corner) >= LEAST_CORNERS]
+    if len(usable) < LEAST_IMAGES:
+        raise NotEnoughData(f"{len(usable)} photographs show {LEAST_CORNERS} corners of the board or more; a lens takes at least {LEAST_IMAGES}")
+    corner = np.concatenate([view.corner for _, view in usable])
+    covariance = np.concatenate([view.covariance for _, view in usable])
+    frames = np.array([f for f, _ in usable])
+    frame = np.repeat(np.arange(len(usable)), [len(view.corner) for _, view in usable])
+    order = np.lexsort((corner, frame))
+    return Observations(frames, frame[order], np.zeros(len(corner), int), corner[order] // 4, corner[order] % 4,
+                        np.concatenate([view.uv for _, view in usable])[order], covariance[order], board.points[corner[order]],
+                        np.zeros(len(corner), bool), True)
+
+
+def calibrate(observations: Observations, width: int, height: int, terms: int, name: str = "cam0", inliers: np.ndarray | None = None) -> Fit:
+    """Fit of a lens with that many distortion terms. inliers : (n,) bool to hold to, or None: found here.
+
+    Raises NotEnoughData where corners do not determine it.
+    """
+    o = observations
+    start = _start(o, width, height, max(terms, 4), name)
+    stated, state, good = start, start, np.ones(len(o), bool) if inliers is None else inliers
+    unmodelled = UNMODELLED**2
+    for k in range(ROUNDS):
+        weighed = replace(o, covariance=o.covariance + unmodelled * np.eye(2))
+        result = adjust(weighed.take(good), state, ("lenses",), stated=stated, worth=lambda camera: _worth(camera, terms))
+        state = result.state
+        residuals = o.uv - predict(o, state)[0]
+        square = (residuals**2).sum(axis=1)
+        before, unmodelled = unmodelled, max((square[good] - np.einsum("nii->n", o.covariance)[good]).mean() / 2, 0.0)
+        near = square < GATE**2 * np.median(square) / MEDIAN if inliers is None else good
+        if k and (near == good).all() and abs(unmodelled - before) <= 0.05 * before:
+            break
+        good = near
+    return Fit(terms, state.cameras[0], residuals, good, float(np.sqrt((residuals[good] ** 2).mean())), result)
+
+
+def hold_out(observations: Observations, width: int, height: int, terms: int, inliers: np.ndarray) -> HeldOut:
+    """HeldOut: every photograph in turn predicted by a lens fitted to the others, its own pose alone fitted to it. inliers : (n,) bool"""
+    o, by_image, total, count = observations, [], 0.0, 0
+    for f in range(len(o.frames)):
+        own = o.frame == f
+        rest = np.delete(np.arange(len(o.frames)), f)
+        fitted = calibrate(only(o, rest), width, height, terms, inliers=inliers[~own])
+        alone = only(o, np.array([f])).take(inliers[own])
+        start = _start(alone, width, height, max(terms, 4), "held out", fitted.camera)
+        state = adjust(alone, start, ()).state
+        square = (alone.uv - predict(alone, state)[0]) ** 2
+        by_image.append(float(np.sqrt(square.mean())))
+        total, count = total + square.sum(), count + len(alone)
+    return HeldOut(terms, float(np.sqrt(total / (2 * count))), tuple(by_image), count)
+
+
+def choose(held: Sequence[HeldOut]) -> HeldOut:
+    """The HeldOut to take: the simplest within one standard error of the best. held : one per model, simplest first."""
+    best = min(held, key=lambda one: one.rms)
+    for one in held:
+        worse = np.square(one.by_image) - np.square(best.by_image)
+        if worse.mean() <= worse.std(ddof=1) / np.sqrt(len(worse)):
+            return one
+    return best
+
+
+def projection_uncertainty(fit: Fit, step: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """(uv (r, c, 2) px, sigma (r, c) px): standard uncertainty of where the lens puts a direction, over the frame.
+
+    The part that a small turn of the camera would undo is taken out, for a camera's pose is always found with its lens.
+    Source: mrcal, projection uncertainty
+    """
+    camera = fit.camera
+    u, v = (np.linspace(0, size - 1, max(size // step, 2) + 1) for size in (camera.width, camera.height))
+    u, v = np.meshgrid(u, v)
+    uv = np.stack([u, v], axis=-1)
+    ideal = lens.undistort(uv, camera.matrix, camera.distortion)
+    points = np.concatenate([np.nan_to_num(ideal), np.ones((*u.shape, 1))], axis=-1)
+    _, J_point, J_lens = lens.project_jacobian(points, camera.matrix, camera.distortion)
+    inside = np.isfinite(ideal[..., 0])
+    J_turn = J_point @ _cross(points)
+    A, B = J_turn[inside].reshape(-1, 3), J_lens[inside].reshape(-1, J_lens.shape[-1])
+    J = J_lens - J_turn @ np.linalg.lstsq(A, B, rcond=None)[0]
+    scale = fit.adjustment.cost / fit.adjustment.dof
+    C = scale * np.einsum("...ij,jk,...lk->...il", J, fit.adjustment.shared_covariance, J)
+    return uv, np.where(inside, np.sqrt(np.trace(C, axis1=-2, axis2=-1) / 2), np.nan)
+
+
+def _cross(points: np.ndarray) -> np.ndarray:
+    out = np.zeros((*points.shape, 3))
+    x, y, z = np.moveaxis(points, -1, 0)
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = z, -y, x
+    return out
+
+
+def _worth(camera: Camera, terms: int) -> np.ndarray:
+    """(4 + terms,) standard deviations before the images: next to nothing known, or pinned."""
+    names = lens.terms(camera.distortion)[4:]
+    return np.array([camera.matrix[0, 0], camera.matrix[1, 1], camera.width, camera.width]
+                    + [WIDE[name] if k < terms else PINNED for k, name in enumerate(names)])
+
+
+def _start(o: Observations, width: int, height: int, terms: int, name: str, camera: Camera | None = None) -> State:
+    """State with a first guess of the lens, unless a Camera is given, and of the board's pose in every photograph."""
+    frames = range(len(o.frames))
+    if camera is None:
+        flat = [o.points[o.frame == f].astype(np.float32) for f in frames]
+        seen = [o.uv[o.frame == f].astype(np.float32) for f in frames]
+        K = cv2.initCameraMatrix2D(flat, seen, (width, height), 1.0)
+        if not (np.isfinite(K).all() and 0.1 * width < K[0, 0] < 50 * width):
+            K = np.array([[1.2 * width, 0, (width - 1) / 2], [0, 1.2 * width, (height - 1) / 2], [0, 0, 1]])
+        camera = Camera(name, width, height, K, np.zeros(terms), RigidTransform.identity(), mount="moving")
+    poses = []
+    for f in frames:
+        rows = o.frame == f
+        ideal = lens.undistort(o.uv[rows], camera.matrix, camera.distortion)
+        ok, turn, shift = cv2.solvePnP(o.points[rows], ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+        if not ok or shift[2] <= 0:
+            raise NotEnoughData(f"photograph {o.frames[f]}: its {rows.sum()} corners give no pose of the board")
+        poses.append(RigidTransform.from_components(shift.ravel(), Rotation.from_rotvec(turn.ravel())).inv())
+    T = RigidTransform.concatenate(poses)
+    return State((camera,), RigidTransform.from_matrix(np.tile(np.eye(4), (len(poses), 1, 1))), {0: T})

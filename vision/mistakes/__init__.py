@@ -1,5 +1,0 @@
-"""Mistakes that show in corners: each is tried on a few frames, and the one that makes them agree is named."""
-
-from vision.mistakes.look import look
-
-__all__ = ["look"]

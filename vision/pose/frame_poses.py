@@ -1,0 +1,183 @@
+"""Frame by frame: where the platform and every moving camera stand, as a start for adjusting all frames together."""
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.model.design import Camera
+from rig.compute.parallel_map import parallel_map
+from vision.corner_observations import Observations
+from vision.pose.body_pose import Located, Unsolved, View, inverse, locate, undistorted
+from vision.pose.ambiguous_poses import Poses, astray, choose
+from vision.targets import MarkerMap
+
+SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other
+TOGETHER = 16  # frames that one process locates before it takes more
+PLATFORM = -1  # among the bodies of `vouched`; a moving camera's own number stands for the base seen from it
+
+Call = tuple[int, np.ndarray, np.ndarray]  # frame, rows of the observations, T_camera_world (c, 4, 4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """poses : {frame: (4, 4) T_base_platform}; moving : {camera: {frame: (4, 4) T_base_camera}}; unsolved : {frame: reason}
+    vouched : {(frame, body)} whose one sighting the frames before and after confirm."""
+
+    poses: Poses
+    moving: dict[int, Poses]
+    unsolved: dict[int, str]
+    vouched: set[tuple[int, int]]
+
+    def all_poses(self, count: int) -> RigidTransform:
+        """RigidTransform (count,) of the platform, the identity where there is none."""
+        return _filled(self.poses, count)
+
+    def all_moving(self, count: int) -> dict[int, RigidTransform]:
+        """{camera: RigidTransform (count,)}, the identity where there is none."""
+        return {i: _filled(T, count) for i, T in self.moving.items()}
+
+
+def _filled(poses: Poses, count: int) -> RigidTransform:
+    matrices = np.tile(np.eye(4), (count, 1, 1))
+    for f, matrix in poses.items():
+        matrices[f] = matrix
+    return RigidTransform.from_matrix(matrices)
+
+
+class Views:
+    """Views cut out of a recording's observations, the lens taken out of all of them once."""
+
+    def __init__(self, observations: Observations, cameras: Sequence[Camera], marker_map: MarkerMap, finest: float) -> None:
+        self.observations = observations.with_points(marker_map.corners[observations.marker, observations.corner])
+        self.map, self.finest = marker_map, finest
+        self.ideal, self.covariance = undistorted(observations.uv, observations.covariance, observations.camera, cameras)
+        self.normals = marker_map.T_body_marker.rotation.as_matrix()[:, :, 2][observations.marker]
+        self.focal = np.array([np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) for camera in cameras])
+        self.identity = np.broadcast_to(np.eye(4), (len(cameras), 4, 4))
+
+    def take(self, mask: np.ndarray) -> "Views":
+        """The same recording with only the corners of a mask (n,)."""
+        some = copy(self)
+        some.observations, some.ideal, some.covariance, some.normals = (
+            self.observations.take(mask), self.ideal[mask], self.covariance[mask], self.normals[mask])
+        return some
+
+    def locate(self, rows: np.ndarray, T_camera_world: np.ndarray, ideal: np.ndarray | None = None) -> Located | Unsolved:
+        """Located or Unsolved from the observations' rows. T_camera_world : (c, 4, 4)."""
+        o = self.observations
+        ideal = self.ideal[rows] if ideal is None else ideal
+        return locate(View(o.points[rows], self.normals[rows], ideal, self.covariance[rows], o.camera[rows], o.marker[rows],
+                           o.corner[rows], self.focal, T_camera_world), self.map, self.finest)
+
+
+def resect(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
+    """{camera index: T_base_camera} of the fixed cameras, from the base's corners, the median over all frames of each."""
+    o, found = views.observations, {}
+    for i, camera in enumerate(cameras):
+        if camera.mount == "moving":
+            continue
+        rows = np.flatnonzero(~o.on_platform & (o.camera == i))
+        key = o.marker[rows] * 4 + o.corner[rows]
+        keys, first = np.unique(key, return_index=True)
+        ideal = np.array([np.median(views.ideal[rows[key == k]], axis=0) for k in keys]).reshape(-1, 2)
+        located = views.locate(rows[first], views.identity, ideal)
+        if located:
+            found[i] = located.T_world_body.inv()
+    return found
+
+
+def related(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
+    """{camera index: T_base_camera} of fixed cameras that see no base, from the body itself, which each locates by itself: where they stand to
+    each other, the middle over the frames that they share with one of them, and all together where they are stated, in the mean.
+
+    Nothing where fewer than two share SHARED frames or some camera sees the base or moves.
+    """
+    o = views.observations
+    if not o.on_platform.all() or any(camera.mount == "moving" for camera in cameras):
+        return {}
+    alone = {}  # (camera, frame): T_camera_body
+    for i in np.unique(o.camera).tolist():
+        for f in np.unique(o.frame[o.camera == i]).tolist():
+            answer = views.locate(np.flatnonzero((o.camera == i) & (o.frame == f)), views.identity)
+            if answer:
+                alone[i, f] = answer.T_world_body
+    frames = {i: {f for j, f in alone if j == i} for i in np.unique(o.camera).tolist()}
+    first = max(frames, key=lambda i: len(frames[i]))
+    found = {first: RigidTransform.identity()}
+    for i, own in frames.items():
+        both = sorted(own & frames[first])
+        if i != first and len(both) >= SHARED:
+            steps = RigidTransform.concatenate([alone[first, f] * alone[i, f].inv() for f in both])
+            found[i] = RigidTransform.from_components(np.median(steps.translation, axis=0), steps.rotation.mean())
+    if len(found) < 2:
+        return {}
+    turn = RigidTransform.concatenate([cameras[i].pose * T.inv() for i, T in found.items()]).rotation.mean()
+    shift = np.mean([cameras[i].pose.translation - turn.apply(T.translation) for i, T in found.items()], axis=0)
+    return {i: RigidTransform.from_components(shift, turn) * T for i, T in found.items()}
+
+
+def locate_frames(views: Views, cameras: Sequence[Camera], t: np.ndarray | None = None,
+                  progress: Callable[[int, int], None] | None = None) -> Frames:
+    """Frames of all that can be located. t : (F,) s; with it, a sighting that stands alone is held against its neighbours in time.
+
+    progress : called with (done, of), or None
+    """
+    o, count = views.observations, len(views.observations.frames)
+    moving, unsolved, vouched = {}, {}, set()
+    by_frame = np.argsort(o.frame, kind="stable")
+    edges = np.searchsorted(o.frame[by_frame], np.arange(count + 1))
+    rows_of = [by_frame[edges[f] : edges[f + 1]] for f in range(count)]
+    lost = {}
+    for i, camera in enumerate(cameras):
+        if camera.mount != "moving":
+            continue
+        calls = [(f, rows[~o.on_platform[rows] & (o.camera[rows] == i)], views.identity) for f, rows in enumerate(rows_of)]
+        found, alone, why = _decided(_answers(views, calls), t)
+        moving[i] = {f: inverse(matrix) for f, matrix in found.items()}
+        vouched |= {(f, i) for f in alone}
+        lost[i] = {f: f"moving camera {camera.name!r} is lost: {reason}" for f, reason in why.items()}
+    fixed = np.array([camera.pose.inv().as_matrix() for camera in cameras])
+    calls = []
+    for f, rows in enumerate(rows_of):
+        T_camera_world = fixed.copy()
+        for i, poses in moving.items():
+            if f in poses:
+                T_camera_world[i] = inverse(poses[f])
+            else:
+                poses[f] = cameras[i].pose.as_matrix()
+        seen = rows[o.on_platform[rows]]
+        known = np.array([f not in lost.get(i, {}) for i in o.camera[seen].tolist()], bool)
+        if len(seen) and not known.any():
+            unsolved[f] = next(lost[i][f] for i in o.camera[seen].tolist())
+        else:
+            calls.append((f, seen[known], T_camera_world))
+    answers = _answers(views, calls, progress)
+    poses, alone, why = _decided(answers, t)
+    return Frames(poses, moving, unsolved | why, vouched | {(f, PLATFORM) for f in alone})
+
+
+def _answers(views: Views, calls: Sequence[Call], progress: Callable[[int, int], None] | None = None) -> dict[int, Located | Unsolved]:
+    """{frame: Located or Unsolved} of calls, on all cores where they are many."""
+    parts = [calls[at : at + TOGETHER] for at in range(0, len(calls), TOGETHER)]
+    found = parallel_map(lambda part: [views.locate(rows, T) for _, rows, T in part], parts,
+                         progress and (lambda done, of: progress(min(done * TOGETHER, len(calls)), len(calls))))
+    return {f: answer for part, answers in zip(parts, found) for (f, _, _), answer in zip(part, answers)}
+
+
+def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tuple[Poses, set[int], dict[int, str]]:
+    """({frame: (4, 4) T_world_body}, frames decided by their neighbours, {frame: reason}) of {frame: Located or Unsolved}."""
+    found = {f: answer.matrix for f, answer in answers.items() if answer}
+    why = {f: answer.reason for f, answer in answers.items() if not answer}
+    chosen = {}
+    if t is not None:
+        for f, reason in astray(found, t).items():
+            del found[f]
+            why[f] = reason
+        doubtful: dict[int, Sequence[np.ndarray]] = {f: [one.matrix for one in answer.candidates]
+                                                     for f, answer in answers.items() if not answer and answer.candidates}
+        chosen = choose(found, doubtful, t)
+        why.update({f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen})
+    return found | chosen, set(chosen), {f: reason for f, reason in why.items() if f not in chosen}

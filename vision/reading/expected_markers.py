@@ -1,0 +1,82 @@
+"""Where markers ought to be in images not yet read: cameras as some frames have taught them, poses from the command or the frame before."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.model import mechanisms
+from rig.model.design import Camera, Design
+from rig.errors import NotConverged, NotEnoughData
+from rig.model.pose import difference, exp
+from rig.recording.recording_folder import Corners, Recording
+from vision.recording_adjustment import Measurement, measure
+from vision.corner_observations import from_corners
+from vision.pose.frame_poses import Views, locate_frames
+from vision.pose.body_pose import FINEST
+from vision.predict import State, predict
+from vision.reading.marker_identity import suspects
+from vision.targets import MarkerMap
+
+WORTH_FOLLOWING = 3.0  # px, RMS over a frame, within which a command must predict what is seen to be worth following
+LEAST = 4  # frames that teach anything
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expectation:
+    """cameras : as adjusted to the frames that taught; markers : MarkerMap; commanded : {frame: T_base_platform}, empty where commands
+    do not tell where the platform is: then the frame before does."""
+
+    cameras: tuple[Camera, ...]
+    markers: MarkerMap
+    commanded: dict[int, RigidTransform]
+
+    def camera(self, name: str) -> Camera | None:
+        """The camera of that name, or None for one that moves: where it stands is not known before its image is read."""
+        return next((camera for camera in self.cameras if camera.name == name and camera.mount != "moving"), None)
+
+    def locate(self, corners: Corners, frame: int, design: Design) -> RigidTransform | None:
+        """T_base_platform of a frame from its Corners alone, or None."""
+        observations = from_corners(corners, np.array([frame]), design, self.markers)
+        poses = locate_frames(Views(observations, self.cameras, self.markers, FINEST), self.cameras).poses if len(observations) else {}
+        return RigidTransform.from_matrix(poses[0]) if 0 in poses else None
+
+
+def taught(recording: Recording, corners: Corners, correlation: np.ndarray, repeated: Sequence[int], markers: MarkerMap) -> Expectation | None:
+    """Expectation from the corners of some frames, searched for in whole images; None where they do not show the rig as stated.
+
+    corners, correlation : Corners and (n, 2, 8); repeated : identities that one of those images shows twice
+    What is not as stated (a marker exchanged, turned, printed twice, frames that are not solved) must be looked for in every image, and so must
+    what is on the stages of a chain, one of whose bodies does not say where the others are.
+    """
+    frames, design = np.unique(corners.frame), recording.design
+    if len(frames) < LEAST or len(repeated) or markers.stage.any():
+        return None
+    try:
+        m = measure(from_corners(corners, frames, design, markers, correlation), design, markers)
+    except NotEnoughData:
+        return None
+    if m.unsolved or suspects(m, markers):
+        return None
+    return Expectation(m.design.cameras, markers, _commanded(recording, m, frames))
+
+
+def _commanded(recording: Recording, m: Measurement, frames: np.ndarray) -> dict[int, RigidTransform]:
+    """{frame: pose} that the commands say, brought to the frames measured; empty where that is not where the platform is seen."""
+    if recording.commands is None or recording.design.mechanism.kind != "hexapod":
+        return {}
+    numbers, _, values = recording.commanded()
+    mechanism = recording.design.mechanism
+    try:
+        T = mechanisms.of(mechanism).forward(values, mechanism)
+    except NotConverged:
+        return {}
+    at = np.searchsorted(numbers, frames)
+    T = T * exp(np.median(difference(T[at], m.T_base_platform), axis=0))
+    o = m.observations
+    here = State(m.design.cameras, T[at], m.adjustment.state.moving)
+    miss = ((o.uv - predict(o, here)[0]) ** 2).sum(axis=1)[m.inliers & o.on_platform]
+    count = np.bincount(o.frame[m.inliers & o.on_platform], minlength=len(frames))
+    rms = np.sqrt(np.bincount(o.frame[m.inliers & o.on_platform], weights=miss, minlength=len(frames)) / np.maximum(count, 1))
+    return dict(zip(numbers.tolist(), T)) if (rms < WORTH_FOLLOWING).all() else {}

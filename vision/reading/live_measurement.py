@@ -1,0 +1,214 @@
+"""A recording measured while it grows: every frame's corners and pose as it comes, cameras adjusted to the frames so far now and then.
+
+The first frames' images are searched whole; from then on only the places are read where markers ought to be. Between two
+adjustments the cameras are held, so that one that has moved shows. Adjusting takes seconds and is done beside: frames that come
+meanwhile are measured with the cameras as they were.
+
+A marker is fitted as a whole, its sides bent as the lens bends them: the first images are placed once more by the lens as measured, until that
+bends no marker otherwise. Else what the stated lens did to their corners would be in all poses to come.
+"""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.model.design import Camera, Design
+from rig.errors import NotEnoughData
+from rig.model.pose import adjoint
+from rig.compute.worker_processes import cores
+from rig.recording.recording_folder import Corners
+from vision.corners.marker_detection import REACH, Detection, detect, grey, place
+from vision.corners.edge_spread import PLAIN, Spread
+from vision.hand_mounted_cameras import in_hand, seen_from
+from vision.recording_adjustment import Measurement, measure
+from vision.corner_observations import Observations, from_corners, nothing_seen
+from vision.pose.frame_poses import Views, locate_frames, resect
+from vision.pose.body_pose import FINEST
+from vision.predict import State, expected, predict
+from vision.reading.corner_refit import ROUNDS, SETTLED, otherwise
+from vision.reading.recording_corners import corners_of, learn_spread
+from vision.targets import marker_map
+
+Rows = tuple[tuple[int, str, Detection], ...]  # frame, camera, what its image shows
+Images = tuple[tuple[int, str, np.ndarray], ...]  # frame, camera, its image
+TAUGHT = (6, 12, 24, 48, 96)  # solved frames after which cameras are adjusted to all so far
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What one frame shows. T_base_platform : None where it is not solved, then `reason` says why.
+
+    covariance : (6, 6) on the right, None too while the cameras have not been adjusted: their share is not known before that
+    observations : Observations of this frame alone; residuals : (n, 2) px against the pose and the cameras held, NaN where unsolved
+    inliers : (n,) bool; detections : {camera: Detection}; expected : {camera: identities that ought to be seen at the pose}
+    """
+
+    frame: int
+    T_base_platform: RigidTransform | None
+    covariance: np.ndarray | None
+    reason: str
+    observations: Observations
+    residuals: np.ndarray
+    inliers: np.ndarray
+    detections: dict[str, Detection]
+    expected: dict[str, tuple[int, ...]]
+
+
+def told_by_limbs(frame: int, T_base_platform: RigidTransform, covariance: np.ndarray) -> Sight:
+    """Sight of a frame whose pose others told, with its covariance (6, 6), m and rad on the right: no camera looked at it."""
+    return Sight(frame, T_base_platform, covariance, "", nothing_seen(frame), np.zeros((0, 2)), np.zeros(0, bool), {}, {})
+
+
+def from_hand(sight: Sight) -> Sight:
+    """The Sight of a base that was seen from the platform: where the platform stands, by the inverse, with its covariance."""
+    T = sight.T_base_platform
+    if T is None:
+        return sight
+    inverted = adjoint(T)
+    return replace(sight, T_base_platform=T.inv(), covariance=None if sight.covariance is None else inverted @ sight.covariance @ inverted.T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Adjusted:
+    """What an adjustment came to. again : {(frame, camera): Detection} placed anew; spread : {camera: Spread}, both empty where not learnt anew."""
+
+    measurement: Measurement | None
+    spread: dict[str, Spread]
+    again: dict[tuple[int, str], Detection]
+
+
+class Live:
+    """The measuring of one run. design : Design as stated, one whose cameras are in the hand as seen from there (see vision.hand_mounted_cameras)
+    cameras : as adjusted so far; noise : px of a corner, None before that."""
+
+    def __init__(self, design: Design) -> None:
+        if not design.cameras or not design.targets:
+            raise NotEnoughData(f"measuring takes a camera and a target at least; rig.toml has {len(design.cameras)} and {len(design.targets)}")
+        self._held = in_hand(design)
+        design = seen_from(design) if self._held else design.without_stages()
+        self.design, self.markers = design, marker_map(design)
+        self.cameras = design.cameras
+        self.noise: float | None = None
+        self._rows: list[tuple[int, str, Detection]] = []
+        self._solved, self._factor = 0, 1.0
+        self._measurement: Measurement | None = None
+        self._first: list[tuple[int, str, np.ndarray]] = []  # images from which the cameras' edges are learnt; none once they are
+        self._spread = {camera.name: PLAIN for camera in design.cameras}
+        self._pool, self._beside = ThreadPoolExecutor(cores()), ThreadPoolExecutor(1)
+        self._adjusting: Future[_Adjusted] | None = None
+        self._told = 0  # frames of the last adjustment that was begun
+
+    def take(self, frame: int, images: dict[str, np.ndarray], T_expected: RigidTransform | None = None) -> Sight:
+        """The sight of a frame. images : {camera: as cv2 reads it}; T_expected : where the platform ought to be, or None."""
+        self._adopt()
+        if self._held and T_expected is not None:
+            T_expected = T_expected.inv()
+        by_name = {camera.name: camera for camera in self.cameras}
+        adjusted = self._measurement is not None and T_expected is not None
+        work = [(name, self._pool.submit(detect, image, by_name[name], self.markers, self._spread[name],
+                                         T_expected if adjusted and by_name[name].mount == "fixed" else None))
+                for name, image in images.items()]
+        detections = {name: future.result() for name, future in work}
+        rows = [(frame, name, detection) for name, detection in detections.items()]
+        self._rows += rows
+        if self._measurement is None and len(self._first) < TAUGHT[1] * len(images):
+            self._first += [(frame, name, image) for name, image in images.items()]
+        sight = self._locate(frame, rows, detections)
+        self._solved += sight.T_base_platform is not None
+        return from_hand(sight) if self._held else sight
+
+    def adjust(self) -> None:
+        """Begin to adjust cameras to all frames so far where it is time to; what comes of it is taken over with a frame to come."""
+        due = max((count for count in TAUGHT if count <= self._solved), default=0)
+        if due > self._told and self._adjusting is None:
+            self._told = due
+            self._adjusting = self._beside.submit(self._adjusted, tuple(self._rows), tuple(self._first), {c.name: c for c in self.cameras})
+            self._first = self._first if self._measurement is None else []
+
+    def _adopt(self) -> None:
+        """Take over an adjustment that has come to its end. Raises what it raised."""
+        if self._adjusting is None or not self._adjusting.done():
+            return
+        adjusting, self._adjusting = self._adjusting, None
+        done = adjusting.result()
+        self._spread |= done.spread
+        self._rows = [(frame, name, done.again.get((frame, name), detection)) for frame, name, detection in self._rows]
+        if done.measurement is not None:
+            m = self._measurement = done.measurement
+            self.cameras, self.noise, self._factor = m.design.cameras, m.noise, m.factor
+
+    def _adjusted(self, rows: Rows, first: Images, cameras: dict[str, Camera]) -> _Adjusted:
+        """Cameras adjusted to all of some rows. first : images from which to learn how each camera's edges look and which are placed once more,
+        or none; cameras : {name: Camera} by which these are placed at first"""
+        full = {(frame, name): grey(image)[1] for frame, name, image in first}
+        seen = {(frame, name): detection for frame, name, detection in rows if (frame, name) in full}
+        spread = {name: learn_spread([(full[key], d.read) for key, d in seen.items() if key[1] == name], camera, self.markers)
+                  for name, camera in cameras.items() if any(key[1] == name for key in seen)}
+        measurement, again, placed_by = None, dict[tuple[int, str], Detection](), cameras
+        for _ in range(1 + (ROUNDS if seen else 0)):
+            again = {key: place(full[key], placed_by[key[1]], self.markers, d.read, spread[key[1]], 0.0 if again else REACH)
+                     for key, d in (again or seen).items()}
+            corners, correlation = corners_of([(frame, name, again.get((frame, name), detection)) for frame, name, detection in rows])
+            observed = from_corners(corners, np.unique(corners.frame), self.design, self.markers, correlation)
+            try:
+                measurement = measure(observed, self.design, self.markers)
+            except NotEnoughData:
+                return _Adjusted(None, spread, again)
+            if not seen or otherwise(corners_of([(*key, d) for key, d in again.items()])[0], placed_by, measurement.design.cameras) < SETTLED:
+                break
+            placed_by = {camera.name: camera for camera in measurement.design.cameras}
+        return _Adjusted(measurement, spread, again)
+
+    def close(self) -> None:
+        """End the threads, once what is adjusted has come to its end. Raises what that raised."""
+        self._pool.shutdown()
+        self._beside.shutdown()
+        if self._adjusting is not None:
+            self._adjusting.result()
+
+    def _locate(self, frame: int, rows: list[tuple[int, str, Detection]], detections: dict[str, Detection]) -> Sight:
+        corners, correlation = corners_of(rows)
+        observed = from_corners(corners, np.array([frame]), self.design, self.markers, correlation)
+        observed = replace(observed, covariance=observed.covariance * self._factor)
+        nothing = Sight(frame, None, None, "no marker of the rig is seen", observed, np.full((len(observed), 2), np.nan),
+                        np.zeros(len(observed), bool),
+                        detections, {})
+        if not len(observed):
+            return nothing
+        cameras = self.cameras if self._measurement is not None else self._resected(corners)
+        views = Views(observed, cameras, self.markers, FINEST)
+        found = locate_frames(views, cameras)
+        if 0 not in found.poses:
+            return replace(nothing, reason=found.unsolved[0])
+        T = RigidTransform.from_matrix(found.poses[0])
+        state = State(cameras, found.all_poses(1), found.all_moving(1))
+        on = np.flatnonzero(observed.on_platform)
+        T_camera_base = np.array([state.moving[i][0].inv().as_matrix() if i in state.moving else camera.pose.inv().as_matrix()
+                                  for i, camera in enumerate(cameras)])
+        located = views.locate(on, T_camera_base)
+        inliers = np.ones(len(observed), bool)
+        inliers[on] = located.inliers if located else True
+        residuals = observed.uv - predict(observed, state)[0]
+        return replace(nothing, T_base_platform=T, covariance=self._uncertain(T, located.covariance) if located else None, reason="",
+                       residuals=residuals, inliers=inliers, expected={name: self._ought(cameras, name, T) for name in detections})
+
+    def _resected(self, corners: Corners) -> tuple[Camera, ...]:
+        """Cameras where their own images of the base's markers put them, before they are adjusted."""
+        every, correlation = corners_of(self._rows)
+        observed = from_corners(every, np.unique(every.frame), self.design, self.markers, correlation)
+        found = resect(Views(observed, self.design.cameras, self.markers, FINEST), self.design.cameras)
+        return tuple(replace(camera, pose=found.get(i, camera.pose)) for i, camera in enumerate(self.design.cameras))
+
+    def _ought(self, cameras: tuple[Camera, ...], name: str, T: RigidTransform) -> tuple[int, ...]:
+        camera = next(camera for camera in cameras if camera.name == name)
+        return tuple(self.markers.id[expected(camera, T, self.markers)[0]].tolist()) if camera.mount == "fixed" else ()
+
+    def _uncertain(self, T: RigidTransform, own: np.ndarray) -> np.ndarray | None:
+        """(6, 6) a pose's own covariance and what the cameras' adds, as it is at the nearest pose to which they were adjusted."""
+        m = self._measurement
+        if m is None:
+            return None
+        near = int(np.argmin(np.linalg.norm(m.T_base_platform.translation - T.translation, axis=1)))
+        return own + m.common[near] @ m.common[near].T

@@ -1,0 +1,193 @@
+"""A recording -> its measurement, from whichever it has: corners as they stand, or images, read and looked at again."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rig.model.design import Camera, Design
+from rig.errors import NotEnoughData
+from rig.recording.recording_folder import Corners, Recording
+from vision import chain_stages
+from vision.bundle.bundle_adjustment import NoOptimum
+from vision.bundle.marker_displacements import HALVED, doubtful, moves
+from vision.hand_mounted_cameras import exchanged, in_hand, of_platform
+from vision.initial_lenses import lens_starts, plausible
+from vision.recording_adjustment import Measurement, measure
+from vision.corner_observations import Observations, from_corners, only
+from vision.reading.corner_refit import ROUNDS, SETTLED, otherwise, placed_anew
+from vision.reading.recording_corners import Collected, collect, image_reader, look_again
+from vision.reading.marker_identity import LOOKED_AT, why_none
+from vision.remounted_cubes import put_back, without
+from vision.targets import MarkerMap, marker_map
+
+REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
+ASIDE = 0.2  # of the corners of solved frames; where more are set aside, the stated lenses are doubted
+FRAMES = 8  # on which other lenses are tried
+PLACES = ("auto", "stated", "free")
+
+
+def measured(recording: Recording, places: str = "auto", progress: Callable[[str, int, int], None] | None = None) -> Measurement:
+    """Measurement of a recording, as `rig measure` makes it: poses with covariance, cameras adjusted.
+
+    places : whether the markers' places on their bodies are adjusted too: "stated", "free", or "auto", where the stated ones contradict
+    what is seen; progress : called with (label, done, of), or None
+    Raises NotEnoughData for a recording with neither corners nor images
+
+    >>> import rig, vision
+    >>> found = vision.measured(rig.load("tests/data/bench/check"))
+    >>> len(found.frames), found.covariance.shape
+    (6, (6, 6, 6))
+    >>> found.noise < 0.1  # px, standard deviation of a corner
+    True
+    """
+    return measure_recording(recording, progress=progress, places=places)[0]
+
+
+def measure_recording(recording: Recording, free: Sequence[str] = ("poses", "lenses"), detect_anew: bool = False,
+                      progress: Callable[[str, int, int], None] | None = None, places: str = "stated",
+                      look: Callable[[Corners], None] | None = None) -> tuple[Measurement, Collected | None]:
+    """(Measurement, Collected or None) of a recording.
+
+    free : what is adjusted, see vision.bundle.bundle_adjustment; places : whether the markers' places on their bodies are adjusted too: "stated",
+    "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of the frames, or most of the corners' scatter
+    comes from them
+    detect_anew : read the images even where corners.csv is there
+    progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None; what it raises ends it
+    Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
+    """
+    if not in_hand(recording.design):
+        return _measured(recording, free, detect_anew, progress, places, look)
+    measured, collected = _measured(exchanged(recording), free, detect_anew, progress, places, look)
+    return of_platform(measured), collected
+
+
+def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, progress: Callable[[str, int, int], None] | None, places: str,
+              look: Callable[[Corners], None] | None) -> tuple[Measurement, Collected | None]:
+    """The same by cameras that stand still or go their own ways."""
+    design = recording.design
+    if not design.cameras or not design.targets:
+        raise NotEnoughData(f"{recording.folder}: rig.toml has {len(design.cameras)} cameras and {len(design.targets)} targets; "
+                            "measuring takes at least one of each")
+    if not any(target.body == "platform" for target in design.targets):
+        raise NotEnoughData(f"{recording.folder}: rig.toml has no target on the platform, so its pose cannot be seen")
+    if places not in PLACES:
+        raise ValueError(f"places takes {PLACES}, got {places!r}")
+    frames, t = recording.exposures.times()
+    markers = marker_map(design)
+
+    def said(label: str) -> Callable[[int, int], None] | None:
+        return (lambda done, of: progress(label, done, of)) if progress else None
+
+    def solved(corners: Corners, correlation: np.ndarray | None = None, look: Callable[[Corners], None] | None = None) -> Measurement:
+        if look:
+            look(corners)
+        observed = from_corners(corners, frames, design, markers, correlation)
+        loose = put_back(observed, design, markers)
+        if markers.stage.any():
+            return solve(observed.take(~loose), design, markers, free, progress, t, places)
+        return without(observed, loose, lambda held: solve(held, design, markers, free, progress, t, places))
+
+    if recording.corners is not None and not detect_anew:
+        return solved(recording.corners, look=look), None
+    if not recording.has_images:
+        raise NotEnoughData(f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is nothing to measure")
+    found = collect(recording, markers, said("reading images"))
+    if not len(found.corners.frame):
+        raise NotEnoughData(f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}")
+    measured = solved(found.corners, found.correlation, look)
+    again = look_again(recording, found, measured, markers, said("looking again"))
+    if len(again.corners.frame) > len(found.corners.frame):
+        found = again
+        measured = solved(found.corners, found.correlation)
+    for _ in range(ROUNDS):
+        if otherwise(found.corners, found.cameras, measured.design.cameras) < SETTLED:
+            break
+        found = placed_anew(recording, found, measured.design.cameras, markers, said("placing anew"))
+        measured = solved(found.corners, found.correlation)
+    return measured, found
+
+
+def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequence[str], progress: Callable[[str, int, int], None] | None,
+          t: np.ndarray, places: str) -> Measurement:
+    """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at. t : (F,) s"""
+    if markers.stage.any():
+        chain_stages.refuse_free(places)
+        return chain_stages.parted(
+            measure(chain_stages.apart(observed, markers), design, markers, free, progress, chain_stages.times(t, markers)), markers
+        )
+    loose, measured = (*free, "markers"), None
+    if places == "free":
+        return measure(observed, design, markers, loose, progress, t)
+    try:
+        measured = measure(observed, design, markers, free, progress, t)
+    except (NotEnoughData, NoOptimum):
+        begun = _other_lenses(observed, design, markers, free)
+        if begun is None and places == "stated":
+            raise
+    else:
+        begun = _other_lenses(observed, design, markers, free) if _contradicts(measured) else None
+    if begun is not None:
+        other = measure(observed, design, markers, free, progress, t, begun)
+        measured = other if measured is None or other.inliers.sum() > measured.inliers.sum() else measured
+    contradicted = measured is None or len(refused(measured)) > REFUSED * len(observed.frames)
+    if measured is not None and (places == "stated" or not (contradicted or doubtful(measured, markers))):
+        return measured
+    loosened = measure(observed, design, markers, loose, progress, t)
+    if contradicted and not any(move.moved for move in moves(loosened.adjustment)):  # it was the cameras that were not where they are stated
+        loosened = measure(observed, design, markers, free, progress, t, loosened.design.cameras)
+    if measured is None or len(loosened.frames) > len(measured.frames) or loosened.noise < HALVED * measured.noise:
+        return loosened
+    return measured
+
+
+def _contradicts(measured: Measurement) -> bool:
+    """Whether corners contradict what is stated: frames that show enough are refused, or many corners of those solved set aside."""
+    solved = np.isin(measured.observations.frames[measured.observations.frame], measured.frames)
+    return len(refused(measured)) > REFUSED * len(measured.observations.frames) or bool((~measured.inliers[solved]).mean() > ASIDE)
+
+
+def _other_lenses(observed: Observations, design: Design, markers: MarkerMap, free: Sequence[str]) -> tuple[Camera, ...] | None:
+    """Cameras from whose lenses a few frames agree with what is stated, where the stated lenses lead nowhere; None where no such are found."""
+    if "lenses" not in free:
+        return None
+    rich = np.bincount(observed.frame, minlength=len(observed.frames))
+    parts = np.array_split(np.arange(len(rich)), min(FRAMES, len(rich)))
+    few = only(observed, np.array([part[np.argmax(rich[part])] for part in parts]))
+
+    def adjusted(cameras: tuple[Camera, ...], free: Sequence[str]) -> Measurement | None:
+        try:
+            return measure(few, design, markers, free, cameras=cameras)
+        except (NotEnoughData, NoOptimum):  # nothing can be solved from these
+            return None
+
+    def loosened(cameras: tuple[Camera, ...]) -> tuple[Camera, ...] | None:
+        found = adjusted(cameras, (*free, "markers"))
+        return None if found is None else found.design.cameras
+
+    for cameras in lens_starts(design.cameras, loosened):
+        found = adjusted(cameras, free)
+        if found is not None and not _contradicts(found) and plausible(found.design.cameras, design.cameras):
+            return found.design.cameras
+    return None
+
+
+def refused(measured: Measurement) -> list[int]:
+    """Numbers of frames that show two markers or more of all that is needed, and are not solved."""
+    o = measured.observations
+    enough = np.ones(len(o.frames), bool)
+    moving = [i for i, camera in enumerate(measured.design.cameras) if camera.mount == "moving"]
+    for mask in (o.on_platform, *(~o.on_platform & (o.camera == i) for i in moving)):
+        frame, _ = np.unique(np.stack([o.frame[mask], o.camera[mask] * 100_000 + o.marker[mask]], axis=1), axis=0).T
+        enough &= np.bincount(frame, minlength=len(o.frames)) >= 2
+    return [number for number in o.frames[enough].tolist() if number in measured.unsolved]
+
+
+def _why_none(recording: Recording, found: Collected, markers: MarkerMap) -> str:
+    """How many images there are, and what some of them show instead of the rig's markers."""
+    e = recording.exposures
+    images = [(frame, camera) for frame, camera, name in zip(e.frame, e.camera, e.image) if name]
+    if found.left_out:
+        return f"{len(images)} images that could be placed: " + "; ".join(sorted({one.reason for one in found.left_out})[:5])
+    read, some = image_reader(recording), {round(k) for k in np.linspace(0, len(images) - 1, min(2 * LOOKED_AT, len(images)))}
+    why = why_none([image for k in sorted(some) if (image := read(*images[k])) is not None], markers)
+    return f"{len(images)} images" + (f"; of {len(some)} that were looked at again, {why}" if why else "")
