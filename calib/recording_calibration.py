@@ -11,20 +11,20 @@ from calib.certify import platform_certification
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import Progress
 from calib.models.chain import certification as chain_certify
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose as diagnose_arm
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose as diagnose_platform
+from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose_arm
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose_platform
 from calib.diagnose.report import arm_report
 from calib.diagnose.report import platform_report
 from calib.diagnose.report.diagnosis_report import Report
-from calib.files.calibration_from_recording import SEED, kept
-from calib.diagnose.calibration_left_out_physics import searched
+from calib.files.calibration_from_recording import SEED, calibration_with_provenance
+from calib.diagnose.calibration_left_out_physics import search_left_out_physics
 from calib.samples.recording_samples import Sampled, sample_recording
 from calib.certificate import certificate as statement
 from calib.certificate.certificate import Certificate
 from calib.certificate.certificate_contents import Asked
 from rig.errors import RigError
 from rig.model.mechanism_kinds import arm_of, chain_of, struts_of
-from rig.recording.data_provenance import flat, marks, shared
+from rig.recording.data_provenance import marks_of_frames, content_marks, frames_with_known_data
 from rig.recording.recording_folder import Recording
 
 
@@ -40,14 +40,19 @@ def calibrated(recording: Recording, progress: Progress | None = None) -> Calibr
         sampled = sample_recording(recording, progress=progress)
         if recording.design.mechanism.kind == "arm":
             found = arm_certify.certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress)
-            made = kept(recording, sampled, found, arm_certify.promised(sampled.samples, found, rng))
-            return searched(made, recording, sampled, progress)
+            made = calibration_with_provenance(recording, sampled, found, arm_certify.workspace_claim_of(sampled.samples, found, rng))
+            return search_left_out_physics(made, recording, sampled, progress)
         if recording.design.mechanism.kind == "chain":
             together = chain_certify.certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
-            made = kept(recording, sampled, together, chain_certify.promised(sampled.samples, together, rng))
-            return searched(made, recording, sampled, progress)
+            made = calibration_with_provenance(recording, sampled, together, chain_certify.workspace_claim_of(sampled.samples, together, rng))
+            return search_left_out_physics(made, recording, sampled, progress)
         done = platform_certification.certify(sampled.samples, struts_of(recording.design.mechanism), rng, progress)
-        return searched(kept(recording, sampled, done, platform_certification.promised(sampled.samples, done, rng)), recording, sampled, progress)
+        return search_left_out_physics(
+            calibration_with_provenance(recording, sampled, done, platform_certification.workspace_claim_of(sampled.samples, done, rng)),
+            recording,
+            sampled,
+            progress,
+        )
 
 
 def diagnosed(recording: Recording, only: Sequence[str] | None = None, without: Sequence[str] = (), progress: Progress | None = None) -> Report:
@@ -58,8 +63,8 @@ def diagnosed(recording: Recording, only: Sequence[str] | None = None, without: 
     """
     asked = None if only is None else list(only)
     if recording.design.mechanism.kind in ("arm", "chain"):
-        return arm_report.report(diagnose_arm(recording, asked, tuple(without), progress))
-    return platform_report.report(diagnose_platform(recording, asked, tuple(without), progress))
+        return arm_report.arm_report(diagnose_arm(recording, asked, tuple(without), progress))
+    return platform_report.platform_report(diagnose_platform(recording, asked, tuple(without), progress))
 
 
 def certified(calibration: Calibration, recordings: Sequence[Recording], asked: Asked | None = None, progress: Progress | None = None) -> Certificate:
@@ -71,11 +76,11 @@ def certified(calibration: Calibration, recordings: Sequence[Recording], asked: 
     made = calibration.provenance
     source = {
         "calibration": {"recording": made.get("recording"), "created": made.get("created")},
-        "versions": calibration_file.versions(),
+        "versions": calibration_file.package_versions(),
         "seed": SEED,
         "recordings": [recording.name for recording in recordings],
     }
-    return statement.certified(calibration, held, Asked() if asked is None else asked, source, np.random.default_rng(SEED))
+    return statement.certificate_of(calibration, held, Asked() if asked is None else asked, source, np.random.default_rng(SEED))
 
 
 def held_out(calibration: Calibration, recordings: Sequence[Recording], progress: Progress | None = None,
@@ -89,15 +94,15 @@ def held_out(calibration: Calibration, recordings: Sequence[Recording], progress
     known: set[str] = set()
     for recording in recordings:
         path, frames = recording.folder, len(recording.exposures.times()[0])
-        same = calibration_file.seen_before(calibration, recording)
+        same = calibration_file.frames_used_in_calibration(calibration, recording)
         if same:
             raise RigError(f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {named}, "
                            "themselves or what was measured from them; a certificate takes poses that did not. Of a recording alone, --mask keeps "
                            "some frames from rig calibrate, and then the others from rig certify")
         calibration.refuse_kind(recording.design.mechanism.kind, str(path))
-        of = marks(recording)
-        twice = shared(of, known)
+        of = content_marks(recording)
+        twice = frames_with_known_data(of, known)
         if twice:
             raise RigError(f"{path}: {len(twice)} of {frames} frames are in another of the recordings; the same pose does not count twice")
-        known |= set(flat(of))
+        known |= set(marks_of_frames(of))
     return [(recording, sample_recording(recording, progress=progress)) for recording in recordings]

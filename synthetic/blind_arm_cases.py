@@ -17,11 +17,11 @@ from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.random_effects import Drawing, log_uniform
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.planning.plan import Plan, build, settled
+from rig.planning.plan import Plan, build_plan, settled_plan
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import recording_simulation as simulation, secret_machine
-from synthetic.blind_cases import TRIES, schedule
+from synthetic.blind_cases import TRIES, schedule_effects
 
 KINDS = ("nothing", "one", "two")  # of what is hidden
 FRAMES = 220  # poses of a recording by default
@@ -57,13 +57,13 @@ class DrawnArmCase:
     rng: np.random.Generator
 
 
-def makes() -> dict[str, str]:
+def arm_makes() -> dict[str, str]:
     """{make: the text of its rig.toml}: offset wrist, spherical wrist, seven joints."""
     shipped = files("rig") / "arms"
     return {"ur10": UR10, **{name: (shipped / f"{name}.toml").read_text(encoding="utf-8") for name in ("puma560", "panda")}}
 
 
-def draw(seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()) -> DrawnArmCase:
+def draw_arm_case(seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()) -> DrawnArmCase:
     """Case `index` of a campaign of arms. effects : names to which the catalogue is confined, all that an arm's poses can show by default.
 
     Raises RigError where nothing comes up in TRIES draws, or no effect of the catalogue is left
@@ -71,7 +71,7 @@ def draw(seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KIN
     catalogue = [e for e in ALL if (not effects or e.name in effects) and "axis" in e.places and e.stage in MOTION_STAGES and not e.moving]
     if not catalogue:
         raise RigError(f"--effects: none of {', '.join(effects)} shows in poses of an arm at rest")
-    kind, numbers, rng = schedule(seed, index, kinds, len(catalogue))
+    kind, numbers, rng = schedule_effects(seed, index, kinds, len(catalogue))
     for attempt in range(TRIES):
         try:
             return _drawn(kind, [catalogue[(n + attempt) % len(catalogue)] for n in numbers], rng, frames, index)
@@ -82,25 +82,25 @@ def draw(seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KIN
 
 
 def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, index: int) -> DrawnArmCase:
-    make = str(rng.choice(list(makes())))
+    make = str(rng.choice(list(arm_makes())))
     hard = _hardships(make, rng) if index % HARD == 0 else ()
     sigma = log_uniform(rng, *SIGMA) * np.array([1.0, rng.uniform(*TURN)])
     stated = sigma / (UNDERSTATED if "understated" in hard else 1.0)
     turn = "" if "positions" in hard else f"rotation_sigma = {stated[1]:.3g}\n"
-    text = f'{makes()[make]}\n[instrument]\nbase = "free"\ntool = "free"\nposition_sigma = {stated[0]:.3g}\n{turn}'
+    text = f'{arm_makes()[make]}\n[instrument]\nbase = "free"\ntool = "free"\nposition_sigma = {stated[0]:.3g}\n{turn}'
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
         design = design_file.load(Path(folder) / "rig.toml")
     if "level" in hard:
-        plan, route = "level", settled(_level(design, frames, rng), mechanisms.of(design.mechanism).home(design.mechanism), 0.5)
+        plan, route = "level", settled_plan(_level(design, frames, rng), mechanisms.kinematics_of(design.mechanism).home(design.mechanism), 0.5)
     else:
         ladder = 4 * len(_arm(design).joints)
         plan = f"sobol:{max(frames - ladder - 20, 20)},ladder:1,repeat:20"
-        route = build(design, plan, int(rng.integers(1 << 30)))
+        route = build_plan(design, plan, int(rng.integers(1 << 30)))
     effects = [_effect(e, design, route, rng) for e in hidden]
     if len({(e.name, e.place) for e in effects}) < len(effects):
         raise RigError("the same effect twice at one place")
-    done = simulation.simulate(secret_machine.draw(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng)
+    done = simulation.simulate(secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng)
     return DrawnArmCase(kind, make, done, text, sigma, hard, plan, rng)
 
 
@@ -124,10 +124,10 @@ def _level(design: Design, count: int, rng: np.random.Generator) -> np.ndarray:
 
 def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Generator) -> Effect:
     """An effect at a random joint, its parameters over their usual ranges. Raises RigError where the arm lacks what it needs."""
-    sensors, _ = secret_machine.temperatures(float(route.t[-1]), np.random.default_rng(0), 0)
-    motion = motion_simulation.motion(design, route.commands, route.t, (), sensors)
-    motion = replace(motion, T=mechanisms.of(design.mechanism).forward(motion.lengths, design.mechanism))
-    place = str(rng.choice(mechanisms.places(design.mechanism)))
+    sensors, _ = secret_machine.draw_temperatures(float(route.t[-1]), np.random.default_rng(0), 0)
+    motion = motion_simulation.motion_of_commands(design, route.commands, route.t, (), sensors)
+    motion = replace(motion, T=mechanisms.kinematics_of(design.mechanism).forward(motion.lengths, design.mechanism))
+    place = str(rng.choice(mechanisms.axis_places(design.mechanism)))
     effect = kind.drawn(place, Drawing(design, route.t, motion, lambda effect, camera: 0.0), rng)
     reason = effect.needs(motion)
     if reason:
@@ -150,7 +150,7 @@ def write_recording(case: DrawnArmCase, folder: Path) -> None:
     stated = replace(done.world.stated, instrument=_exact(done.world.stated))
     shown = replace(done, plan=replace(plan, t=plan.t[seen]), log=log, run=replace(done.run, T_base_platform=T[seen]),
                     world=replace(done.world, stated=stated))
-    simulation.write(shown, folder, case.text, rng)
+    simulation.write_recording(shown, folder, case.text, rng)
 
 
 def _exact(design: Design) -> Instrument:

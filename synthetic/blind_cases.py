@@ -20,10 +20,10 @@ from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.model.mechanism_kinds import axes_of
 from rig.recording.corner_and_pose_tables import Corners
-from rig.planning.plan import Plan, build
+from rig.planning.plan import Plan, build_plan
 from rig.recording.recording_folder import Sensors
 from synthetic import blind_image_settings, unlisted_physics, recording_simulation as simulation, secret_machine
-from synthetic.blind_image_settings import Eyes
+from synthetic.blind_image_settings import ImageSettings
 from vision import lens
 
 KINDS = ("nothing", "one", "two", "foreign", "noise")  # of what is hidden: nothing, effects of the catalogue, one out of the catalogue, a disturbance
@@ -42,7 +42,7 @@ class DrawnCase:
 
     kind : of KINDS; simulation : Simulation with all hidden effects at work; text : the owner's rig.toml; noise : px
     disturbance : of out_of_catalogue.DISTURBANCES or None; plan : in words; rng : what draws the noise
-    hidden : the effects that a diagnosis should find; eyes : Eyes that it is drawn into images for, or None for corners
+    hidden : the effects that a diagnosis should find; eyes : ImageSettings that it is drawn into images for, or None for corners
     """
 
     kind: str
@@ -53,10 +53,10 @@ class DrawnCase:
     plan: str
     rng: np.random.Generator
     hidden: tuple[Effect, ...] = ()
-    eyes: Eyes | None = None
+    eyes: ImageSettings | None = None
 
 
-def schedule(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)) -> tuple[str, list[int], np.random.Generator]:
+def schedule_effects(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)) -> tuple[str, list[int], np.random.Generator]:
     """(kind, numbers of its effects in a catalogue of so many, rng) of case `index` of a campaign: each comes up as often as the others."""
     deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
     shuffled = np.random.default_rng([seed, 1]).permutation(deck)
@@ -69,7 +69,7 @@ def schedule(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int
     return kind, numbers, np.random.default_rng([seed, 3, index])
 
 
-def draw(seed: int, index: int, frames: int = FRAMES, withheld: Sequence[str] = (), kinds: Sequence[str] = KINDS,
+def draw_case(seed: int, index: int, frames: int = FRAMES, withheld: Sequence[str] = (), kinds: Sequence[str] = KINDS,
          effects: Sequence[str] = (), images: bool = False) -> DrawnCase:
     """Case `index` of a campaign. effects : names to which the catalogue is confined, all by default; images : whether it is drawn into images,
     with printing tolerances, and hides only what these can show
@@ -77,8 +77,8 @@ def draw(seed: int, index: int, frames: int = FRAMES, withheld: Sequence[str] = 
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
     """
     catalogue = [e for e in ALL if e.name in effects] or list(ALL)
-    catalogue = (blind_image_settings.shown(catalogue) or blind_image_settings.shown(list(ALL))) if images else catalogue
-    kind, numbers, rng = schedule(seed, index, kinds, len(catalogue))
+    catalogue = (blind_image_settings.drawable_effects(catalogue) or blind_image_settings.drawable_effects(list(ALL))) if images else catalogue
+    kind, numbers, rng = schedule_effects(seed, index, kinds, len(catalogue))
     if len(numbers) == 2 and numbers[0] == numbers[1]:
         numbers[1] = (numbers[1] + 1) % len(catalogue)
     for _ in range(TRIES - 1):
@@ -89,21 +89,21 @@ def draw(seed: int, index: int, frames: int = FRAMES, withheld: Sequence[str] = 
 
 def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, withheld: Sequence[str],
            images: bool) -> DrawnCase:
-    eyes = blind_image_settings.eyes(rng) if images else None
+    eyes = blind_image_settings.draw_image_settings(rng) if images else None
     text = _rig(rng) if eyes is None else eyes.seen_through(_rig(rng, eyes.width, eyes.height))
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
         design = design_file.load(Path(folder) / "rig.toml")
     plan = _protocol(frames, rng, withheld, images)
-    route = build(design, plan, int(rng.integers(1 << 30)), "reversals" in withheld)
+    route = build_plan(design, plan, int(rng.integers(1 << 30)), "reversals" in withheld)
     duration = float(route.t[-1])
     effects = [_effect(e, design, route, rng) for e in hidden]
     if len({(e.name, e.place) for e in effects}) < len(effects):
         raise RigError("the same effect twice at one place")
     if kind == "foreign":
-        effects = [unlisted_physics.draw(design, duration, rng)]
-    slight = [] if eyes is None else [blind_image_settings.printed(design, rng)]
-    secret = secret_machine.draw(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
+        effects = [unlisted_physics.draw_unlisted_effect(design, duration, rng)]
+    slight = [] if eyes is None else [blind_image_settings.draw_printing(design, rng)]
+    secret = secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
     done = simulation.simulate(secret, route, rng)
     kept = {name: v for name, v in done.log.channels.items() if not ("temperature" in withheld and "temperature" in name)}
     disturbance = unlisted_physics.DISTURBANCES[rng.integers(len(unlisted_physics.DISTURBANCES))] if kind == "noise" else None
@@ -113,7 +113,7 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
 
 def _rig(rng: np.random.Generator, width: int = 1280, height: int = 1024) -> str:
     """Text of the rig.toml of a random rig of a plausible size."""
-    text = hexapod_layout.layout(
+    text = hexapod_layout.hexapod_layout(
         _log(rng, 0.15, 0.6), cameras=int(rng.choice([2, 3, 3, 3, 4])), width=width, height=height, cubes=int(rng.integers(3, 6))
     )
     joints = rng.choice(["cardan-cardan", "cardan-cardan", "cardan-ball"])
@@ -143,11 +143,11 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
     place = str(rng.choice(kind.places))
     camera = design.cameras[rng.integers(len(design.cameras))]
     target = design.targets[rng.integers(len(design.targets))]
-    axes = mechanisms.places(design.mechanism)
+    axes = mechanisms.axis_places(design.mechanism)
     place = {"axis": axes[rng.integers(len(axes))], "camera": f"camera {camera.name}", "target": f"target {target.name}",
              "marker": f"marker {target.ids[rng.integers(len(target.ids))]}"}.get(place, place)
-    sensors, _ = secret_machine.temperatures(float(route.t[-1]), np.random.default_rng(0), secret_machine.struts_of(axes_of(design.mechanism)))
-    motion = motion_simulation.motion(design, route.commands, route.t, (), sensors)
+    sensors, _ = secret_machine.draw_temperatures(float(route.t[-1]), np.random.default_rng(0), secret_machine.strut_count(axes_of(design.mechanism)))
+    motion = motion_simulation.motion_of_commands(design, route.commands, route.t, (), sensors)
     reason = kind(place).needs(motion) if kind.stage in MOTION_STAGES else None
     if reason:
         raise RigError(f"{kind.name} {reason}")
@@ -171,12 +171,12 @@ def write_recording(case: DrawnCase, folder: Path) -> None:
         def spoil(corners: Corners) -> Corners:
             return disturbance(corners, case.simulation.world.stated, case.noise, case.rng)
     images = None if case.eyes is None else case.eyes.images
-    simulation.write(case.simulation, folder, case.text, case.rng, case.noise, images, spoil=spoil)
+    simulation.write_recording(case.simulation, folder, case.text, case.rng, case.noise, images, spoil=spoil)
 
 
-def corners_of(case: DrawnCase) -> Corners:
+def simulated_corners(case: DrawnCase) -> Corners:
     """The corners that a case's recording shows, as well as corners of its images are good for."""
-    return simulation.corners(case.simulation, case.noise, np.random.default_rng(0))
+    return simulation.noisy_corners(case.simulation, case.noise, np.random.default_rng(0))
 
 
 def write_truth(case: DrawnCase, path: Path, **more: Any) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 
 from rig.model.design import Design, Sensor
 from rig.effects.framework.effect import Effect
-from synthetic.image_simulation import Images, drawable
-from synthetic.printing_errors import Printing, drawn
+from synthetic.image_simulation import Images, is_drawable
+from synthetic.printing_errors import Printing, draw_printing_errors
 
 KINDS = ("nothing", "one", "two")  # of what is hidden: a disturbance of corners has no picture, an effect out of the catalogue seldom one
 FRAMES = 40  # of a recording by default
@@ -20,7 +20,7 @@ SHARE = 25  # a marker's side is about so much of an image's width
 
 
 @dataclass(frozen=True, slots=True)
-class Eyes:
+class ImageSettings:
     """width, height : px; lens : as rig.toml has it; sensor : Sensor"""
 
     width: int
@@ -45,20 +45,20 @@ class Eyes:
         return float(1.25 * 2 * grey / CONTRAST * np.sqrt(2 * np.sqrt(np.pi) * blur / (self.width / SHARE)))
 
 
-def eyes(rng: np.random.Generator) -> Eyes:
-    """Random Eyes."""
+def draw_image_settings(rng: np.random.Generator) -> ImageSettings:
+    """Random ImageSettings."""
     width, height = RESOLUTIONS[rng.integers(len(RESOLUTIONS))]
     sensor = Sensor(blur=float(rng.uniform(*BLUR)), defocus=float(rng.uniform(*DEFOCUS)), vignetting=float(rng.uniform(*VIGNETTING)),
                     read_noise=float(rng.uniform(*READ_NOISE)))
-    return Eyes(width, height, LENSES[rng.integers(len(LENSES))], sensor)
+    return ImageSettings(width, height, LENSES[rng.integers(len(LENSES))], sensor)
 
 
-def printed(design: Design, rng: np.random.Generator) -> Printing:
+def draw_printing(design: Design, rng: np.random.Generator) -> Printing:
     """How the markers of a design are printed, within what printers do."""
     place, side = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in (PLACE, SIDE))
-    return drawn(design, rng, place, side)
+    return draw_printing_errors(design, rng, place, side)
 
 
-def shown(catalogue: list[type[Effect]]) -> list[type[Effect]]:
+def drawable_effects(catalogue: list[type[Effect]]) -> list[type[Effect]]:
     """Of a catalogue, the effects that a picture can show."""
-    return [kind for kind in catalogue if drawable(kind)]
+    return [kind for kind in catalogue if is_drawable(kind)]

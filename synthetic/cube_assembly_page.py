@@ -25,7 +25,7 @@ STEPS = (
 )
 
 
-def assembly(axes: Axes, design: Design, paper: tuple[float, float], count: int) -> None:
+def draw_assembly_page(axes: Axes, design: Design, paper: tuple[float, float], count: int) -> None:
     """Draw the page. paper : (width, height) mm; count : sheets before it"""
     width, top = paper[0] - 2 * MARGIN, paper[1] - MARGIN
     axes.text(MARGIN, top, f"{design.name}: {len(design.targets)} targets on {count} sheets", fontsize=12, va="top")
@@ -46,7 +46,7 @@ def _body(axes: Axes, design: Design, body: str, frame: tuple[float, float, floa
     left, bottom, width, height = frame
     targets = [target for target in design.targets if target.body == body]
     joints = getattr(design.mechanism, {"base": "base_joints", "platform": "platform_joints"}.get(body, ""), None)
-    outlines = [outline(target) for target in targets]
+    outlines = [target_outline(target) for target in targets]
     points = np.concatenate([*outlines, np.zeros((1, 2)), *([] if joints is None else [np.asarray(joints)[:, :2]])])
     low, span = points.min(axis=0), np.maximum(np.ptp(points, axis=0), 1e-3)
     scale = min((width - 20) / span[0], (height - 22) / span[1])
@@ -80,7 +80,7 @@ def _target(axes: Axes, target: Target, shape: np.ndarray) -> None:
     axes.text(middle[0], middle[1], text, fontsize=6.5, ha="center", va="center", bbox={"boxstyle": "square,pad=0", "fc": "white", "ec": "none"})
 
 
-def outline(target: Target) -> np.ndarray:
+def target_outline(target: Target) -> np.ndarray:
     """(n, 2) m, a target from above in its body's frame: the four corners of a cube's face that is most up, or of all its markers' box."""
     if target.edge is not None and target.pose is not None:
         turn = target.pose.rotation.as_matrix()

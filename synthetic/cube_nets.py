@@ -58,7 +58,7 @@ class Sheet(NamedTuple):
     placed: tuple[Placed, ...]
 
 
-def pieces(groups: Sequence[Sequence[str]], flaps: bool = True) -> tuple[Piece, ...]:
+def net_pieces(groups: Sequence[Sequence[str]], flaps: bool = True) -> tuple[Piece, ...]:
     """The net cut into groups of faces. Of two faces that meet at a cube's edge without hanging together one has a flap, unless there are none."""
     of = {face: k for k, group in enumerate(groups) for face in group}
     folds: list[list[tuple[str, str]]] = [[] for _ in groups]
@@ -77,7 +77,7 @@ def pieces(groups: Sequence[Sequence[str]], flaps: bool = True) -> tuple[Piece, 
     return tuple(Piece(tuple(group), tuple(tabs[k]), tuple(folds[k])) for k, group in enumerate(groups))
 
 
-def arrange(edge: float, usable: tuple[float, float], turned: tuple[float, float]) -> tuple[Size, tuple[Sheet, ...]]:
+def arrange_net(edge: float, usable: tuple[float, float], turned: tuple[float, float]) -> tuple[Size, tuple[Sheet, ...]]:
     """How a cube lies on the fewest sheets, in the fewest pieces. edge : mm
 
     usable, turned : (width, height) mm of a sheet that stands upright, and on its side
@@ -88,7 +88,7 @@ def arrange(edge: float, usable: tuple[float, float], turned: tuple[float, float
     for flap in (min(TAB * edge, WIDEST), 0.0):
         size = Size(edge, flap)
         for groups in PARTITIONS if flap else PARTITIONS[-1:]:
-            sheets = _packed(pieces(groups, flap > 0), size, (usable, turned))
+            sheets = _packed(net_pieces(groups, flap > 0), size, (usable, turned))
             if sheets is not None and (best is None or len(sheets) < len(best[1])):
                 best = size, sheets
         if best is not None:

@@ -6,7 +6,7 @@ from rig.model.design import Design
 from rig.errors import RigError
 
 
-def bodies(design: Design, paper: float) -> dict[str, bytes]:
+def cube_stl_files(design: Design, paper: float) -> dict[str, bytes]:
     """{target's name: binary STL} of the cubes, smaller by the paper that is glued around them. paper : m, its thickness
 
     Raises RigError where there is no cube, or nothing is left of one

@@ -18,7 +18,7 @@ from synthetic.recording_simulation import Simulation
 KINDS = ("with", "without")
 
 
-def again(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulation]:
+def replay_diagnosis(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulation]:
     """{"with": Simulation, "without": Simulation} of a folder that `rig diagnose` wrote: with the effects found, and with none.
 
     kinds : effects that there are
@@ -31,13 +31,15 @@ def again(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulation]:
     found = recording_folder.load(folder)
     if found.commands is None:
         raise RigError(f"{folder}: nothing was commanded, so there is no motion to simulate")
-    secret = secret_machine.from_truth(path, found.design, kinds)
+    secret = secret_machine.world_from_truth(path, found.design, kinds)
     _, t = found.exposures.times()
     sensors = found.sensors or Sensors(np.array([found.commands.t[0]]), {})
     plan = Plan(found.commands, t, np.array([(0.0, 0.0)]), found.origin)
     out = {}
     for kind in KINDS:
         part = secret if kind == "with" else replace(secret, effects=())
-        run = motion_simulation.run(part.true, plan.commands, t, part.effects, sensors, rates=motion_simulation.rolls(part.true, part.effects))
+        run = motion_simulation.run_machine(
+            part.true, plan.commands, t, part.effects, sensors, rates=motion_simulation.has_rolling_shutter(part.true, part.effects)
+        )
         out[kind] = Simulation(part, plan, sensors, sensors, run)
     return out

@@ -10,7 +10,7 @@ import scipy
 from rig.formats import json_file
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.formats.checked_entries import Entries
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 
 STRONG = 7.0  # signal-to-noise from which an effect must be found
 Group = tuple[str, list["Figure"], dict[str, int]]  # (effect or strength, detected .. covered, {taken for: times})
@@ -105,7 +105,7 @@ class Figure:
     goal: float | None = None
 
 
-def share(name: str, flags: list[bool], goal: float | None = None) -> Figure:
+def share_figure(name: str, flags: list[bool], goal: float | None = None) -> Figure:
     """Figure of how many flags are true."""
     flags = [bool(f) for f in flags]
     return Figure(name, sum(flags), len(flags), *clopper_pearson(sum(flags), len(flags)), goal)
@@ -119,7 +119,7 @@ def clopper_pearson(hits: int, trials: int, level: float = 0.95) -> tuple[float,
     return low, high
 
 
-def case(index: int, truth: Path, diagnosis: Path | None, seconds: float = float("nan"), failed: str | None = None) -> Case:
+def score_case(index: int, truth: Path, diagnosis: Path | None, seconds: float = float("nan"), failed: str | None = None) -> Case:
     """Case of a truth file and a diagnosis.json (None where it failed). Raises FileError for a file that is neither."""
     tree = json_file.load(truth, "truth of a case")
     effects = tree.tables("effects")
@@ -141,7 +141,7 @@ def _hidden(table: Entries, strength: float) -> Hidden:
         known = [p.name for p in BY_NAME[effect].parameters]
         for name, value in parameters.tree.items():
             if name not in known:
-                parameters.fail(f"{effect} has no parameter {shown(name)}; it has {', '.join(known)}")
+                parameters.fail(f"{effect} has no parameter {value_text(name)}; it has {', '.join(known)}")
             parameters.numbers(value, (None,) if isinstance(value, list) else (), name, ())
     return Hidden(effect, _place(table, effect, parameters.tree.get("other", -1)), parameters.tree, strength)
 
@@ -168,11 +168,11 @@ def _place(table: Entries, effect: str, other: float) -> str:
         return place
     number = place.partition(" ")[2]
     if not (number.isascii() and number.isdigit()):
-        table.fail(f"{table.name('place')} must be a marker, not {shown(place)}", "place")
+        table.fail(f"{table.name('place')} must be a marker, not {value_text(place)}", "place")
     return f"marker {min(int(number), int(other))}"
 
 
-def covered(hidden: Hidden, found: Found | None) -> list[bool]:
+def interval_coverage(hidden: Hidden, found: Found | None) -> list[bool]:
     """[bool] for every number of a finding that has an interval: whether the truth lies in it. Moments and choices are not counted."""
     out: list[bool] = []
     if found is None or (found.effect, found.place) != (hidden.effect, hidden.place):
@@ -191,7 +191,7 @@ def covered(hidden: Hidden, found: Found | None) -> list[bool]:
     return out
 
 
-def figures(cases: list[Case]) -> list[Figure]:
+def campaign_figures(cases: list[Case]) -> list[Figure]:
     """[Figure] of a campaign, in the order of the page."""
     done = [c for c in cases if c.failed is None]
     still = [c for c in done if c.kind == "nothing"]
@@ -199,26 +199,28 @@ def figures(cases: list[Case]) -> list[Figure]:
     two = [c for c in done if c.kind == "two" and all(h.strength >= STRONG for h in c.hidden)]
     foreign = [c for c in done if c.kind == "foreign" and c.hidden[0].strength >= STRONG]
     noise = [c for c in done if c.kind == "noise"]
-    inside = [flag for c in done for h in c.hidden if h.effect in BY_NAME for flag in covered(h, c.match(h))]
+    inside = [flag for c in done for h in c.hidden if h.effect in BY_NAME for flag in interval_coverage(h, c.match(h))]
     return [
-        share("diagnosed without an error", [c.failed is None for c in cases], 1.0),
-        share("nothing hidden: no finding", [not c.found and not c.unexplained for c in still], 148 / 150),
-        share("one effect: detected", [bool(c.found or c.said) or c.unexplained for c in one], 0.97),
-        share("one effect: named first", [bool(c.said) and c.said[0].effect == c.hidden[0].effect for c in one], 0.92),
-        share("one effect: truth in the set", [c.match(c.hidden[0]) is not None for c in one], 0.97),
-        share("one effect: at its place", [any((f.effect, f.place) == (h.effect, h.place) for f in c.said) for c in one for h in c.hidden], 0.9),
-        share("one effect: nothing else named", [not c.wrong() and len(c.named) <= 1 for c in one]),
-        share("two effects: both named", [all(any(f.effect == h.effect for f in c.named) for h in c.hidden) for c in two], 0.75),
-        share("two effects: no wrong name", [not c.wrong() for c in two]),
-        share("outside the catalogue: called unknown", [c.unexplained and not c.named for c in foreign], 0.8),
-        share("outside the catalogue: no name given", [not c.named for c in foreign]),
-        share("noise only disturbed: no name given", [not c.named for c in noise]),
-        share("no wrong name in any case", [not c.wrong() for c in done]),
-        share("95 % intervals that cover", inside, 0.91),
+        share_figure("diagnosed without an error", [c.failed is None for c in cases], 1.0),
+        share_figure("nothing hidden: no finding", [not c.found and not c.unexplained for c in still], 148 / 150),
+        share_figure("one effect: detected", [bool(c.found or c.said) or c.unexplained for c in one], 0.97),
+        share_figure("one effect: named first", [bool(c.said) and c.said[0].effect == c.hidden[0].effect for c in one], 0.92),
+        share_figure("one effect: truth in the set", [c.match(c.hidden[0]) is not None for c in one], 0.97),
+        share_figure(
+            "one effect: at its place", [any((f.effect, f.place) == (h.effect, h.place) for f in c.said) for c in one for h in c.hidden], 0.9
+        ),
+        share_figure("one effect: nothing else named", [not c.wrong() and len(c.named) <= 1 for c in one]),
+        share_figure("two effects: both named", [all(any(f.effect == h.effect for f in c.named) for h in c.hidden) for c in two], 0.75),
+        share_figure("two effects: no wrong name", [not c.wrong() for c in two]),
+        share_figure("outside the catalogue: called unknown", [c.unexplained and not c.named for c in foreign], 0.8),
+        share_figure("outside the catalogue: no name given", [not c.named for c in foreign]),
+        share_figure("noise only disturbed: no name given", [not c.named for c in noise]),
+        share_figure("no wrong name in any case", [not c.wrong() for c in done]),
+        share_figure("95 % intervals that cover", inside, 0.91),
     ]
 
 
-def medians(cases: list[Case]) -> dict[str, float]:
+def campaign_medians(cases: list[Case]) -> dict[str, float]:
     """{name: number}: size of the sets, held-out misfit over the noise floor, seconds; nan where there is none."""
     done = [c for c in cases if c.failed is None]
     one = [c.match(c.hidden[0]) for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
@@ -228,12 +230,12 @@ def medians(cases: list[Case]) -> dict[str, float]:
     return {name: float(np.nanmedian(v)) if np.isfinite(v).any() else float("nan") for name, v in columns.items()}
 
 
-def by_effect(cases: list[Case]) -> list[Group]:
+def figures_by_effect(cases: list[Case]) -> list[Group]:
     """[(effect, [Figure detected, named, placed, covered], {taken for: times})] of strong effects in all cases that hide them."""
     return _grouped(cases, lambda h: h.effect if h.strength >= STRONG else None)
 
 
-def by_strength(cases: list[Case]) -> list[Group]:
+def figures_by_strength(cases: list[Case]) -> list[Group]:
     """The same by strength, of effects of the catalogue."""
     def group(h: Hidden) -> str | None:
         k = int(np.searchsorted(BINS, h.strength, side="right"))
@@ -250,16 +252,16 @@ def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[G
             name = group(h)
             if name is not None:
                 rows.setdefault(name, []).append((c, h, c.match(h)))
-    return [(name, [share("detected", [c.seen_as(h) != "nothing" for c, h, _ in rows[name]]),
-                    share("named", [f is not None and f.effect == h.effect for _, h, f in rows[name]]),
-                    share("placed", [f is not None and (f.effect, f.place) == (h.effect, h.place) for _, h, f in rows[name]]),
-                    share("covered", [flag for _, h, f in rows[name] if h.effect in BY_NAME for flag in covered(h, f)])],
+    return [(name, [share_figure("detected", [c.seen_as(h) != "nothing" for c, h, _ in rows[name]]),
+                    share_figure("named", [f is not None and f.effect == h.effect for _, h, f in rows[name]]),
+                    share_figure("placed", [f is not None and (f.effect, f.place) == (h.effect, h.place) for _, h, f in rows[name]]),
+                    share_figure("covered", [flag for _, h, f in rows[name] if h.effect in BY_NAME for flag in interval_coverage(h, f)])],
              _count(c.seen_as(h) for c, h, _ in rows[name])) for name in sorted(rows)]
 
 
-def confusion(cases: list[Case]) -> dict[str, dict[str, int]]:
+def confusion_table(cases: list[Case]) -> dict[str, dict[str, int]]:
     """{hidden: {taken for: times}} of strong effects; "nothing" and each disturbance stand for cases that hide no effect."""
-    out = {name: counts for name, _, counts in by_effect(cases)}
+    out = {name: counts for name, _, counts in figures_by_effect(cases)}
     for c in cases:
         if c.failed is None and not c.hidden:
             label = c.disturbance or "nothing"

@@ -14,8 +14,8 @@ from rig.planning.plan import Plan
 from rig.model.pose import transform_points
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import secret_machine as worlds
-from synthetic.image_simulation import Images, picture
-from synthetic.remounted_cubes import remounted
+from synthetic.image_simulation import Images, render_image
+from synthetic.remounted_cubes import remount_cubes
 from synthetic.recording_simulation import Simulation
 from synthetic.secret_machine import World
 
@@ -38,8 +38,8 @@ class Eyes:
 
     def __init__(self, world: World, images: Images, seed: int, told: Told, clock: Clock) -> None:
         self._clock = clock
-        self.world, self._images, self._seed, self._told, self._count = remounted(world, {}), images, seed, told, 0
-        self._temperatures = Temperatures(*worlds.temperatures(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes)))
+        self.world, self._images, self._seed, self._told, self._count = remount_cubes(world, {}), images, seed, told, 0
+        self._temperatures = Temperatures(*worlds.draw_temperatures(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes)))
         self._start: float | None = None
 
     def image(self, name: str, t: float, exposure: float) -> np.ndarray:
@@ -52,7 +52,7 @@ class Eyes:
             raise RigError(f"no camera {name!r}; there are {', '.join(names)}")
         sensor = replace(self._images.sensor, gain=self._images.sensor.gain * exposure / USUAL)
         self._count += 1
-        return picture(self._now(t), 0, names.index(name), replace(self._images, sensor=sensor), self._seed + self._count)
+        return render_image(self._now(t), 0, names.index(name), replace(self._images, sensor=sensor), self._seed + self._count)
 
     def pose(self, t: float) -> np.ndarray:
         """(4, 4) T_base_platform as it truly is at t (s)."""
@@ -86,8 +86,13 @@ class Eyes:
         when, warmth = np.array([t - self._start]), self._temperatures.true
         plan = Plan(commands, when, np.array([(0.0, 0.0)]))
         loaded = replace(warmth, channels={**warmth.channels, "payload_mass_kg": np.zeros(len(warmth.t))})
-        run = motion_simulation.run(
-            self.world.true, commands, when, self.world.effects, loaded, rates=motion_simulation.rolls(self.world.true, self.world.effects)
+        run = motion_simulation.run_machine(
+            self.world.true,
+            commands,
+            when,
+            self.world.effects,
+            loaded,
+            rates=motion_simulation.has_rolling_shutter(self.world.true, self.world.effects),
         )
         return Simulation(self.world, plan, loaded, self._temperatures.log, run)
 

@@ -11,7 +11,7 @@ KEPT = 4  # of what the last cameras' optics do; a falloff is as large as a pict
 BLACK = 4.0  # grey level of no light, so that noise is not cut off
 
 
-def expose(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator, samples: int = 1) -> np.ndarray:
+def expose_image(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator, samples: int = 1) -> np.ndarray:
     """(height, width) uint8 (8 bit) or uint16 (12 bit) image of a radiance (samples height, samples width) float32 0..1.
 
     sensor : rig.model.design.Sensor; rng : numpy Generator; samples : of the radiance to the pixel each way. Optics act on the finer picture,

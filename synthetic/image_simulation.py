@@ -18,12 +18,12 @@ from rig.model.design import Camera, Sensor
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
-from rig.compute.worker_processes import cores, done_by
+from rig.compute.worker_processes import worker_count, process_map
 from synthetic import rig_meshes
-from synthetic.renderer import SAMPLES, Renderer, opengl
-from synthetic.image_sensor import expose
-from synthetic.recording_simulation import Simulation, carried, moved
-from vision.predict import State, facing, see
+from synthetic.renderer import SAMPLES, Renderer, import_pyrender
+from synthetic.image_sensor import expose_image
+from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
+from vision.predict import State, facing, predict_sightings
 from vision.targets import marker_map
 
 BLEND = 0.25  # px; pictures of a rolling shutter lie no farther apart than this, and rows are blended between two of them
@@ -40,23 +40,23 @@ class Images:
     processes: int = 0
 
 
-def render(simulation: Simulation, out: Path, images: Images, seed: int, progress: Callable[[int, int], None] | None = None) -> None:
+def render_images(simulation: Simulation, out: Path, images: Images, seed: int, progress: Callable[[int, int], None] | None = None) -> None:
     """Draw every image of a simulation into out/images. seed : of the noise, the same for any number of processes.
 
     Raises MissingLibrary where there is no OpenGL, RigError for an effect that the renderer cannot draw
     """
     check_drawable(simulation.world.effects)
-    opengl()
+    import_pyrender()
     world, plan = simulation.world, simulation.plan
     for camera in world.true.cameras:
         (out / "images" / camera.name).mkdir(parents=True, exist_ok=True)
     # camera by camera, since a process that changes camera makes a new framebuffer
     work = [(f, i) for i in range(len(world.true.cameras)) for f in range(len(plan.t))]
-    there = None if images.processes else dask_cluster.at_work()
+    there = None if images.processes else dask_cluster.current_cluster()
     if there is not None:
         there.map(partial(_draw_there, simulation, out, images, seed), work, progress)
         return
-    count = min(images.processes or cores(), len(work))
+    count = min(images.processes or worker_count(), len(work))
     if count <= 1:
         _start(simulation, out, images, seed)
         for done, item in enumerate(work, 1):
@@ -68,7 +68,7 @@ def render(simulation: Simulation, out: Path, images: Images, seed: int, progres
     before = os.environ.get("LP_NUM_THREADS")
     os.environ["LP_NUM_THREADS"] = "1"  # each process draws with one thread
     try:
-        done_by(count, "spawn", _draw, work, progress, _start, (simulation, out, images, seed))
+        process_map(count, "spawn", _draw, work, progress, _start, (simulation, out, images, seed))
     finally:
         os.environ.pop("LP_NUM_THREADS") if before is None else os.environ.update(LP_NUM_THREADS=before)
 
@@ -76,11 +76,11 @@ def render(simulation: Simulation, out: Path, images: Images, seed: int, progres
 def check_drawable(effects: Iterable[Effect]) -> None:
     """Raise RigError for effects that act on corners alone and that a picture cannot show."""
     for effect in effects:
-        if not drawable(type(effect)):
+        if not is_drawable(type(effect)):
             raise RigError(f"{effect.name} is not drawn into images, only into corners: simulate with --corners")
 
 
-def drawable(kind: type[Effect]) -> bool:
+def is_drawable(kind: type[Effect]) -> bool:
     """Whether a picture can show an effect of a class: it does not act on corners alone."""
     return kind.bend is Effect.bend and kind.print_ is Effect.print_
 
@@ -120,7 +120,7 @@ def _prepare() -> None:
     markers = marker_map(design)
     for effect in simulation.world.effects:
         markers = effect.attach(markers)
-    parts = rig_meshes.parts(design, images.background, np.random.default_rng(seed), markers)
+    parts = rig_meshes.rig_parts(design, images.background, np.random.default_rng(seed), markers)
     cv2.setNumThreads(1)
     _state.update(design=design, renderer=Renderer(parts, design), exposures=_exposures())
 
@@ -142,14 +142,14 @@ def _exposed(f: int, i: int, sensor: Sensor) -> np.ndarray:
     rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
     pictures = [_picture(_state["design"].cameras[i], i, f, shift, [T[f] for T in stages]) for shift, stages in exposures]
     radiance = sum(pictures[1:], pictures[0]) / np.float32(len(exposures))
-    return expose(radiance, sensor, rng, SAMPLES)
+    return expose_image(radiance, sensor, rng, SAMPLES)
 
 
-def picture(simulation: Simulation, f: int, i: int, images: Images, seed: int) -> np.ndarray:
+def render_image(simulation: Simulation, f: int, i: int, images: Images, seed: int) -> np.ndarray:
     """The image, uint8 or uint16 (12 bits), of frame f by camera i, drawn in this process, whose scene is made once for a world.
 
     simulation : Simulation, possibly another of the same world each time; images : Images; seed : of the noise
-    Raises what `render` raises
+    Raises what `render_images` raises
     """
     if "renderer" in _state and _state["simulation"].world is not simulation.world:
         _state.pop("renderer").close()
@@ -165,7 +165,7 @@ def picture(simulation: Simulation, f: int, i: int, images: Images, seed: int) -
 def _exposures() -> list[tuple[float, list[RigidTransform]]]:
     """[(s before or after the middle of the exposure, where what moves stands at all frames)] of the pictures that make an image."""
     simulation, shifts = _state["simulation"], _sub_exposures(_state["images"].sensor)
-    return [(shift, moved(simulation.run) if shift == 0 else simulation.at_times(simulation.plan.t + shift)) for shift in shifts]
+    return [(shift, stage_poses_of_run(simulation.run) if shift == 0 else simulation.at_times(simulation.plan.t + shift)) for shift in shifts]
 
 
 def _sub_exposures(sensor: Sensor) -> list[float]:
@@ -219,10 +219,10 @@ def _view(camera: Camera, t: float, stages: list[RigidTransform]) -> np.ndarray:
 def _travel(i: int, T: RigidTransform) -> float:
     """px that the fastest corner in view of camera i moves between two poses (2,)."""
     design = _state["design"]
-    state, markers = State(design.cameras, T, carried(design.cameras, T)), marker_map(design)
+    state, markers = State(design.cameras, T, carried_camera_poses(design.cameras, T)), marker_map(design)
     found = facing(state, markers)
     found = found.take((found.camera == i) & (found.frame == 0))
     if not len(found.frame):
         return 0.0
     later = replace(found, frame=np.ones_like(found.frame))
-    return float(np.abs(see(later, state, markers) - see(found, state, markers)).max())
+    return float(np.abs(predict_sightings(later, state, markers) - predict_sightings(found, state, markers)).max())

@@ -4,12 +4,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Design, Hexapod
-from synthetic.rig_meshes import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, bodies, plate_radius, standing, strut_ends
+from synthetic.rig_meshes import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, body_matrices, plate_radius, strut_stages, strut_ends
 
 OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itself
 
 
-def hidden(design: Design, stages: list[RigidTransform], frame: np.ndarray, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
+def is_occluded(design: Design, stages: list[RigidTransform], frame: np.ndarray, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(k,) bool, whether the straight line from an eye to a point is blocked.
 
     design : Design as it really is; stages : where each stage's platform stands, RigidTransform (F,), the last alone but of a chain
@@ -19,13 +19,13 @@ def hidden(design: Design, stages: list[RigidTransform], frame: np.ndarray, eye:
     blocked = np.zeros(len(points), bool)
     length = np.linalg.norm(points - eye, axis=1, keepdims=True)
     ends = points - (points - eye) / length * OWN_DEPTH
-    poses = bodies(stages)
+    poses = body_matrices(stages)
 
     def within(body: str) -> tuple[np.ndarray, np.ndarray]:
         """(eyes, ends) (k, 3) m in the frame of a body."""
         return (eye, ends) if body == "base" else (_into(poses[body][frame], eye), _into(poses[body][frame], ends))
 
-    for stands in standing(design.mechanism):
+    for stands in strut_stages(design.mechanism):
         a, b = within(stands.base)
         low, high = strut_ends(stands.stage, RigidTransform.from_matrix(np.linalg.inv(poses[stands.base])) * stages[stands.number])
         radius = np.linalg.norm(stands.stage.base_joints, axis=1).mean() / 2

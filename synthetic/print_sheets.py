@@ -14,9 +14,9 @@ from matplotlib.patches import Polygon, Rectangle
 from rig.model.design import Design, Target
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
-from synthetic.cube_assembly_page import assembly
-from synthetic.cube_nets import NET, SIDES, Piece, Placed, Size, arrange
-from synthetic.sheet_rulers import FOOT, LEFT, MARGIN, cut, fold, foot, usable
+from synthetic.cube_assembly_page import draw_assembly_page
+from synthetic.cube_nets import NET, SIDES, Piece, Placed, Size, arrange_net
+from synthetic.sheet_rulers import FOOT, LEFT, MARGIN, cut_line_style, fold_line_style, draw_rulers_and_legend, usable_area
 from vision.targets import marker_cells
 
 PAPER = {"A4": (210.0, 297.0), "Letter": (215.9, 279.4), "A3": (297.0, 420.0), "Tabloid": (279.4, 431.8), "A2": (420.0, 594.0), "A1": (594.0, 841.0),
@@ -44,7 +44,7 @@ class Page(NamedTuple):
     loose: tuple[Loose, ...]
 
 
-def sheets(design: Design, path: str | Path, paper: str = "A4") -> list[str]:
+def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> list[str]:
     """Write a PDF with the sheets of all targets and a page that says how they are folded and where they stand; returns a line of text for each.
 
     Raises RigError for an unknown paper, a face or a marker too large for it, or a design without targets
@@ -53,27 +53,27 @@ def sheets(design: Design, path: str | Path, paper: str = "A4") -> list[str]:
         raise RigError(f"--paper takes {', '.join(PAPER)}, not {paper!r}")
     if not design.targets:
         raise RigError("the rig has no targets to print")
-    pages = [page for target in design.targets for page in pages_of(target, paper)]
+    pages = [page for target in design.targets for page in sheets_of_target(target, paper)]
     buffer = io.BytesIO()
     with PdfPages(buffer) as pdf:
         for page in pages:
-            figure, axes = blank(page.paper)
-            draw(axes, page)
+            figure, axes = blank_sheet(page.paper)
+            draw_sheet(axes, page)
             pdf.savefig(figure)
-        figure, axes = blank(PAPER[paper])
-        assembly(axes, design, PAPER[paper], len(pages))
+        figure, axes = blank_sheet(PAPER[paper])
+        draw_assembly_page(axes, design, PAPER[paper], len(pages))
         pdf.savefig(figure)
     write_bytes(path, buffer.getvalue())
     ways = [f"{page.label}: {paper} {'landscape' if page.paper[0] > page.paper[1] else 'portrait'}" for page in pages]
     return [*ways, f"assembly: {paper} portrait"]
 
 
-def pages_of(target: Target, paper: str) -> list[Page]:
+def sheets_of_target(target: Target, paper: str) -> list[Page]:
     """The sheets of a target on paper of one size. Raises RigError for a face or a marker that is too large, with the paper that would do"""
     return [*_of_net(target, paper), *_of_loose(target, paper)]
 
 
-def blank(paper: tuple[float, float]) -> tuple[Figure, Axes]:
+def blank_sheet(paper: tuple[float, float]) -> tuple[Figure, Axes]:
     """(Figure, Axes in mm from its lower left corner) of an empty sheet. paper : (width, height) mm"""
     figure = Figure(figsize=(paper[0] / 25.4, paper[1] / 25.4))
     axes = figure.add_axes((0, 0, 1, 1))
@@ -82,7 +82,7 @@ def blank(paper: tuple[float, float]) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def draw(axes: Axes, page: Page) -> None:
+def draw_sheet(axes: Axes, page: Page) -> None:
     """Draw a sheet."""
     for one in page.placed:
         assert page.size is not None
@@ -91,7 +91,7 @@ def draw(axes: Axes, page: Page) -> None:
         corner = np.array([LEFT + marker.x, MARGIN + FOOT + marker.y])
         axes.add_patch(Rectangle((corner[0], corner[1]), marker.size, marker.size, fill=False, ec="black", lw=0.5))
         _marker(axes, corner + marker.size / 2, marker.side, page.target.dictionary, marker.number)
-    foot(axes, page.paper, page.label)
+    draw_rulers_and_legend(axes, page.paper, page.label)
 
 
 def _of_net(target: Target, paper: str) -> Iterator[Page]:
@@ -99,7 +99,7 @@ def _of_net(target: Target, paper: str) -> Iterator[Page]:
         return
     edge, side = target.edge * 1e3, target.marker * 1e3
     try:
-        size, found = arrange(edge, usable(PAPER[paper]), usable(PAPER[paper][::-1]))
+        size, found = arrange_net(edge, usable_area(PAPER[paper]), usable_area(PAPER[paper][::-1]))
     except RigError as error:
         raise RigError(f"target {target.name}: {error}{_larger(edge, paper)}") from None
     for k, sheet in enumerate(found):
@@ -110,7 +110,7 @@ def _of_net(target: Target, paper: str) -> Iterator[Page]:
 
 def _of_loose(target: Target, paper: str) -> Iterator[Page]:
     for marker in target.listed:
-        size, room = (marker.side + 2 * marker.margin) * 1e3, usable(PAPER[paper])
+        size, room = (marker.side + 2 * marker.margin) * 1e3, usable_area(PAPER[paper])
         if size > min(room):
             raise RigError(f"target {target.name}: marker {marker.id} is {size:.4g} mm with its white margin, larger than the {room[0]:.0f} x "
                            f"{room[1]:.0f} mm that can be printed on{_larger(size, paper)}")
@@ -120,7 +120,7 @@ def _of_loose(target: Target, paper: str) -> Iterator[Page]:
 
 def _larger(size: float, paper: str) -> str:
     """Which paper would do for what is `size` mm wide and high, as the end of a sentence."""
-    fits = [name for name, sides in PAPER.items() if size <= min(usable(sides))]
+    fits = [name for name, sides in PAPER.items() if size <= min(usable_area(sides))]
     return f"; it fits --paper {fits[0]}" if fits else "; no paper is large enough"
 
 
@@ -138,9 +138,9 @@ def _piece(axes: Axes, origin: np.ndarray, target: Target, piece: Piece, size: S
             if (face, side) in piece.flaps:
                 _flap(axes, a, b, size.flap * np.array(SIDES[side]))
             elif (face, side) in piece.folds:
-                axes.plot(*zip(a, b), **fold())
+                axes.plot(*zip(a, b), **fold_line_style())
             elif tuple(np.add(NET[face], SIDES[side])) not in {NET[other] for other in piece.faces}:
-                axes.plot(*zip(a, b), **cut())
+                axes.plot(*zip(a, b), **cut_line_style())
 
 
 def _side(corner: np.ndarray, edge: float, side: str) -> tuple[np.ndarray, np.ndarray]:
@@ -154,8 +154,8 @@ def _flap(axes: Axes, a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     inward = np.linalg.norm(out) * (b - a) / np.linalg.norm(b - a)
     ends = [a, a + out + inward, b + out - inward, b]
     axes.add_patch(Polygon(ends, closed=True, fc="0.93", ec="none", zorder=0.5))
-    axes.plot(*zip(*ends), **cut())
-    axes.plot(*zip(a, b), **fold())
+    axes.plot(*zip(*ends), **cut_line_style())
+    axes.plot(*zip(a, b), **fold_line_style())
 
 
 def _marker(axes: Axes, middle: np.ndarray, side: float, dictionary: str, number: int) -> None:

@@ -26,7 +26,7 @@ class Footprint(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def bilinear(picture, x, y, channel) -> float:
+def bilinear_value(picture, x, y, channel) -> float:
     """Value of a channel of a picture (h, w, channels) at (x, y), between its four neighbours."""
     x0, y0 = int(x), int(y)
     fx, fy = x - x0, y - y0
@@ -36,7 +36,7 @@ def bilinear(picture, x, y, channel) -> float:
 
 
 @njit(cache=True, nogil=True)
-def lay(picture, places, box, ideal, H, cells, number, out) -> None:
+def draw_marker_pattern(picture, places, box, ideal, H, cells, number, out) -> None:
     """Lay a marker's pattern into a picture whose elements show its white paper.
 
     picture : (h, w, 3) uint8 pinhole picture: grey with white paper, grey with black paper, number of the marker's part
@@ -62,7 +62,7 @@ def lay(picture, places, box, ideal, H, cells, number, out) -> None:
             seen = Footprint(X, Y, Xa * au + Xb * bu, Xa * av + Xb * bv, Ya * au + Yb * bu, Ya * av + Yb * bv)
             share = white_share(cells, seen, work)
             if share < 1:
-                black = bilinear(picture, px, py, 1)
+                black = bilinear_value(picture, px, py, 1)
                 out[y, x] = black + share * (out[y, x] - black)
 
 

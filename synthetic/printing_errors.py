@@ -29,7 +29,7 @@ class Printing(Effect):
         return replace(markers, T_body_marker=markers.T_body_marker * exp(tangent), side=markers.side * (1 + np.asarray(self.scales)))
 
 
-def drawn(design: Design, rng: np.random.Generator, place: float, side: float) -> Printing:
+def draw_printing_errors(design: Design, rng: np.random.Generator, place: float, side: float) -> Printing:
     """Printing of a design's markers. place : m, standard deviation of each shift; side : of the share by which all sides are off, and each
     besides."""
     count = len(marker_map(design).id)

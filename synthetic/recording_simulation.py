@@ -11,19 +11,19 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.model import motion_simulation
-from rig.model.cube_quarter_turns import text_with, turned
+from rig.model.cube_quarter_turns import rig_toml_with_turns, quarter_turns
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
 from rig.formats.output_files import write_text
 from rig.model.mechanism_kinds import axes_of
 from rig.recording.corner_and_pose_tables import DISTANCE, POSE_COLUMNS
-from rig.planning.plan import Plan, logged
-from rig.model.pose import exp, transform_points, vector
+from rig.planning.plan import Plan, add_payload_channel
+from rig.model.pose import exp, transform_points, pose_to_vector
 from rig.recording.recording_folder import LIMB, Corners, Sensors
 from rig.recording.recording_tables import write_corners, write_table
 from synthetic import secret_machine as worlds
-from synthetic.occlusion import hidden
-from synthetic.remounted_cubes import remounted
-from vision.predict import Sightings, State, facing, inside, see
+from synthetic.occlusion import is_occluded
+from synthetic.remounted_cubes import remount_cubes
+from vision.predict import Sightings, State, facing, is_inside_image, predict_sightings
 from vision.targets import MarkerMap, marker_map
 
 if TYPE_CHECKING:
@@ -50,12 +50,12 @@ class Simulation:
         """[T_base_stage : RigidTransform (n,)] of what the simulated machine moves at other times t (n,) s, as the cameras log them: the platform
         last, alone but of a chain."""
         order = np.argsort(t, kind="stable")
-        run = motion_simulation.run(self.world.true, self.plan.commands, np.asarray(t)[order], self.world.effects, self.sensors)
+        run = motion_simulation.run_machine(self.world.true, self.plan.commands, np.asarray(t)[order], self.world.effects, self.sensors)
         back = np.argsort(order)
-        return [T[back] for T in moved(run)]
+        return [T[back] for T in stage_poses_of_run(run)]
 
 
-def moved(run: motion_simulation.Run) -> list[RigidTransform]:
+def stage_poses_of_run(run: motion_simulation.Run) -> list[RigidTransform]:
     """[T_base_stage : RigidTransform (n,)] of what a Run moved: the platform last, alone but of a chain."""
     return [*run.stages, run.T_base_platform]
 
@@ -65,13 +65,15 @@ def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: S
 
     given : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's payload, or None
     """
-    world = remounted(world, dict(plan.turned))
+    world = remount_cubes(world, dict(plan.turned))
     if given is None:
-        true, log = worlds.temperatures(plan.commands.t[-1], rng, worlds.struts_of(axes_of(world.true.mechanism)))
-        sensors, log = logged(plan, true), logged(plan, log)
+        true, log = worlds.draw_temperatures(plan.commands.t[-1], rng, worlds.strut_count(axes_of(world.true.mechanism)))
+        sensors, log = add_payload_channel(plan, true), add_payload_channel(plan, log)
     else:
         sensors = log = given
-    run = motion_simulation.run(world.true, plan.commands, plan.t, world.effects, sensors, rates=motion_simulation.rolls(world.true, world.effects))
+    run = motion_simulation.run_machine(
+        world.true, plan.commands, plan.t, world.effects, sensors, rates=motion_simulation.has_rolling_shutter(world.true, world.effects)
+    )
     if world.true.insitu is not None:
         log = _with_limbs(log, plan.t, run.T_base_platform, world.true.insitu, rng)
     return Simulation(world, plan, sensors, log, run)
@@ -86,7 +88,7 @@ def _with_limbs(log: Sensors, t: np.ndarray, T: RigidTransform, limbs: Measuring
     return Sensors(rows, channels | {name: np.interp(rows, t, own) for name, own in zip(limbs.channels, read.T)})
 
 
-def sight(simulation: Simulation, steepest: float = STEEPEST) -> tuple[Sightings, np.ndarray]:
+def visible_markers(simulation: Simulation, steepest: float = STEEPEST) -> tuple[Sightings, np.ndarray]:
     """(Sightings, corners (k, 4, 2) px) of every marker seen whole: facing a camera, inside its image, nothing in the way."""
     world = simulation.world
     stated = real = marker_map(world.true)
@@ -101,13 +103,13 @@ def _sight_of(simulation: Simulation, stage: int, stated: MarkerMap, real: Marke
     """The same of the base's and the platform's markers (stage 0) or of those on a stage of a chain below the last (its number)."""
     world, run = simulation.world, simulation.run
     body = _body(simulation, stage)
-    state = State(world.true.cameras, body.T_base_platform, carried(world.true.cameras, run.T_base_platform))
+    state = State(world.true.cameras, body.T_base_platform, carried_camera_poses(world.true.cameras, run.T_base_platform))
     found = facing(state, real, steepest)
     found = found.take(real.stage[found.marker] == stage)
-    uv = see(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, body)
-    whole = inside(found, uv, state.cameras)
+    uv = predict_sightings(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, body)
+    whole = is_inside_image(found, uv, state.cameras)
     found, uv = found.take(whole), uv[whole]
-    clear = ~_covered(world.true, moved(run), body.T_base_platform, real, found)
+    clear = ~_covered(world.true, stage_poses_of_run(run), body.T_base_platform, real, found)
     return found.take(clear), uv[clear]
 
 
@@ -120,35 +122,36 @@ def _body(simulation: Simulation, stage: int) -> motion_simulation.Run:
     if run.rate is None:
         return replace(run, T_base_platform=T)
     before, after = (simulation.at_times(t + step)[stage - 1] for step in (-motion_simulation.ABOUT, motion_simulation.ABOUT))
-    rate, curvature = motion_simulation.rates(T, before, after)
+    rate, curvature = motion_simulation.pose_rates(T, before, after)
     return replace(run, T_base_platform=T, rate=rate, curvature=curvature)
 
 
-def carried(cameras: tuple[Camera, ...], T_base_platform: RigidTransform) -> dict[int, RigidTransform]:
+def carried_camera_poses(cameras: tuple[Camera, ...], T_base_platform: RigidTransform) -> dict[int, RigidTransform]:
     """{index: T_base_camera (F,)} of the cameras that a platform at poses (F,) carries."""
     return {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
 
 
 def _covered(design: Design, stages: list[RigidTransform], T: RigidTransform, markers: MarkerMap, found: Sightings) -> np.ndarray:
-    """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden. stages : of `moved`; T : (F,) of what carries them"""
+    """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden. stages : of `stage_poses_of_run`; T : (F,) of what carries
+    them"""
     square = markers.corners[found.marker]
     points = np.concatenate([square, (square + np.roll(square, -1, axis=1)) / 2, square.mean(axis=1, keepdims=True)], axis=1)
     matrix = T.as_matrix()[found.frame]
     on = markers.on_platform[found.marker]
     base = np.where(on[:, None, None], points @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3], points)
     eyes = np.empty((len(found.frame), 3))
-    moving = carried(design.cameras, stages[-1])
+    moving = carried_camera_poses(design.cameras, stages[-1])
     for i, camera in enumerate(design.cameras):
         rows = found.camera == i
         eyes[rows] = moving[i].translation[found.frame[rows]] if i in moving else camera.pose.translation
     count = points.shape[1]
-    blocked = hidden(design, stages, np.repeat(found.frame, count), np.repeat(eyes, count, axis=0), base.reshape(-1, 3))
+    blocked = is_occluded(design, stages, np.repeat(found.frame, count), np.repeat(eyes, count, axis=0), base.reshape(-1, 3))
     return np.any(blocked.reshape(-1, count), axis=1)
 
 
-def corners(simulation: Simulation, noise: float, rng: np.random.Generator) -> Corners:
+def noisy_corners(simulation: Simulation, noise: float, rng: np.random.Generator) -> Corners:
     """recording.Corners of a simulation with Gaussian noise (px) on each coordinate."""
-    found, uv = sight(simulation)
+    found, uv = visible_markers(simulation)
     names = [camera.name for camera in simulation.world.true.cameras]
     order = np.lexsort((found.marker, found.camera, found.frame))
     found, uv = found.take(order), uv[order].reshape(-1, 2)
@@ -157,7 +160,7 @@ def corners(simulation: Simulation, noise: float, rng: np.random.Generator) -> C
                    np.tile(np.arange(4), len(found.frame)), uv + noise * rng.normal(size=uv.shape), None)
 
 
-def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator, noise: float = 0.0, images: Images | None = None,
+def write_recording(simulation: Simulation, out: Path, text: str, rng: np.random.Generator, noise: float = 0.0, images: Images | None = None,
           progress: Callable[[int, int], None] | None = None, spoil: Callable[[Corners], Corners] | None = None) -> None:
     """Write a recording folder as its owner would have it.
 
@@ -168,7 +171,7 @@ def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator
     out.mkdir(parents=True, exist_ok=True)
     plan, cameras, axes = simulation.plan, simulation.world.true.cameras, simulation.world.stated.mechanism.axes
     shown = {t: plan.origin.text(round(t, 6)) for t in {*plan.commands.t.tolist(), *plan.t.tolist(), *simulation.log.t.tolist()}}
-    write_text(out / "rig.toml", text_with(text, turned(simulation.world.stated)))
+    write_text(out / "rig.toml", rig_toml_with_turns(text, quarter_turns(simulation.world.stated)))
     write_table(out / "commands.csv", ("t", *axes), [f"{shown[t]}," + ",".join(f"{v:.7f}" for v in values)
                                                       for t, values in zip(plan.commands.t, plan.commands.values)])
     write_table(out / "frames.csv", ("frame", "t", "camera", "image"),
@@ -185,12 +188,12 @@ def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator
     if not looks:
         return
     if images is None:
-        seen = corners(simulation, noise, rng)
+        seen = noisy_corners(simulation, noise, rng)
         write_corners(out / "corners.csv", spoil(seen) if spoil else seen)
     else:
-        from synthetic.image_simulation import render
+        from synthetic.image_simulation import render_images
 
-        render(simulation, out, images, int(rng.integers(1 << 62)), progress)
+        render_images(simulation, out, images, int(rng.integers(1 << 62)), progress)
 
 
 def write_measured(path: Path, T_base_platform: RigidTransform, instrument: Instrument, rng: np.random.Generator) -> None:
@@ -201,7 +204,7 @@ def write_measured(path: Path, T_base_platform: RigidTransform, instrument: Inst
         rows = lengths[:, None]
     else:
         seen = np.repeat([instrument.position_sigma if instrument.kind == "pose" else 0.0, instrument.rotation_sigma or 0.0], 3)
-        rows = vector(T_base_platform * exp(seen * rng.normal(size=(len(T_base_platform), 6))))
+        rows = pose_to_vector(T_base_platform * exp(seen * rng.normal(size=(len(T_base_platform), 6))))
         first, last = (3, 6) if instrument.kind == "orientation" else (0, 3 if instrument.rotation_sigma is None else 6)
         columns, rows = tuple(POSE_COLUMNS[first:last]), rows[:, first:last]
     write_table(path, ("frame", *columns), [",".join([str(f), *(f"{x:.10f}" for x in row)]) for f, row in enumerate(rows)])
@@ -209,6 +212,6 @@ def write_measured(path: Path, T_base_platform: RigidTransform, instrument: Inst
 
 def truth_corners(simulation: Simulation) -> list[list]:
     """Rows [frame, camera, marker, corner, u, v] of every marker seen whole, for a truth file."""
-    c = corners(simulation, 0.0, np.random.default_rng(0))
+    c = noisy_corners(simulation, 0.0, np.random.default_rng(0))
     return [[int(f), name, int(m), int(k), round(float(u), 5), round(float(v), 5)]
             for f, name, m, k, (u, v) in zip(c.frame, c.camera, c.marker, c.corner, c.uv)]

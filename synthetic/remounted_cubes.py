@@ -5,20 +5,20 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rig.model.cube_quarter_turns import turned, with_turned
+from rig.model.cube_quarter_turns import quarter_turns, design_with_turned_cubes
 from rig.effects.catalogue.cube_misplacement import CubeMisplacement
 from synthetic.secret_machine import World
 
 SEAT = np.repeat([1e-4, 1e-3], 3)  # m, rad, by which a cube that is put back sits off
 
 
-def remounted(world: World, quarters: Mapping[str, int]) -> World:
+def remount_cubes(world: World, quarters: Mapping[str, int]) -> World:
     """The World with cubes turned as these say ({cube: quarter turns}), and as its rig.toml does: off their places by what remounting does.
 
     Raises RigError for a cube that there is not
     """
-    stated = with_turned(world.stated, quarters)
-    stands = turned(stated)
+    stated = design_with_turned_cubes(world.stated, quarters)
+    stands = quarter_turns(stated)
     if not stands:
         return world
     own = zlib.crc32(np.array([np.round(camera.matrix, 6) for camera in world.true.cameras]).tobytes())  # a truth file has the same
@@ -27,4 +27,4 @@ def remounted(world: World, quarters: Mapping[str, int]) -> World:
         rng = np.random.default_rng([own, zlib.crc32(name.encode()), quarter])
         return CubeMisplacement(f"target {name}", tuple((SEAT * rng.normal(size=6)).tolist()))
 
-    return World(stated, with_turned(world.true, stands), (*world.effects, *(off(name, quarter) for name, quarter in stands.items())))
+    return World(stated, design_with_turned_cubes(world.true, stands), (*world.effects, *(off(name, quarter) for name, quarter in stands.items())))

@@ -25,8 +25,8 @@ from rig.model.design import Camera, Design
 from rig.errors import MissingLibrary
 from rig.compute.numba_kernels import njit
 from rig.model.pose import exp
-from synthetic.printed_pattern import bilinear, lay
-from synthetic.rig_meshes import Ink, BLACK, WHITE, Part, body_poses, shade
+from synthetic.printed_pattern import bilinear_value, draw_marker_pattern
+from synthetic.rig_meshes import Ink, BLACK, WHITE, Part, body_poses, part_brightness
 from vision import lens
 
 FINER = 1.25  # how many pixels of the pinhole picture to one of the camera's
@@ -40,7 +40,7 @@ TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes to OpenGL's
 PACKAGES = "libegl1 libgl1"
 
 
-def opengl() -> Any:
+def import_pyrender() -> Any:
     """The pyrender module without its viewer. Raises MissingLibrary naming the packages where there is no OpenGL."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if "pyrender" not in sys.modules:
@@ -59,7 +59,7 @@ class Renderer:
     """Draws one rig for its cameras. parts : Parts of the scene; design : Design whose cameras look at it."""
 
     def __init__(self, parts: list[Part], design: Design) -> None:
-        self.pyrender = opengl()
+        self.pyrender = import_pyrender()
         self.parts, self.mechanism = parts, design.mechanism
         self.numbers = {id(part): 1 + k % NUMBERS for k, part in enumerate(part for part in parts if part.ink is not None)}
         self.cameras = {camera.name: _Pinhole(camera) for camera in design.cameras}
@@ -91,7 +91,7 @@ class Renderer:
         for part, node in zip(self.parts, self.nodes):
             matrix = poses[part.body]
             self.scene.set_pose(node, matrix)
-            node.mesh.primitives[0].material.baseColorFactor = self._colour(part, shade(part, matrix))
+            node.mesh.primitives[0].material.baseColorFactor = self._colour(part, part_brightness(part, matrix))
         if self.eye is not None:
             self.scene.remove_node(self.eye)
         stands = pinhole.camera.pose if pinhole.camera.mount != "hand" else T_base_platform * pinhole.camera.pose
@@ -130,7 +130,7 @@ class Renderer:
             return
         box = pinhole.box(outline.T)
         if box is not None:
-            lay(picture, pinhole.places, box, pinhole.ideal(box), np.linalg.inv(G), ink.cells, self.numbers[id(part)], out)
+            draw_marker_pattern(picture, pinhole.places, box, pinhole.ideal(box), np.linalg.inv(G), ink.cells, self.numbers[id(part)], out)
 
     def _without_multisampling(self) -> None:
         """Make pyrender draw without multisampling, which would mix the parts' numbers, and hand out what it drew as it is."""
@@ -228,4 +228,4 @@ def _bend(picture, places, out):
     """Bilinear samples of the first channel of a uint8 picture at places (k, l, 2), in out (k, l) float32."""
     for v in range(out.shape[0]):
         for u in range(out.shape[1]):
-            out[v, u] = bilinear(picture, places[v, u, 0], places[v, u, 1], 0)
+            out[v, u] = bilinear_value(picture, places[v, u, 0], places[v, u, 1], 0)

@@ -63,13 +63,13 @@ LAMPS = (Lamp((0.6, 0.4, 1.6), 1.3), Lamp((-0.9, -0.3, 1.3), 0.6))
 AMBIENT = 0.25
 
 
-def parts(design: Design, background: str = "plain", rng: np.random.Generator | None = None, markers: MarkerMap | None = None) -> list[Part]:
+def rig_parts(design: Design, background: str = "plain", rng: np.random.Generator | None = None, markers: MarkerMap | None = None) -> list[Part]:
     """All Parts of a rig. background : "plain" or "cluttered"; rng : numpy Generator, for the clutter.
 
     markers : MarkerMap of where and how large the markers really are, by default as the design has them
     """
     found = []
-    for stands in standing(design.mechanism):
+    for stands in strut_stages(design.mechanism):
         if isinstance(stands.stage, Hexapod):
             found += _plate(stands.base, stands.stage.base_joints, design) + _plate(stands.platform, stands.stage.platform_joints, design)
         found += _struts(stands)
@@ -94,7 +94,7 @@ class Standing(NamedTuple):
     number: int
 
 
-def standing(mechanism: Mechanism) -> list[Standing]:
+def strut_stages(mechanism: Mechanism) -> list[Standing]:
     """What of a mechanism stands on struts, from the base up; an arm's links are not drawn."""
     stages = mechanism.stages if isinstance(mechanism, Chain) else (mechanism,)
     names = ["base", *(f"stage {k + 1}" for k in range(len(stages) - 1)), "platform"]
@@ -102,7 +102,7 @@ def standing(mechanism: Mechanism) -> list[Standing]:
             for k, stage in enumerate(stages) if isinstance(stage, Hexapod | Planar2)]
 
 
-def bodies(stages: list[RigidTransform]) -> dict[str, np.ndarray]:
+def body_matrices(stages: list[RigidTransform]) -> dict[str, np.ndarray]:
     """{body: (..., 4, 4) matrix to the base} of those between which struts stand. stages : where each stage's platform stands, RigidTransform
     (...), the last alone but of a chain"""
     *below, platform = (T.as_matrix() for T in stages)
@@ -110,9 +110,9 @@ def bodies(stages: list[RigidTransform]) -> dict[str, np.ndarray]:
 
 
 def body_poses(mechanism: Mechanism, stages: list[RigidTransform]) -> dict[str, np.ndarray]:
-    """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks. stages : see `bodies`, one pose each"""
-    poses = {"world": np.eye(4), **bodies(stages)}
-    for stands in standing(mechanism):
+    """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks. stages : see `body_matrices`, one pose each"""
+    poses = {"world": np.eye(4), **body_matrices(stages)}
+    for stands in strut_stages(mechanism):
         T_below = RigidTransform.from_matrix(poses[stands.base])
         ends = strut_ends(stands.stage, T_below.inv() * stages[stands.number])
         for i, (low, high) in enumerate(zip(*(T_below.apply(end) for end in ends))):
@@ -131,7 +131,7 @@ def body_poses(mechanism: Mechanism, stages: list[RigidTransform]) -> dict[str, 
     return poses
 
 
-def shade(part: Part, matrix: np.ndarray) -> float:
+def part_brightness(part: Part, matrix: np.ndarray) -> float:
     """Brightness 0..1 of a part in its body's pose (4, 4), albedo times what the lamps give."""
     centre = matrix[:3, :3] @ part.centre + matrix[:3, 3]
     light = AMBIENT
@@ -213,13 +213,13 @@ def _surroundings(design: Design, background: str, rng: np.random.Generator | No
     found = []
     for face in FACES:
         pose = RigidTransform.from_translation([0, 0, 0]) * face_pose(face, 2 * reach)
-        quad = _quad("world", pose, reach, 0.9, clutter(rng), np.array([[0, 1], [1, 1], [1, 0], [0, 0.0]]))
+        quad = _quad("world", pose, reach, 0.9, clutter_texture(rng), np.array([[0, 1], [1, 1], [1, 0], [0, 0.0]]))
         quad.mesh.invert()
         found.append(quad)
     return found
 
 
-def clutter(rng: np.random.Generator, size: int = 1024) -> np.ndarray:
+def clutter_texture(rng: np.random.Generator, size: int = 1024) -> np.ndarray:
     """(size, size) 0..1 picture of blobs, bars and squares, dark squares on white among them, that a detector must not believe."""
     picture = cv2.GaussianBlur(rng.random((size, size)).astype(np.float32), (0, 0), 30)
     picture = (picture - picture.min()) / np.ptp(picture) * 0.6

@@ -17,7 +17,7 @@ STOOD = (3e-3, 5e-3)  # m, rad, of where an arm that cameras see stands, and of 
 AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on the hand, where nobody knows
 
 
-def drawn(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm | Chain:
+def draw_geometry(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm | Chain:
     """The mechanism of a stated design as it really is. size : multiplies every deviation. Raises RigError for what cannot be simulated."""
     m = stated.mechanism
     if m.kind == "hexapod":
@@ -30,7 +30,7 @@ def drawn(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Pl
     if m.kind == "arm":
         return _arm(m, stated, rng, size)
     if isinstance(m, Chain):
-        return replace(m, stages=tuple(drawn(replace(stated, mechanism=stage, cameras=()), rng, size) for stage in m.stages))  # type: ignore[misc]
+        return replace(m, stages=tuple(draw_geometry(replace(stated, mechanism=stage, cameras=()), rng, size) for stage in m.stages))  # type: ignore[misc]
     raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; {', '.join(GEOMETRY)} can")
 
 

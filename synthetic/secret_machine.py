@@ -37,9 +37,9 @@ class World:
     effects: tuple = ()
 
 
-def draw(stated: Design, rng: np.random.Generator, size: float = 1.0, effects: Iterable[Effect] = ()) -> World:
+def draw_machine(stated: Design, rng: np.random.Generator, size: float = 1.0, effects: Iterable[Effect] = ()) -> World:
     """World around a stated design. rng : numpy Generator; size : multiplies every deviation; effects : Effects at work."""
-    m = secret_geometry.drawn(stated, rng, size)
+    m = secret_geometry.draw_geometry(stated, rng, size)
     true = replace(stated, mechanism=m, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras))
     limbs = stated.insitu
     if limbs is not None:
@@ -60,12 +60,12 @@ def _camera(camera: Camera, rng: np.random.Generator, size: float) -> Camera:
     return replace(camera, pose=moved, matrix=matrix, distortion=camera.distortion + terms)
 
 
-def struts_of(mechanism: Hexapod | Planar2 | Arm | Chain) -> int:
+def strut_count(mechanism: Hexapod | Planar2 | Arm | Chain) -> int:
     """How many struts a mechanism has: none for an arm."""
-    return len(mechanism.axes) if mechanisms.of(mechanism).AXIS == "strut" else 0
+    return len(mechanism.axes) if mechanisms.kinematics_of(mechanism).AXIS == "strut" else 0
 
 
-def temperatures(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple[Sensors, Sensors]:
+def draw_temperatures(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple[Sensors, Sensors]:
     """(true Sensors, logged Sensors) over a duration (s): the room drifts by a kelvin or two, struts warm up by as much again.
 
     Channels ambient_temperature_C and, for so many struts, strut1_temperature_C ..; the log is the truth every LOG_EVERY s, with noise.
@@ -81,10 +81,10 @@ def temperatures(duration: float, rng: np.random.Generator, struts: int = 6) -> 
 
 def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **more: Any) -> None:
     """Write the truth of a recording as JSON: the machine as it is, its effects, poses as row-major 4 x 4, and more."""
-    tree = machine_json.tree(world.true, world.effects)
+    tree = machine_json.machine_dict(world.true, world.effects)
     write_text(path, json.dumps({**tree, "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(), **more}) + "\n")
 
 
-def from_truth(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> World:
+def world_from_truth(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> World:
     """World of a truth file: the same machine and cameras again. kinds : effects that there are. Raises FileError for a file that is none."""
-    return World(stated, *machine_json.load(path, stated, kinds))
+    return World(stated, *machine_json.load_machine(path, stated, kinds))

@@ -9,28 +9,28 @@ MARGIN, LEFT, FOOT = 10.0, 17.0, 20.0  # mm: at the edges; at the left, with its
 RULER = 100  # mm, of each ruler
 
 
-def usable(paper: tuple[float, float]) -> tuple[float, float]:
+def usable_area(paper: tuple[float, float]) -> tuple[float, float]:
     """(width, height) mm of a sheet as it lies that are left for what is printed. paper : (width, height) mm"""
     return paper[0] - LEFT - MARGIN, paper[1] - FOOT - 2 * MARGIN
 
 
-def cut() -> dict[str, Any]:
+def cut_line_style() -> dict[str, Any]:
     """How a line to cut along is drawn."""
     return {"color": "black", "lw": 0.5, "ls": "-"}
 
 
-def fold() -> dict[str, Any]:
+def fold_line_style() -> dict[str, Any]:
     """How a line to fold along is drawn."""
     return {"color": "0.45", "lw": 0.5, "ls": (0, (4, 3))}
 
 
-def foot(axes: Axes, paper: tuple[float, float], label: str) -> None:
+def draw_rulers_and_legend(axes: Axes, paper: tuple[float, float], label: str) -> None:
     """Rulers along the foot and up the left side, the legend and the label of a sheet. paper : (width, height) mm"""
     for along in (0, 1):
         start = (LEFT, MARGIN) if along == 0 else (MARGIN, MARGIN + FOOT)
         _ruler(axes, start, along)
     x, y = LEFT + RULER + 6, MARGIN + 2
-    for text, style in (("cut", cut()), ("fold", fold())):
+    for text, style in (("cut", cut_line_style()), ("fold", fold_line_style())):
         axes.plot([x, x + 10], [y, y], **style)
         axes.text(x + 11.5, y, text, fontsize=7, va="center")
         x += 21

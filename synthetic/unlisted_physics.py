@@ -1,6 +1,7 @@
 """Physics that the catalogue does not hold, and noise that is not what it should be: what a blind case may hide as well.
 
-An effect out of the catalogue is one like any other, only that no diagnosis knows it; `draw` makes one of a plausible size. A disturbance
+An effect out of the catalogue is one like any other, only that no diagnosis knows it; `draw_unlisted_effect` makes one of a plausible size. A
+disturbance
 changes nothing but the noise of corners: there, too, nothing may be named.
 """
 
@@ -185,7 +186,7 @@ def _course(course: tuple[float, ...], t: np.ndarray, size: int) -> np.ndarray:
     return out
 
 
-def draw(design: Design, duration: float, rng: np.random.Generator) -> Effect:
+def draw_unlisted_effect(design: Design, duration: float, rng: np.random.Generator) -> Effect:
     """One effect out of the catalogue, of a plausible size. design : Design; duration : s of the recording; rng : numpy Generator.
 
     Raises RigError for a rig that lacks what it needs.
@@ -228,7 +229,7 @@ def draw(design: Design, duration: float, rng: np.random.Generator) -> Effect:
 OUT_OF_CATALOGUE = (CablePull, BendingStrut, WanderingBase, Crosstalk, SlippingClutch, Drag, BreathingLens, SwayingTripod, UnevenPrint)
 
 
-def air_shimmer(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
+def add_air_shimmer(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Every picture is warped a little by the air, smoothly over the image and anew from frame to frame: 1 to 4 times the noise."""
     size = noise * rng.uniform(1, 4)
     uv = corners.uv.copy()
@@ -242,7 +243,7 @@ def air_shimmer(corners: Corners, design: Design, noise: float, rng: np.random.G
     return replace(corners, uv=uv)
 
 
-def outliers(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
+def add_outliers(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Up to one corner in thirty lies somewhere else, by 1 to 30 px."""
     wrong = rng.random(len(corners.uv)) < rng.uniform(0.005, 0.03)
     direction = rng.normal(size=corners.uv.shape)
@@ -250,7 +251,7 @@ def outliers(corners: Corners, design: Design, noise: float, rng: np.random.Gene
     return replace(corners, uv=corners.uv + wrong[:, None] * direction * np.exp(rng.uniform(0, np.log(30), (len(wrong), 1))))
 
 
-def uneven_noise(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
+def add_uneven_noise(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Noise grows towards the edges of the image, threefold, and one camera is twice as noisy as the others."""
     radius = np.linalg.norm(corners.uv - np.median(corners.uv, axis=0), axis=1) / 600
     worse = np.where(np.array(corners.camera) == design.cameras[rng.integers(len(design.cameras))].name, 2.0, 1.0)
@@ -258,18 +259,18 @@ def uneven_noise(corners: Corners, design: Design, noise: float, rng: np.random.
     return replace(corners, uv=corners.uv + extra[:, None] * rng.normal(size=corners.uv.shape))
 
 
-def heavy_tails(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
+def add_heavy_tailed_noise(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Noise has the tails of Student's t with three degrees of freedom."""
     return replace(corners, uv=corners.uv + noise * rng.standard_t(3, size=corners.uv.shape))
 
 
-def shaken_frames(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
+def add_shaken_frames(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """One frame in fifteen was shaken: all its corners are five times as noisy."""
     shaken = rng.random(corners.frame.max() + 1) < 1 / 15
     return replace(corners, uv=corners.uv + 5 * noise * shaken[corners.frame][:, None] * rng.normal(size=corners.uv.shape))
 
 
-DISTURBANCES = (air_shimmer, outliers, uneven_noise, heavy_tails, shaken_frames)
+DISTURBANCES = (add_air_shimmer, add_outliers, add_uneven_noise, add_heavy_tailed_noise, add_shaken_frames)
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:

@@ -32,7 +32,7 @@ def written(folder, seen=False, cameras=3, size=(1280, 1024), carriage=False):
 
     carriage : whether the gantry's carriage has cubes of its own
     """
-    text = hexapod_layout.layout(0.25, cameras, *size)
+    text = hexapod_layout.hexapod_layout(0.25, cameras, *size)
     start, end, cameras = (text.index(word) for word in ("[mechanism]", "[actuator]", "[[camera]]"))
     stage = text[start:end].replace("[mechanism]", "[[mechanism.stage]]")
     rest = text[end:] + carriage * carriage_cubes() if seen else INSTRUMENT + text[end:cameras]

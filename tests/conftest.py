@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as rig.cli.command_line.script has it; read when NumPy is loaded
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as rig.cli.command_line.run_script has it; read when NumPy is loaded
 
 import numpy as np
 import pytest
@@ -34,14 +34,14 @@ def opengl():
     from synthetic import renderer
 
     try:
-        renderer.opengl()
+        renderer.import_pyrender()
     except MissingLibrary as error:
         pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")
 def rig_text():
-    return hexapod_layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4)
+    return hexapod_layout.hexapod_layout(0.3, cameras=3, width=1280, height=1024, cubes=4)
 
 
 @pytest.fixture(scope="session")
@@ -54,11 +54,11 @@ def design(rig_text, tmp_path_factory):
 def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0, effects=()):
     """A simulated recording at corner level in a folder, its World and its true poses."""
     rng = np.random.default_rng(seed)
-    secret = secret_machine.draw(design, rng, size, effects)
+    secret = secret_machine.draw_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
-    route = plan.settled(plan.low_discrepancy(strokes, count, seed=seed), strokes.mean(axis=1), plan.speed_of(design))
+    route = plan.settled_plan(plan.low_discrepancy(strokes, count, seed=seed), strokes.mean(axis=1), plan.plan_speed(design))
     done = recording_simulation.simulate(secret, route, rng)
-    recording_simulation.write(done, folder, rig_text, rng, noise)
+    recording_simulation.write_recording(done, folder, rig_text, rng, noise)
     return secret, done.run.T_base_platform
 
 
@@ -75,14 +75,14 @@ def limbed(tmp_path_factory):
     """(Design, Recording, its Simulation) of a rig with measuring limbs that went along and about every axis; the folder holds a second
     recording of the same machine, "again", another day."""
     folder = tmp_path_factory.mktemp("limbs")
-    text = hexapod_layout.layout(0.3, limbs=6)
+    text = hexapod_layout.hexapod_layout(0.3, limbs=6)
     (folder / "rig.toml").write_text(text)
     design = design_file.load(folder / "rig.toml")
     rng = np.random.default_rng(2)
-    machine = secret_machine.draw(design, rng)
-    done = recording_simulation.simulate(machine, plan.build(design, "axes:5,sobol:50"), rng)
-    recording_simulation.write(done, folder / "rec", text, rng, noise=0.04)
-    recording_simulation.write(
-        recording_simulation.simulate(machine, plan.build(design, "sobol:40", seed=1), rng), folder / "again", text, rng, noise=0.04
+    machine = secret_machine.draw_machine(design, rng)
+    done = recording_simulation.simulate(machine, plan.build_plan(design, "axes:5,sobol:50"), rng)
+    recording_simulation.write_recording(done, folder / "rec", text, rng, noise=0.04)
+    recording_simulation.write_recording(
+        recording_simulation.simulate(machine, plan.build_plan(design, "sobol:40", seed=1), rng), folder / "again", text, rng, noise=0.04
     )
     return design, recording.load(folder / "rec"), done

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from rig.cli import command_line
 from rig.errors import FileError
-from rig.formats.output_files import complete
+from rig.formats.output_files import require_complete
 from tests.conftest import ROOT
 
 RECORD = "simulate rig.toml --plan sobol:24 --out {} --seed {}"
@@ -193,7 +193,7 @@ def _marked(work: Path) -> set[str]:
     for folder in work.iterdir():
         if folder.is_dir():
             try:
-                complete(folder)
+                require_complete(folder)
             except FileError:
                 out.add(folder.name)
     return out

@@ -47,6 +47,6 @@ def holds(verification, parts=("position", "rotation")):
 
 def lines(T):
     """Lines of a poses.csv of poses T (n,)."""
-    from rig.model.pose import vector
+    from rig.model.pose import pose_to_vector
 
-    return [f"{k}," + ",".join(f"{value:.9f}" for value in np.asarray(row)) for k, row in enumerate(vector(T))]
+    return [f"{k}," + ",".join(f"{value:.9f}" for value in np.asarray(row)) for k, row in enumerate(pose_to_vector(T))]

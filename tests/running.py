@@ -45,11 +45,11 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
     listening = socket.create_server(("127.0.0.1", 0))
     threading.Thread(target=cameras, args=(listening,), daemon=True).start()
     link = Path(folder) / "port"
-    text = hexapod_layout.layout(0.3, cameras=1, width=WIDTH, height=HEIGHT).replace(
+    text = hexapod_layout.hexapod_layout(0.3, cameras=1, width=WIDTH, height=HEIGHT).replace(
         'shutter = "global"', f'shutter = "global"\nsource = "emulator:127.0.0.1:{listening.getsockname()[1]}"')
     (Path(folder) / "rig.toml").write_text(text + CONTROLLER.format(protocol=protocol, port=link))
     clock = SystemClock()
-    made = emulators.of(design_file.load(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock)
+    made = emulators.emulator_of_design(design_file.load(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock)
     wire, told = terminal_and_tcp_server.Terminal(link), open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
     count = 0
 
@@ -61,7 +61,7 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
             count += 1
 
     pipe.send(True)
-    terminal_and_tcp_server.serve(made, wire, lambda: True, lambda name: None, record)
+    terminal_and_tcp_server.serve_emulator(made, wire, lambda: True, lambda name: None, record)
 
 
 class EmulatedRig:

@@ -17,12 +17,12 @@ from rig.formats.rig_toml import design_file
 from rig.formats import machine_json, csv_table
 from rig.recording import recording_folder
 from rig.planning.configuration_sets import low_discrepancy
-from rig.effects.texts.effect_text import parse, placed
+from rig.effects.texts.effect_text import parse_effect, require_place
 from rig.errors import FileError, RigError, Unreachable
-from rig.model.motion_simulation import run
-from rig.model.mechanisms import places as chain_places
+from rig.model.motion_simulation import run_machine
+from rig.model.mechanisms import axis_places as chain_places
 from rig.model.mechanisms import arm, chain, hexapod
-from rig.model.pose import difference, exp, log, pose
+from rig.model.pose import pose_difference, exp, log, pose
 from rig.recording.recording_folder import Commands
 from tests.chained import written
 from tests.loops import holds, lines, rig, verified
@@ -41,7 +41,7 @@ def gantry(design):
 def test_a_chain_is_its_stages_one_upon_the_other(gantry):
     x = low_discrepancy(chain.travel(gantry), 20, 0.9)
     T = arm.forward(x[:, :3], gantry.stages[0]) * hexapod.forward(x[:, 3:], gantry.stages[1])
-    assert np.abs(difference(T, chain.forward(x, gantry))).max() < 1e-14
+    assert np.abs(pose_difference(T, chain.forward(x, gantry))).max() < 1e-14
     assert gantry.axes == ("s1q1", "s1q2", "s1q3", "s2l1", "s2l2", "s2l3", "s2l4", "s2l5", "s2l6")
     assert chain.limits(x + 1.0, gantry).all() and not chain.limits(x, gantry).any()
 
@@ -59,7 +59,7 @@ def test_the_inverse_reaches_poses_within_the_travels_and_says_which_it_does_not
     x = low_discrepancy(chain.travel(gantry), 12, 0.5, 3)
     wanted = chain.forward(x, gantry)
     found = chain.inverse(wanted, gantry)
-    assert np.abs(difference(chain.forward(found, gantry), wanted)).max() < 1e-10 and not chain.limits(found, gantry).any()
+    assert np.abs(pose_difference(chain.forward(found, gantry), wanted)).max() < 1e-10 and not chain.limits(found, gantry).any()
     middle, span = chain.travel(gantry).mean(axis=1), np.ptp(chain.travel(gantry), axis=1)
     assert (np.linalg.norm((found - middle) / span, axis=1) < np.linalg.norm((x - middle) / span, axis=1) + 1e-6).all()  # nearest the middle
     with pytest.raises(Unreachable, match="1 of 2 poses") as error:
@@ -71,13 +71,13 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     """z-scores of every parameter of every stage; the six figures of where the hexapod stands on the carriage have no information."""
     design = written(tmp_path)
     rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:60", "--seed", "2", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
-    true, _ = machine_json.load(tmp_path / "truth.json", design)
+    true, _ = machine_json.load_machine(tmp_path / "truth.json", design)
     samples = sample_recording(recording_folder.load(tmp_path / "rec")).samples
     found = identify(samples, design.mechanism)
     # the true machine in the parameters that are freedoms of their own: what poses without noise say of it, to the last digit
     exact = identify(replace(samples, T_base_platform=chain.forward(samples.commanded, true.mechanism), covariance=samples.covariance * 1e-8),
                      design.mechanism)
-    assert np.abs(difference(chain.forward(samples.commanded, exact.chain), chain.forward(samples.commanded, true.mechanism))).max() < 1e-7
+    assert np.abs(pose_difference(chain.forward(samples.commanded, exact.chain), chain.forward(samples.commanded, true.mechanism))).max() < 1e-7
     free = np.diag(found.covariance) > 0
     off, covariance = (found.step - exact.step)[free], found.covariance[np.ix_(free, free)]
     for part in error_model.parts(design.mechanism):  # stage by stage
@@ -146,11 +146,11 @@ def test_what_is_no_chain_is_told_by_line(tmp_path, change, says):
 @pytest.mark.parametrize("text, place", [("backlash:stage2strut3:gap=1e-4", "stage 2 strut 3"),
                                          ("backlash:stage 1 joint 2:gap=1e-4", "stage 1 slide 2")])
 def test_effects_sit_at_the_axes_of_stages(design, gantry, text, place):
-    effect = placed(parse(text), design)
+    effect = require_place(parse_effect(text), design)
     assert effect.place == place
     t = np.array([0.0, 1.0, 2.0, 3.0])
     home, far = chain.home(gantry), chain.travel(gantry)[:, 0]
-    still, held = (run(design, Commands(t, np.array([home, far, home, home])), t[2:], effects).deviation for effects in ((), (effect,)))
+    still, held = (run_machine(design, Commands(t, np.array([home, far, home, home])), t[2:], effects).deviation for effects in ((), (effect,)))
     at = chain_places(gantry).index(place)
     assert np.abs(held[:, at] - still[:, at]).min() > 4e-5 and not np.delete(held - still, at, axis=1).any()
 
@@ -159,7 +159,7 @@ def test_effects_sit_at_the_axes_of_stages(design, gantry, text, place):
                                         ("backlash:stage 1 strut 2:gap=1e-4", "no such axis"), ("backlash:s1q1:gap=1e-4", "cannot sit at")])
 def test_places_that_a_chain_does_not_have_are_refused(design, text, says):
     with pytest.raises(RigError, match=says):
-        placed(parse(text), design)
+        require_place(parse_effect(text), design)
 
 
 @pytest.mark.slow

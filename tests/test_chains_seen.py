@@ -15,9 +15,9 @@ from rig.recording import recording_folder
 from rig.planning.configuration_sets import low_discrepancy
 from rig.errors import FileError
 from rig.model.mechanisms import chain
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from synthetic import rig_meshes
-from synthetic.occlusion import hidden
+from synthetic.occlusion import is_occluded
 from tests.chained import written
 from tests.loops import holds, lines, rig, verified
 
@@ -26,13 +26,13 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
     """Where the hexapod stands on the carriage is told by what the carriage shows: each figure within 3.5 sigma, none untold; without, six are."""
     design = written(tmp_path, seen=True, carriage=True)
     rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:30", "--seed", "4", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
-    true, _ = machine_json.load(tmp_path / "truth.json", design)
+    true, _ = machine_json.load_machine(tmp_path / "truth.json", design)
     read = recording_folder.load(tmp_path / "rec")
     samples = sample_recording(read).samples
     stage, = samples.below
-    stands = chain.standing(samples.commanded, true.mechanism)[0]
+    stands = chain.stage_poses(samples.commanded, true.mechanism)[0]
     whole = stage.covariance + stage.common @ np.swapaxes(stage.common, 1, 2)
-    off = difference(stands, stage.T_base_stage)
+    off = pose_difference(stands, stage.T_base_stage)
     assert stage.stage == 1 and stage.seen.all() and np.abs(off[:, :3]).max() < 1.5e-4
     assert np.einsum("ni,nij,nj->n", off, np.linalg.inv(whole), off).mean() < 12
     found, alone = identify(samples, design.mechanism), identify(replace(samples, below=()), design.mechanism)
@@ -64,7 +64,7 @@ def test_stages_that_are_measured_stand_in_files_of_their_own(tmp_path, capfd):
     by_vision = sample_recording(back).samples
     (tmp_path / "measured" / "corners.csv").unlink()
     by_file = sample_recording(recording_folder.load(tmp_path / "measured")).samples
-    assert np.abs(difference(by_vision.below[0].T_base_stage, by_file.below[0].T_base_stage)).max() < 1e-5
+    assert np.abs(pose_difference(by_vision.below[0].T_base_stage, by_file.below[0].T_base_stage)).max() < 1e-5
     assert by_file.below[0].covariance.shape == (8, 6, 6) and by_file.take(np.arange(3)).below[0].seen.sum() == 3
     (tmp_path / "measured" / "poses_stage1.csv").rename(tmp_path / "measured" / "poses_stage2.csv")
     with pytest.raises(FileError, match="no 'stage 2' below a last platform; there are platform, base, stage 1"):
@@ -88,9 +88,9 @@ def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp
     design = written(tmp_path, seen=True)
     m = design.mechanism
     x = low_discrepancy(chain.travel(m), 1, 0.9, 3)
-    stages = chain.standing(x, m)
+    stages = chain.stage_poses(x, m)
     poses = rig_meshes.body_poses(m, [T[0] for T in stages])
-    parts = {part.body for part in rig_meshes.parts(design)}
+    parts = {part.body for part in rig_meshes.rig_parts(design)}
     assert {"stage 1", "platform", "base", *(f"stage 2 strut {i + 1} {end}" for i in range(6) for end in ("lower", "upper"))} <= parts
     assert parts <= set(poses)
     feet = stages[0][0].apply(m.stages[1].base_joints)
@@ -103,7 +103,11 @@ def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp
     middle, below = (feet[0] + heads[0]) / 2, stages[0][0].apply([0, 0, -0.1])
     eyes = np.array([middle + 5 * across, middle + 5 * across, stages[0][0].apply([0, 0, 0.1])])
     points = np.array([middle - across, middle + across, below])
-    assert hidden(design, stages, np.zeros(3, int), eyes, points).tolist() == [True, False, True]  # by a strut, by nothing, by the carriage's plate
+    assert is_occluded(design, stages, np.zeros(3, int), eyes, points).tolist() == [
+        True,
+        False,
+        True,
+    ]  # by a strut, by nothing, by the carriage's plate
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import pytest
 from rig.formats.rig_toml import design_file
 from rig.recording import corner_and_pose_tables, recording_folder, recording_tables
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.cli import RIG, Links, run
 from tests.conftest import BENCH, make_recording
 
@@ -37,7 +37,7 @@ def test_measure_writes_what_the_contract_says(worked):
     assert header[:7] == ["frame", "x", "y", "z", "rx", "ry", "rz"] and header[7:] == list(corner_and_pose_tables.COVARIANCE_COLUMNS)
     assert (out / "corners.csv").read_text().splitlines()[0].startswith("frame,camera,marker,corner,u,v,sigma")
     nominal, adjusted = design_file.load(base / "fit" / "rig.toml"), design_file.load(out / "rig.toml")
-    assert np.abs(difference(nominal.cameras[0].pose, adjusted.cameras[0].pose)).max() > 1e-4
+    assert np.abs(pose_difference(nominal.cameras[0].pose, adjusted.cameras[0].pose)).max() > 1e-4
     again = recording_folder.load(out)  # what was measured is itself a recording
     assert again.poses.covariance.shape == (60, 6, 6)
     page = (out / "report.html").read_text()
@@ -80,8 +80,8 @@ def test_calibration_corrects_the_true_machine(worked, tmp_path):
     lines = (tmp_path / "commands.csv").read_text().splitlines()
     assert lines[0] == "frame,l1,l2,l3,l4,l5,l6" and [int(line.split(",")[0]) for line in lines[1:]] == list(range(0, 60, 2))
     commands = np.array([line.split(",")[1:] for line in lines[1:]], float)
-    after = difference(wanted, hexapod.forward(commands, secret.true.mechanism))
-    before = difference(wanted, hexapod.forward(hexapod.inverse(wanted, secret.stated.mechanism), secret.true.mechanism))
+    after = pose_difference(wanted, hexapod.forward(commands, secret.true.mechanism))
+    before = pose_difference(wanted, hexapod.forward(hexapod.inverse(wanted, secret.stated.mechanism), secret.true.mechanism))
     assert np.linalg.norm(before[:, :3], axis=1).mean() > 15 * np.linalg.norm(after[:, :3], axis=1).mean()
 
 
@@ -189,7 +189,7 @@ def test_held_cameras_stay(worked, tmp_path):
     base, _ = worked
     run("measure", base / "measured", "--out", tmp_path / "o", "--hold", "poses,lenses")
     one, two = design_file.load(base / "measured" / "rig.toml"), design_file.load(tmp_path / "o" / "rig.toml")
-    assert np.abs(difference(one.cameras[0].pose, two.cameras[0].pose)).max() < 1e-9
+    assert np.abs(pose_difference(one.cameras[0].pose, two.cameras[0].pose)).max() < 1e-9
 
 
 def test_bars_on_a_terminal_and_none_in_a_pipe(tmp_path):
@@ -223,4 +223,4 @@ def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
     said = f"marker {marker}: is exchanged with marker {other}"
     assert "2 markers are not what rig.toml says" in done.stdout and said in done.stdout
     assert said in (tmp_path / "out/report.html").read_text()
-    assert np.abs(difference(recording_folder.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max() < 1e-3
+    assert np.abs(pose_difference(recording_folder.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max() < 1e-3

@@ -8,7 +8,7 @@ import pytest
 
 from rig.recording import recording_folder
 from rig.formats import csv_table
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.cli import command
 
 
@@ -42,7 +42,7 @@ def test_the_loop_of_an_arm_with_slides_closes(tmp_path, rig, name):
     left = re.search(rf"an arm of {joints} joints .* is (\S+) mm RMS, .* and (\S+) mrad RMS", said)
     assert float(left[1]) == 0 and 0.05 < float(left[2]) < 0.3  # the tracker's own 0.1 mrad, of which few joints can follow little
     poses, asked = (recording_folder.load_poses(tmp_path / path) for path in ("commands.poses.csv", "seen/poses.csv"))
-    rest = difference(poses.T_base_platform, asked.T_base_platform)
+    rest = pose_difference(poses.T_base_platform, asked.T_base_platform)
     assert np.sqrt((rest[:, 3:] ** 2).sum(axis=1).mean()) * 1e3 == pytest.approx(float(left[2]), abs=1e-3)
     assert csv_table.read(tmp_path / "commands.csv", ("frame", "q1", "q2", "q3")).columns == ("frame", *(f"q{i + 1}" for i in range(joints)))
 

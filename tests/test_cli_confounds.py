@@ -10,7 +10,7 @@ from calib.files import calibration_file
 from rig.formats.rig_toml import design_file
 from rig.recording import recording_tables
 from rig.planning.configuration_sets import low_discrepancy
-from rig.planning.plan import strokes_of
+from rig.planning.plan import axis_strokes
 from tests.cli import command
 from tests.conftest import BENCH
 
@@ -27,7 +27,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from rig.cli.command_line import main
 
     for seed, name in enumerate(("sorted", "other")):
-        values = low_discrepancy(strokes_of(design), 60, seed=seed)
+        values = low_discrepancy(axis_strokes(design), 60, seed=seed)
         strut = np.argsort(values[:, 0])
         recording_tables.write_configurations(base / f"{name}.csv", design.mechanism.axes, values[strut])
         assert not main(["simulate", str(base / "rig.toml"), "--plan", f"commands:{base / name}.csv", "--seed", "3", "--out", str(base / name)])

@@ -21,8 +21,8 @@ from rig.model import mechanisms
 from rig.cli.command_line import main
 from rig.driving.clock import SystemClock
 from rig.errors import RigError
-from rig.driving.controller_lock import Occupied, interrupt
-from rig.model.pose import vector
+from rig.driving.controller_lock import Occupied, stop_lock_holder
+from rig.model.pose import pose_to_vector
 from synthetic import secret_machine
 from tests.conftest import ROOT
 from tests.running import EmulatedRig, runner
@@ -44,7 +44,7 @@ def rig(emulated):
 def calibration(emulated, rig):
     """A calibration of a machine that is not quite as stated."""
     nominal = design_file.load(rig).mechanism
-    fitted = secret_machine.draw(design_file.load(rig), np.random.default_rng(4)).true.mechanism
+    fitted = secret_machine.draw_machine(design_file.load(rig), np.random.default_rng(4)).true.mechanism
     path = emulated.folder / "calibration.json"
     save(path, Calibration(Correction(nominal, fitted, (None,) * 6), np.eye(42) * 1e-12, np.zeros(6), (0,), (), None, {"inputs_sha256": {}}))
     return str(path), fitted
@@ -76,8 +76,8 @@ def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calib
     there = json.loads(said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--json"))
     np.testing.assert_allclose(there["lengths"], there["commanded"], atol=1e-6)
     assert there["moved"] and np.linalg.norm(there["left"][:3]) < 1e-5
-    T = mechanisms.of(fitted).forward(np.array(emulated.told()[-1]), fitted)
-    np.testing.assert_allclose(vector(T), [float(x) for x in wanted.split(",")], atol=3e-6)  # micrometres are what the controller takes
+    T = mechanisms.kinematics_of(fitted).forward(np.array(emulated.told()[-1]), fitted)
+    np.testing.assert_allclose(pose_to_vector(T), [float(x) for x in wanted.split(",")], atol=3e-6)  # micrometres are what the controller takes
     assert "idle" in said(capsys, "stop", rig)
 
 
@@ -178,7 +178,7 @@ def test_one_process_drives(rig, capsys):
         assert re.search(r"process \d+ is driving", said(capsys, "status", rig, ok=False))
         with pytest.raises(RigError, match="is driving"):
             Occupied(port)
-    assert interrupt(port, SystemClock(), 0.05) is None
+    assert stop_lock_holder(port, SystemClock(), 0.05) is None
 
 
 def test_a_background_job_that_ignores_ctrl_c_is_stopped(emulated, rig, capsys, tmp_path):
@@ -203,9 +203,9 @@ def test_a_process_that_does_not_let_go_is_killed():
     ours, theirs = context.Pipe()
     process = context.Process(target=_hold, args=(theirs,))
     process.start()
-    assert ours.recv() and interrupt("hung", SystemClock(), 0.05) == process.pid
+    assert ours.recv() and stop_lock_holder("hung", SystemClock(), 0.05) == process.pid
     process.join()
-    assert process.exitcode == -signal.SIGKILL and interrupt("hung", SystemClock(), 0.05) is None
+    assert process.exitcode == -signal.SIGKILL and stop_lock_holder("hung", SystemClock(), 0.05) is None
 
 
 def _hold(pipe):

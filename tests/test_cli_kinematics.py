@@ -13,7 +13,7 @@ from rig.planning.layout import shipped_arms
 from rig.cli import kinematics
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_kinematics_steps
-from rig.model.pose import difference, pose, vector
+from rig.model.pose import pose_difference, pose, pose_to_vector
 from tests.calib import arm_worlds as worlds
 from tests.cli import command
 from tests.rig.arms import UR10
@@ -25,14 +25,14 @@ def rig(capsys):
 
 
 def poses_file(path, T):
-    rows = [",".join([str(i), *(repr(float(x)) for x in row)]) for i, row in enumerate(vector(T))]
+    rows = [",".join([str(i), *(repr(float(x)) for x in row)]) for i, row in enumerate(pose_to_vector(T))]
     path.write_text("\n".join(["frame,x,y,z,rx,ry,rz", *rows]) + "\n")
     return path
 
 
 @pytest.mark.parametrize("name", ["puma560", "ur10", "stanford", "scara"])
 def test_what_forward_gives_inverse_takes_back(tmp_path, rig, name):
-    arm = shipped_arms.load(name).mechanism
+    arm = shipped_arms.load_shipped_arm(name).mechanism
     low, high = arm.limits.T
     q = np.random.default_rng(1).uniform(0.8 * low, 0.8 * high, (4, len(low)))
     rows = [",".join([str(i), *map(repr, row)]) for i, row in enumerate(q.tolist())]
@@ -40,19 +40,23 @@ def test_what_forward_gives_inverse_takes_back(tmp_path, rig, name):
     tree = json.loads(rig(name, "--forward", tmp_path / "q.csv", "--steps", "--json"))
     found = np.array([entry["pose"] for entry in tree["frames"]])
     T = pose(found[:, :3], found[:, 3:])
-    np.testing.assert_allclose(difference(mechanism.forward(q, arm), T), 0, atol=1e-12)
+    np.testing.assert_allclose(pose_difference(mechanism.forward(q, arm), T), 0, atol=1e-12)
     assert [step["joint"] for step in tree["frames"][0]["steps"]] == [0, *range(len(low), 0, -1)]
     back = json.loads(rig(name, "--inverse", poses_file(tmp_path / "p.csv", T), "--json"))
     for entry, own in zip(back["frames"], q):
         many = np.array([one["q"] for one in entry["solutions"]])
         apart = (many - own) - np.where(arm.slides, 0.0, 2 * np.pi) * np.round((many - own) / (2 * np.pi))
         assert np.abs(apart).max(axis=1).min() < 1e-7 and len(many) >= 2
-        assert np.abs(difference(mechanism.forward(many, arm), RigidTransform.from_matrix(np.tile(T[entry["frame"]].as_matrix(), (len(many), 1, 1))))
-                      ).max() < 1e-9
+        assert (
+            np.abs(
+                pose_difference(mechanism.forward(many, arm), RigidTransform.from_matrix(np.tile(T[entry["frame"]].as_matrix(), (len(many), 1, 1))))
+            ).max()
+            < 1e-9
+        )
 
 
 def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
-    arm = shipped_arms.load("puma560").mechanism
+    arm = shipped_arms.load_shipped_arm("puma560").mechanism
     far = pose([9.0, 0, 0], [0, 0, 0])
     T = RigidTransform.from_matrix(np.stack([mechanism.forward(np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8]), arm).as_matrix(), far.as_matrix()]))
     said = rig("puma560", "--inverse", poses_file(tmp_path / "p.csv", T), "--steps")
@@ -64,13 +68,13 @@ def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
 
 @pytest.mark.parametrize("name", ["panda", "scara"])
 def test_steps_of_solutions_found_numerically_end_where_the_hand_is_at_zero(tmp_path, rig, name):
-    arm = shipped_arms.load(name).mechanism
+    arm = shipped_arms.load_shipped_arm(name).mechanism
     T = mechanism.forward(np.array([[0.3, -0.4, 0.1, -1.5, 0.4, 1.2, 0.3][: len(arm.joints)]]), arm)
     file = poses_file(tmp_path / "p.csv", T)
     tree = json.loads(rig(name, "--inverse", file, "--steps", "--json"))
     for one in tree["frames"][0]["solutions"]:
         assert one["found"] == "numerically" and [s["joint"] for s in one["steps"]] == list(range(len(arm.joints) + 1))
-        np.testing.assert_allclose(list(one["steps"][-1]["points"].values()), arm_kinematics_steps.hand(arm), atol=1e-9)
+        np.testing.assert_allclose(list(one["steps"][-1]["points"].values()), arm_kinematics_steps.hand_points(arm), atol=1e-9)
         assert [s["value"] for s in one["steps"][1:]] == one["q"]
     said = rig(name, "--inverse", file, "--steps")
     assert "found numerically" in said and ("moved back along the axis through" in said) == (name == "scara")
@@ -100,7 +104,7 @@ def test_a_calibrated_arm_is_finished_from_every_branch():
     for i, entry in enumerate(tree["frames"]):
         assert len(entry["solutions"]) == 8
         finished = np.array([one["corrected"] for one in entry["solutions"]])
-        np.testing.assert_allclose(difference(correction.predict(finished), RigidTransform.from_matrix(np.tile(T[i].as_matrix(), (8, 1, 1)))), 0,
+        np.testing.assert_allclose(pose_difference(correction.predict(finished), RigidTransform.from_matrix(np.tile(T[i].as_matrix(), (8, 1, 1)))), 0,
                                    atol=1e-10)
         moved = np.abs(np.exp(1j * finished) - np.exp(1j * np.array([one["q"] for one in entry["solutions"]]))).max(axis=1)
         assert (moved < 0.05).all() and (moved > 1e-5).all()

@@ -9,8 +9,8 @@ import pytest
 from rig.cli.command_line import main
 from rig.cli.shared.terminal_safe_output import Escaped
 from rig.cli.shared.run_terminal import Block
-from rig.planning.layout.hexapod_layout import layout
-from rig.formats.printable_text import visible
+from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.formats.printable_text import escape_unprintable
 from tests.conftest import ROOT
 
 WIPE = "\x1b[2J\x1b]0;title\x07"  # clears a screen, and names its window
@@ -45,7 +45,7 @@ def test_names_of_folders_and_images_are_escaped(recording, printed):
 @pytest.mark.parametrize("edit", [('name = "cam0"', 'name = "\\u001b[2J"'), ('shutter = "global"', 'shutter = "\\u001b[2J"'),
                                   ("[environment]", "\"\\u001b[2J\" = 1\n[environment]"), ('name = "', 'name = "\x1b[2J')])
 def test_values_and_keys_of_toml_are_escaped(tmp_path, printed, edit):
-    text = layout(0.3, cameras=1)
+    text = hexapod_layout(0.3, cameras=1)
     assert edit[0] in text
     (tmp_path / "rig.toml").write_text(text.replace(*edit, 1))
     assert "x1b" in printed("effects", tmp_path / "rig.toml", "--json") + printed("print", tmp_path / "rig.toml", "--out", tmp_path / "x.pdf")
@@ -63,7 +63,7 @@ def test_what_a_controller_answers_is_escaped(tmp_path, printed):
     thread = threading.Thread(target=answer, daemon=True)
     thread.start()
     stated = f'[controller]\nprotocol = "grblhal"\nport = "{os.ttyname(slave)}"\nmax_speed = 0.01\ntimeout = 0.1\n'
-    (tmp_path / "rig.toml").write_text(layout(0.3, cameras=1) + stated)
+    (tmp_path / "rig.toml").write_text(hexapod_layout(0.3, cameras=1) + stated)
     assert "rig status: " in printed("status", tmp_path / "rig.toml")
     os.write(slave, b"q")
     thread.join()
@@ -81,7 +81,7 @@ def test_what_a_terminal_draws_itself_still_moves_its_cursor(capfd):
 
 
 def test_line_ends_and_letters_of_any_script_stay():
-    assert visible("µm ≥ 5 °\tΔ\n日本") == "µm ≥ 5 °\tΔ\n日本"
+    assert escape_unprintable("µm ≥ 5 °\tΔ\n日本") == "µm ≥ 5 °\tΔ\n日本"
 
 
 @pytest.mark.parametrize("words", [("measure", "{}", "--out", "out"), ("calibrate", "{}", "--out", "c.json"), ("simulate", "rig.toml", "--out", "{}"),

@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.samples.effect_playback import FACTORS, played, scaled
+from calib.samples.effect_playback import FACTORS, effect_displacements, scaled_effect
 from rig.planning import plan
 from rig.cli.command_line import main
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.report.verdict import State, Verdict
-from rig.report.pages.page_template import Page, write
-from rig.report.pages.page_index import pages, read
+from rig.report.pages.page_template import Page, write_page
+from rig.report.pages.page_index import list_pages, read_page_summary
 
 BENCH = Path(__file__).parent / "data" / "bench"
 
 
 def page(path, state=State.GOOD, why="fine", kind="measure"):
     path.parent.mkdir(parents=True, exist_ok=True)
-    write(path, Page(kind, path.stem, Verdict(state, why), []))
+    write_page(path, Page(kind, path.stem, Verdict(state, why), []))
 
 
 def test_an_index_lists_pages_with_their_verdicts_and_is_kept_up_to_date(tmp_path, monkeypatch, capsys):
@@ -31,7 +31,7 @@ def test_an_index_lists_pages_with_their_verdicts_and_is_kept_up_to_date(tmp_pat
     assert main(["index"]) == 0 and 'a "b" & <c>' in capsys.readouterr().out
     index = (tmp_path / "index.html").read_text()
     assert 'href="measured/report.html"' in index and "A &quot;b&quot; &amp; &lt;c&gt;" in index and "mine" not in index
-    assert read(tmp_path / "index.html").state == State.CHECK and [found.why for found in pages(tmp_path)] == ['a "b" & <c>']
+    assert read_page_summary(tmp_path / "index.html").state == State.CHECK and [found.why for found in list_pages(tmp_path)] == ['a "b" & <c>']
     assert main(["view", str(BENCH / "check"), "--page", "view.html"]) == 0
     assert 'href="index.html">All pages' in (tmp_path / "view.html").read_text() and 'href="view.html"' in (tmp_path / "index.html").read_text()
     (tmp_path / "index.html").write_text((tmp_path / "index.html").read_text() + "<!-- a word of mine -->")
@@ -68,8 +68,8 @@ def test_a_recording_is_shown_in_three_dimensions_with_what_an_effect_does(tmp_p
 
 
 def test_an_effect_played_is_its_own_model_at_its_sizes(design):
-    done = plan.build(design, "sobol:6", 1)
-    effect = parse("scale_error:strut2:scale=1e-3")
-    shown = played(design, done.commands, done.t, (effect,), 0)
+    done = plan.build_plan(design, "sobol:6", 1)
+    effect = parse_effect("scale_error:strut2:scale=1e-3")
+    shown = effect_displacements(design, done.commands, done.t, (effect,), 0)
     assert np.allclose(shown.shifts[3], 2 * shown.shifts[2], rtol=0.01, atol=1e-9) and len(shown.sizes) == len(FACTORS)
-    assert scaled(parse("compliance:rig:stiffness=3e6"), 2.0).stiffness == pytest.approx(1.5e6), "half as stiff is twice as much"
+    assert scaled_effect(parse_effect("compliance:rig:stiffness=3e6"), 2.0).stiffness == pytest.approx(1.5e6), "half as stiff is twice as much"

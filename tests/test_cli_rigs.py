@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.formats.rig_toml import design_file
 from rig.recording import recording_folder
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.cli import Links, run
 from tests.conftest import BENCH
 
@@ -23,7 +23,7 @@ def test_a_rig_can_be_designed_simulated_and_measured(tmp_path):
     assert truth["effects"][0]["parameters"] == {"gap": 4e-5} and len(truth["poses"]) == 12 and truth["noise_px"] == 0.03
     run("measure", tmp_path / "rec", "--out", tmp_path / "out")
     poses = recording_folder.load_poses(tmp_path / "out" / "poses.csv")
-    errors = difference(poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4)))
+    errors = pose_difference(poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4)))
     assert np.abs(errors[:, :3]).max() < 1e-3
 
 
@@ -63,11 +63,11 @@ def test_nets_are_true_to_scale(tmp_path):
     from synthetic import print_sheets
 
     target = design.targets[0]
-    page, = print_sheets.pages_of(target, "A3")
-    figure, axes = print_sheets.blank(page.paper)
+    page, = print_sheets.sheets_of_target(target, "A3")
+    figure, axes = print_sheets.blank_sheet(page.paper)
     figure.set_dpi(254)  # 10 px to the millimetre
     FigureCanvasAgg(figure)
-    print_sheets.draw(axes, page)
+    print_sheets.draw_sheet(axes, page)
     figure.canvas.draw()
     grey = np.asarray(figure.canvas.buffer_rgba())[..., 0]
     assert abs(grey.shape[1] / 10 - page.paper[0]) < 0.2

@@ -15,8 +15,8 @@ import pytest
 from rig.cli import command_line as cli
 from rig.cli.command_line import COMMANDS, command_line, main
 from rig.cli.shared import installation_inventory
-from rig.cli.shared.progress_bars import Progress, line
-from rig.cli.shared.argument_parser import nearest, with_figures
+from rig.cli.shared.progress_bars import Progress, progress_line
+from rig.cli.shared.argument_parser import nearest_word, join_negative_numbers
 from rig.effects.catalogue.effect_list import ALL
 from tests.cli import RIG
 from tests.conftest import BENCH
@@ -38,11 +38,13 @@ def test_a_mistyped_word_is_told_from_what_was_meant(words, says, capsys):
     (["jog", "r", "--to", "-.5,2"], ["jog", "r", "--to=-.5,2"]),
     (["jog", "r", "--by", "-0.5"], ["jog", "r", "--by", "-0.5"]), (["x", "-1,2"], ["x", "-1,2"]), (["x", "--a=1", "-1,2"], ["x", "--a=1", "-1,2"])])
 def test_figures_that_begin_with_a_minus_are_no_option(words, joined):
-    assert with_figures(words) == joined
+    assert join_negative_numbers(words) == joined
 
 
 def test_a_word_that_is_right_or_like_nothing_has_no_other_meant():
-    assert nearest("measure", COMMANDS) is None and nearest("qqqq", COMMANDS) is None and nearest("--skip", ["--skip-unreadable"]) is None
+    assert (
+        nearest_word("measure", COMMANDS) is None and nearest_word("qqqq", COMMANDS) is None and nearest_word("--skip", ["--skip-unreadable"]) is None
+    )
 
 
 def test_version(capsys):
@@ -115,7 +117,7 @@ def test_one_effect_is_told_whole_and_a_mistyped_one_refused(capsys):
 
 
 def test_doctor_tells_what_is_missing(capsys, monkeypatch):
-    monkeypatch.setattr(installation_inventory, "graphics", lambda: installation_inventory.Found("OpenGL", "absent", "none"))
+    monkeypatch.setattr(installation_inventory, "check_graphics", lambda: installation_inventory.InventoryItem("OpenGL", "absent", "none"))
     assert main(["doctor"]) == 0
     text = capsys.readouterr().out
     assert "numpy" in text and "cameras" in text and "GB free" in text and "cores" in text
@@ -132,14 +134,14 @@ def test_doctor_names_cameras_without_opening_them(tmp_path):
     (tmp_path / "video0").mkdir()
     (tmp_path / "video0" / "name").write_text("HD cam\n")
     assert (
-        installation_inventory.cameras(tmp_path).text == "/dev/video0 (HD cam)"
-        and installation_inventory.cameras(tmp_path / "none").state == "absent"
+        installation_inventory.list_cameras(tmp_path).text == "/dev/video0 (HD cam)"
+        and installation_inventory.list_cameras(tmp_path / "none").state == "absent"
     )
 
 
 def test_graphics_that_break_are_absent(monkeypatch):
     monkeypatch.setattr(installation_inventory, "CONTEXT", "import os; os.abort()")
-    assert installation_inventory.graphics().state == "absent"
+    assert installation_inventory.check_graphics().state == "absent"
 
 
 def test_new_writes_a_rig_by_options_and_refuses_to_guess(tmp_path, capsys):
@@ -182,8 +184,8 @@ def test_lines_tell_the_time_left(monkeypatch, capsys):
     progress("locating", 4, 4)
     said = capsys.readouterr().err.splitlines()
     assert said[::2] == ["locating: 0 of 4, 0 %", "locating: 4 of 4, 100 %"] and said[1].startswith("locating: 1 of 4, 25 %, about 0 s left")
-    assert line("fitting", 10, 100, 30.0) == "fitting: 10 of 100, 10 %, about 4 min left"
-    assert line("fitting", 50, 100, 30.0) == "fitting: 50 of 100, 50 %, about 30 s left"
+    assert progress_line("fitting", 10, 100, 30.0) == "fitting: 10 of 100, 10 %, about 4 min left"
+    assert progress_line("fitting", 50, 100, 30.0) == "fitting: 50 of 100, 50 %, about 30 s left"
 
 
 def test_lines_come_seldom_and_none_means_none(monkeypatch, capsys):

@@ -11,8 +11,8 @@ from calib.files import calibration_file
 from calib.certify.calibration import Calibration
 from calib.correct.correction import Correction
 from calib.models.platform.identification import identify
-from calib.models.corrected_pose_covariance import with_workspace
-from calib.workspace.reachable_poses import lost
+from calib.models.corrected_pose_covariance import add_workspace
+from calib.workspace.reachable_poses import is_pose_lost
 from rig.formats import csv_table
 from rig.cli.command_line import main
 from synthetic import secret_machine
@@ -27,8 +27,8 @@ def kept(tmp_path_factory, design, rig_text):
     (base / "rig.toml").write_text(rig_text)
     samples, _ = sampled(design, 3, 40)
     found = identify(samples, design.mechanism)
-    true = secret_machine.draw(design, np.random.default_rng(2), 10.0).true.mechanism
-    made = with_workspace(Calibration(Correction(design.mechanism, true, (None,) * 6), found.covariance, found.scatter, (), (), None, {"seed": 0}))
+    true = secret_machine.draw_machine(design, np.random.default_rng(2), 10.0).true.mechanism
+    made = add_workspace(Calibration(Correction(design.mechanism, true, (None,) * 6), found.covariance, found.scatter, (), (), None, {"seed": 0}))
     calibration_file.save(base / "calibration.json", made)
     return base, made
 
@@ -92,7 +92,7 @@ def test_plans_avoid_what_was_lost(kept, tmp_path, asked, capsys):
     out = []
     for given in ([], ["--calibration", str(base / "calibration.json")]):
         assert main(["plan", str(base / "rig.toml"), *asked, *given, "--out", str(tmp_path / "plan.csv"), "--force"]) == 0
-        out.append(lost(made.correction, csv_table.read(tmp_path / "plan.csv", ("frame",)).matrix(made.correction.nominal.axes)))
+        out.append(is_pose_lost(made.correction, csv_table.read(tmp_path / "plan.csv", ("frame",)).matrix(made.correction.nominal.axes)))
     assert out[0].any() and not out[1].any()  # outermost configurations tell most, and are the first to go
     assert main(["plan", str(base / "rig.toml"), "--separate", "backlash:strut3:gap=4e-5", "creep:strut3:amount=4e-5", "--calibration",
                  str(base / "calibration.json"), "--out", str(tmp_path / "s.csv")]) == 1

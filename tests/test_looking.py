@@ -17,16 +17,16 @@ from rig.driving.cameras.camera_interface import Frame
 from rig.driving.clock import SimulatedClock
 from rig.cli.shared.run_observation import Looking, Stopping
 from rig.cli.shared.run_page import Page
-from rig.cli.shared.run_verdict import judged
-from rig.cli.shared.run_terminal import Block, Lines, block
-from rig.cli.shared.compilation_warm_up import drawn, warm
+from rig.cli.shared.run_verdict import run_verdict
+from rig.cli.shared.run_terminal import Block, Lines, view_lines
+from rig.cli.shared.compilation_warm_up import draw_markers, warm_up
 from rig.driving.run_journal import Departure, Ended, Exposed, Readings
 from rig.model.mechanisms import hexapod
 from rig.driving.operator_loop import Shot
-from rig.planning.plan import build, low_discrepancy
+from rig.planning.plan import build_plan, low_discrepancy
 from rig.model.pose import exp
-from rig.driving.run_steps import steps
-from vision.reading.live_measurement import Live, told_by_limbs
+from rig.driving.run_steps import steps_of_plan
+from vision.reading.live_measurement import Live, sight_from_limbs
 from tests.vision.reading.test_camera_and_marker_alarms import sight
 
 
@@ -69,7 +69,7 @@ class Shown:
 def looked(design, stop_on, displays=()):
     """A Looking that has seen six frames, its halts and its notes."""
     clock, halts, notes = SimulatedClock(), [], []
-    planned = steps(build(design, "sobol:6"))
+    planned = steps_of_plan(build_plan(design, "sobol:6"))
     looking = Looking(design, planned, planned[0].goal, clock, Measured(design), None,
                       Stopping(stop_on, lambda: halts.append(threading.current_thread())))
     looking.displays += displays
@@ -118,7 +118,7 @@ class Told:
 
     def take(self, frame, images, expected):
         self.looked.append(frame)
-        return told_by_limbs(frame, self.poses[frame], np.diag(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] ** 2))
+        return sight_from_limbs(frame, self.poses[frame], np.diag(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] ** 2))
 
     def adjust(self):
         return None
@@ -129,14 +129,14 @@ class Told:
 
 def by_limbs(folder, slip, at):
     """(Looking that has seen 60 frames by limbs of which the fifth slips by `slip` m from a frame on, its Live, what was withdrawn)"""
-    (folder / "rig.toml").write_text(hexapod_layout.layout(0.3, limbs=6))
+    (folder / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=6))
     design = design_file.load(folder / "rig.toml")
-    true, nominal, rng = design.mechanism, measuring_limbs.stated(design), np.random.default_rng(5)
+    true, nominal, rng = design.mechanism, measuring_limbs.limb_hexapod(design), np.random.default_rng(5)
     commands = low_discrepancy(true.strut_range, 60, 0.6)
     poses = hexapod.forward(commands, true)
     live = Told(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
-    clock, withdrawn, planned = SimulatedClock(), [], steps(build(design, "sobol:6"))
-    agreement = measuring_limbs.agreement(poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3))
+    clock, withdrawn, planned = SimulatedClock(), [], steps_of_plan(build_plan(design, "sobol:6"))
+    agreement = measuring_limbs.limb_agreement(poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3))
     accepted = Accepted(measuring_limbs.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)), nominal, agreement, None, {})
     looking = Looking(design, planned, planned[0].goal, clock, live, Learner(true, shared=42), Stopping(frozenset(), lambda: None))
     looking.source, looking.withdraw = LimbLive(accepted, 10), lambda source, frame, reason: withdrawn.append((frame, reason))
@@ -170,11 +170,11 @@ def test_a_mistake_of_ours_stops_the_run_and_is_raised(design, monkeypatch):
 
 def test_what_is_drawn_to_warm_up_with_is_the_rig_at_home(design):
     live = Live(design)
-    sight = live.take(0, drawn(design.cameras, design.mechanism.home, live.markers))
+    sight = live.take(0, draw_markers(design.cameras, design.mechanism.home, live.markers))
     live.close()
     off = design.mechanism.home.inv() * sight.T_base_platform
     assert np.linalg.norm(off.translation) < 1e-3 and all(len(detection.marker) >= 4 for detection in sight.detections.values())
-    warm(design)
+    warm_up(design)
 
 
 def test_a_terminal_says_what_happened(design):
@@ -184,14 +184,14 @@ def test_a_terminal_says_what_happened(design):
     text = out.getvalue()
     assert text.count("moving to step") == 6 and text.count("! camera") == 1 and "[6/6] ended: stopped from the page" in text
     assert "frame 5: 0.000 0.000 450.000 mm" in text and "\x1b" not in text
-    lines = block(looking.view)
+    lines = view_lines(looking.view)
     assert lines[0].startswith("frame 6 of 6, step 7 of 13") and sum(line.startswith("strut") for line in lines) == 6 and "! camera" in lines[-1]
     assert screen.getvalue().count("\x1b[J") > 6 and f"\x1b[{len(lines)}A" in screen.getvalue()
 
 
 def test_the_button_on_the_page_stops_the_run_and_its_event_is_whole(design):
     halts = []
-    planned = steps(build(design, "sobol:6"))
+    planned = steps_of_plan(build_plan(design, "sobol:6"))
     looking = Looking(design, planned, planned[0].goal, SimulatedClock(), Measured(design), None,
                       Stopping(frozenset(), lambda: halts.append(1)))
     with Page(looking, 0) as page:
@@ -210,9 +210,9 @@ def test_a_pose_far_off_what_was_expected_is_no_good_run():
     measured = SimpleNamespace(covariance=np.eye(6) * 2.1e-6**2)
     view = SimpleNamespace(phase="exposed", ended=None, alarms=(), seen=SimpleNamespace(
         sight=measured, learnt=SimpleNamespace(error=np.array([0, 0, 67e-6, 0, 0, 0]), innovation=0.17)))
-    verdict = judged(view)
+    verdict = run_verdict(view)
     assert verdict.state == "check" and "13 times its own uncertainty" in verdict.why
     view.seen.learnt.error = np.array([0, 0, 2e-6, 0, 0, 0])
-    assert judged(view).state == "good"
+    assert run_verdict(view).state == "good"
     view.ended = "position lost"
-    assert judged(view).state == "bad"
+    assert run_verdict(view).state == "bad"

@@ -7,7 +7,7 @@ import pytest
 
 from rig.report import refutations
 from rig.cli.command_line import main
-from rig.report.pages.page_index import pages
+from rig.report.pages.page_index import list_pages
 from tests import truth
 from tests.truth.draw_faults import fits
 from tests.truth.sights import SIGHTS
@@ -37,7 +37,7 @@ def through(folder, capsys, effect, seed=1, strength="strong"):
     state("certify", cal, folder / "second", "--out", folder / "certificate.html", "--scale-uncertainty", "1e-5")
     state("watch", cal, folder / "third")
     state("online", folder / "rec")
-    out |= {f"index: {found.kind}": str(found.state) for found in pages(folder)}
+    out |= {f"index: {found.kind}": str(found.state) for found in list_pages(folder)}
     assert json.loads((folder / "found" / "diagnosis.json").read_text())["verdict"]["state"] == out["diagnose"]
     return out
 
@@ -104,7 +104,7 @@ def test_learning_goes_on_where_the_estimate_closes_on_no_pose(tmp_path, capsys)
 def test_creep_has_one_verdict_and_marks_the_calibration(tmp_path, capsys):
     states = through(tmp_path, capsys, "creep")
     assert set(states.values()) == {"check"}, states
-    found, = refutations.of_file(tmp_path / "calibration.json")
+    found, = refutations.refutations_of_file(tmp_path / "calibration.json")
     assert (found.command, found.recording, found.state) == ("diagnose", "rec", "check") and "creep at strut 2" in found.finding
 
 
@@ -121,7 +121,7 @@ def test_a_refuted_calibration_is_refuted_wherever_it_is_used(tmp_path, capsys):
     assert main(["verify", str(cal), str(tmp_path / "failed"), "--json"]) == 3
     told = json.loads(capsys.readouterr().out)
     assert told["verdict"]["state"] == "bad" and told["claim"]["kept"] is False and "rig" in told["verdict"]["next"]
-    assert {found.kind: str(found.state) for found in pages(tmp_path)} == {"calibrate": "bad"}
+    assert {found.kind: str(found.state) for found in list_pages(tmp_path)} == {"calibrate": "bad"}
     assert main(["verify", str(cal), str(tmp_path / "second")]) == 3
     said = capsys.readouterr()
     assert said.out.startswith("bad: refuted on ") and "by failed" in said.out and "where up to" in said.out

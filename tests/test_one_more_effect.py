@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from rig.planning.layout.hexapod_layout import layout
+from rig.planning.layout.hexapod_layout import hexapod_layout
 from tests.conftest import ROOT
 
 TOY = '''"""An axis sticks out by a constant that changes sign with the day's half."""
@@ -79,7 +79,7 @@ def recorded(house, kind):
     """A recording of a machine of a kind with the toy at its second axis."""
     folder = house / kind
     folder.mkdir(exist_ok=True)
-    text = layout(0.3) if kind == "hexapod" else 'schema = "rig/1"\n' + RIGS[kind] + INSTRUMENT.format("free" if kind == "arm" else "rig")
+    text = hexapod_layout(0.3) if kind == "hexapod" else 'schema = "rig/1"\n' + RIGS[kind] + INSTRUMENT.format("free" if kind == "arm" else "rig")
     (folder / "rig.toml").write_text(text)
     place, height = PLACES[kind]
     rig(house, "simulate", folder / "rig.toml", "--plan", "sobol:100", "--effect", f"toy_tide:{place}:height={height}", "--out", folder / "rec",

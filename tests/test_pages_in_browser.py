@@ -13,14 +13,14 @@ import pytest
 
 from calib.certify.measuring_limbs import Agreement
 from calib.experiment.investigation_folder import Hypothesis, Look
-from calib.experiment.investigation_page import timeline_page
+from calib.experiment.investigation_page import write_investigation_page
 from calib.report.measuring_limbs_page import limbs_page
 from docs.make import pictures, project
 from rig.cli.shared.blind_campaign_page import campaign_page
 from rig.report.pages.run_page_server import PageServer
 from synthetic.diagnosis_score import Case, Found, Hidden
 from tests.rig.report.pages.test_run_page_server import EVENT
-from vision.jpeg_pictures import jpeg
+from vision.jpeg_pictures import encode_jpeg
 
 pytestmark = pytest.mark.slow
 KINDS = ("measure", "calibrate", "diagnose", "verify", "certify", "workspace", "online", "plan", "view", "watch", "index", "insitu", "blind",
@@ -52,14 +52,14 @@ def _made(at):
     alike = (Hypothesis("backlash at strut 3", 0.7), Hypothesis("creep at rig", 0.3))
     looks = [Look(1, "rec1", 12.0, ("backlash at strut 3",), (), (), (alike,), (), ()),
              Look(2, "rec2", 9.0, ("backlash at strut 3",), ("backlash at strut 3",), (), (), (), ())]
-    timeline_page(at / "investigate.html", "rig.toml", looks, 60.0, "told apart", ())
+    write_investigation_page(at / "investigate.html", "rig.toml", looks, 60.0, "told apart", ())
 
 
 @pytest.fixture(scope="module")
 def served():
     """The address of a run's page."""
     server = PageServer(lambda: None)
-    server.show(lambda: {**EVENT, "alarms": []}, {"cam0": lambda: jpeg(np.full((48, 64), 90, np.uint8))})
+    server.show(lambda: {**EVENT, "alarms": []}, {"cam0": lambda: encode_jpeg(np.full((48, 64), 90, np.uint8))})
     yield server.url
     server.close()
 

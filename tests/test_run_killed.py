@@ -8,9 +8,9 @@ import pytest
 from rig.formats.rig_toml import design_file
 from rig.recording import recording_folder
 from rig.model.controller_settings import PROTOCOLS
-from rig.driving.run_journal import Departure, Ended, Exposed, Resumed, read
-from rig.planning.plan import build
-from rig.driving.run_steps import steps
+from rig.driving.run_journal import Departure, Ended, Exposed, Resumed, read_journal
+from rig.planning.plan import build_plan
+from rig.driving.run_steps import steps_of_plan
 from tests.running import EmulatedRig, runner
 
 PLAN = "sobol:6"
@@ -58,9 +58,9 @@ def reported(log):
 
 def check(emulated, out, before, log, seen):
     """What must hold of a run that was killed and resumed. seen : frames reported before it was killed"""
-    rows, _ = read(out / "journal.jsonl")
+    rows, _ = read_journal(out / "journal.jsonl")
     design = design_file.load(out / "rig.toml")
-    planned = steps(build(design, PLAN))
+    planned = steps_of_plan(build_plan(design, PLAN))
     assert isinstance(rows[-1], Ended) and rows[-1].reason == "", log.read_text()
     frames = [row for row in rows if isinstance(row, Exposed)]
     assert len(frames) >= seen
@@ -81,7 +81,7 @@ def campaign(emulated, folder, count, rng):
     log = folder / "log"
     whole = folder / "whole"
     finished(folder, whole, False, log)
-    duration, hit = read(whole / "journal.jsonl")[0][-1].t, 0
+    duration, hit = read_journal(whole / "journal.jsonl")[0][-1].t, 0
     while hit < count:
         out, log = folder / "rec", folder / "log"
         shutil.rmtree(out, ignore_errors=True)

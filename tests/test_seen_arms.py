@@ -11,8 +11,8 @@ from rig.recording import recording_folder
 from rig.errors import FileError
 from rig.model.mechanisms import arm
 from rig.planning.configuration_sets import low_discrepancy
-from rig.model.pose import difference
-from synthetic.secret_machine import from_truth
+from rig.model.pose import pose_difference
+from synthetic.secret_machine import world_from_truth
 from vision.recording_measurement import measure_recording
 from tests.loops import holds, lines, rig, verified
 
@@ -44,11 +44,11 @@ def test_where_the_hand_is_is_the_inverse_of_where_the_base_is_seen(tmp_path):
     recorded(tmp_path, "hand", cameras=1, plan="sobol:24")
     rec = recording_folder.load(tmp_path / "rec")
     poses, _ = measure_recording(rec)
-    world = from_truth(tmp_path / "truth.json", rec.design)
+    world = world_from_truth(tmp_path / "truth.json", rec.design)
     frames, t = rec.exposures.times()
-    true = motion_simulation.run(world.true, rec.commands, t, (), rec.sensors).T_base_platform[np.searchsorted(frames, poses.frames)]
+    true = motion_simulation.run_machine(world.true, rec.commands, t, (), rec.sensors).T_base_platform[np.searchsorted(frames, poses.frames)]
     held = world.true.cameras[0].pose * rec.design.cameras[0].pose.inv()  # the platform's frame is held by the camera's stated pose
-    off = difference(true * held, poses.T_base_platform)
+    off = pose_difference(true * held, poses.T_base_platform)
     z = np.einsum("ni,nij,nj->n", off, np.linalg.inv(poses.covariance), off)
     assert np.abs(off[:, :3]).max() < 1e-3 and 0.5 * 6 < z.mean() < 2 * 6
 
@@ -112,17 +112,17 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
 
 
 def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
-    from calib.diagnose.problems.arm.effect_separation import separation
+    from calib.diagnose.problems.arm.effect_separation import effect_separation
     from rig.planning.layout import shipped_arms
-    from rig.effects.texts.effect_text import parse
-    from rig.planning.plan import build
+    from rig.effects.texts.effect_text import parse_effect
+    from rig.planning.plan import build_plan
 
-    design, found = shipped_arms.load("puma560"), {}
-    lag, late = parse("servo_lag:rig:time_constant=0.02"), parse("time_offset:clock:offset=-0.02")
+    design, found = shipped_arms.load_shipped_arm("puma560"), {}
+    lag, late = parse_effect("servo_lag:rig:time_constant=0.02"), parse_effect("time_offset:clock:offset=-0.02")
     for text in ("moving:40", "zigzag:40"):
-        plan = build(design, text, 3)
+        plan = build_plan(design, text, 3)
         for name, pair in (("two", [lag, late]), ("one", [lag, lag])):
-            found[text, name] = separation(text, design, plan.commands, plan.t, None, pair, (2e-5, 1e-4)).misfit
+            found[text, name] = effect_separation(text, design, plan.commands, plan.t, None, pair, (2e-5, 1e-4)).misfit
     assert found["zigzag:40", "two"] > 20 and found["zigzag:40", "two"] > 3 * found["moving:40", "two"]
     assert found["zigzag:40", "one"] < 1e-3 * found["zigzag:40", "two"]
 

@@ -15,10 +15,10 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameter import Parameter
 from rig.effects.catalogue.scale_error import ScaleError
 from rig.errors import RigError
-from rig.report.pages.standalone_svg import alone
+from rig.report.pages.standalone_svg import standalone_svg
 from rig.effects.sketches.effect_example import Sketch
 from tests.conftest import ROOT
-from vision.effect_sketches import drawn
+from vision.effect_sketches import effect_sketch
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 WITHOUT_SIZE = {"marker_swap"}  # faces are exchanged or they are not
@@ -27,11 +27,11 @@ DOCUMENTS = ROOT / "docs"
 
 @pytest.fixture(scope="module")
 def sketches():
-    return {kind.name: (drawn(kind), drawn(kind, 0.5)) for kind in ALL}
+    return {kind.name: (effect_sketch(kind), effect_sketch(kind, 0.5)) for kind in ALL}
 
 
 def picture(sketch: Sketch) -> str:
-    return alone("what it does", sketch.words, sketch.figures)
+    return standalone_svg("what it does", sketch.words, sketch.figures)
 
 
 def plotted(figure: str) -> np.ndarray:
@@ -55,10 +55,10 @@ def test_every_effect_has_a_sketch_that_follows_its_size(name, sketches):
 
 @pytest.mark.parametrize("factor", [1.0, 0.25])
 def test_what_is_drawn_is_what_the_model_says(factor):
-    told = plotted(drawn(ScaleError, factor).figures[1])  # µm over mm: a scale of 1e-3 is one over the other
+    told = plotted(effect_sketch(ScaleError, factor).figures[1])  # µm over mm: a scale of 1e-3 is one over the other
     assert len(told) > 300 and np.ptp(told[:, 0]) == pytest.approx(40, abs=0.5)
     np.testing.assert_allclose(told[:, 1], factor * told[:, 0], atol=0.2 * factor)
-    steps = plotted(drawn(Backlash, factor).figures[1])
+    steps = plotted(effect_sketch(Backlash, factor).figures[1])
     far = steps[np.abs(steps[:, 0]) > 1]  # beyond a gap of 0.2 mm
     np.testing.assert_allclose(far[:, 1], -np.sign(far[:, 0]) * 100 * factor, atol=1.5)
 
@@ -79,7 +79,7 @@ class Curved(Effect):
 
 
 def test_an_effect_that_nobody_knew_has_one_too():
-    sketch = drawn(Curved)
+    sketch = effect_sketch(Curved)
     assert sketch.words == "strut 3, bend 0.5 1/m"
     np.testing.assert_allclose(plotted(sketch.figures[1])[:, 1].max(), 0.5 * 0.02**2 * 1e6, rtol=0.02)
 
@@ -93,7 +93,7 @@ class Elsewhere(Curved):
 
 def test_one_that_the_rig_of_sketches_cannot_have_says_why():
     with pytest.raises(RigError, match="curved takes an arm"):
-        drawn(Elsewhere)
+        effect_sketch(Elsewhere)
 
 
 def test_the_document_of_the_catalogue_is_current(tmp_path):

@@ -41,19 +41,19 @@ def looked_at(path: Path) -> None:
     (folder / "diagnosis1").mkdir(parents=True)
     (folder / "diagnosis1" / "diagnosis.json").write_text('{"schema": "diagnosis/1"}')
     path.rename(folder / "diagnosis1" / "next.json")
-    investigation_folder.looks(folder)
+    investigation_folder.read_looks(folder)
 
 
 def listed(path: Path) -> None:
     """What was made in a folder."""
     path.rename(path.parent / MANIFEST)
-    folder_manifest.load(path.parent)
+    folder_manifest.load_manifest(path.parent)
 
 
 def held(path: Path) -> None:
     """A diagnosis that is to be taken into a calibration."""
     path.rename(path.parent / "diagnosis.json")
-    platform_findings_refit.of_folder(path.parent, recording_folder.load(DATA / "bench" / "check"))
+    platform_findings_refit.findings_of_folder(path.parent, recording_folder.load(DATA / "bench" / "check"))
 
 
 def suggesting(path: Path) -> None:
@@ -64,7 +64,7 @@ def suggesting(path: Path) -> None:
 
 def refuted(path: Path) -> None:
     """What was refuted in a folder whose list this is."""
-    refutations.load(path.rename(path.with_name(refutations.NAME)).parent)
+    refutations.load_refutations(path.rename(path.with_name(refutations.NAME)).parent)
 
 
 READERS = {  # schema: what reads such files
@@ -72,7 +72,7 @@ READERS = {  # schema: what reads such files
     "limbs/1": (measuring_limbs_file.load,),
     "online/1": (filter_state_file.load,),
     "learner/1": (learner_file.load,),
-    "watch/1": (lambda path: visit_history_file.load(path, ""),),
+    "watch/1": (lambda path: visit_history_file.read_history(path, ""),),
     "diagnosis/1": (held, suggesting),
     "next/1": (looked_at,),
     "made/1": (listed,),
@@ -163,7 +163,7 @@ def test_a_diagnosis_of_before_there_were_suggestions_is_taken(tmp_path):
     written("machine-1.json", tmp_path).rename(tmp_path / "machine.json")
     assert "suggestions" not in json.loads((tmp_path / "diagnosis.json").read_text())
     (tmp_path / "rig.toml").write_bytes(gzip.decompress((DATA / "written" / "rig.toml.gz").read_bytes()))
-    found = platform_findings_refit.of_folder(tmp_path, recording_of(tmp_path))
+    found = platform_findings_refit.findings_of_folder(tmp_path, recording_of(tmp_path))
     assert [(effect.name, effect.place) for effect in found.effects] == [("backlash", "strut 3")]
 
 

@@ -9,7 +9,7 @@ from calib.files import calibration_file
 from calib.certify.claim_verification import Part, Verification
 from calib.drift.change_evidence import ALARM, Suspect, Verdict
 from calib.drift.change_hypotheses import SOMETHING
-from calib.report.visits_page import Visit, judged
+from calib.report.visits_page import Visit, last_visit_verdict
 from rig.formats import csv_table
 from rig.cli.command_line import main
 from rig.report.verdict import REFUTED as CHANGED
@@ -86,9 +86,9 @@ def test_a_first_visit_that_disagrees_is_judged_by_the_claim(of_allowed, state, 
     alarm = Verdict(90.0, 40, 0.0, (Suspect(SOMETHING, SOMETHING, 0, 1.0, none, none),), 1e-9, 1e-9)
     kept = Verification(40, Part(40e-6, 30e-6, of_allowed, 1.1, 50e-6), None)
     assert alarm.alarm
-    found = judged([Visit("day0", alarm, (), 1.0, kept)], Evidence(""))
+    found = last_visit_verdict([Visit("day0", alarm, (), 1.0, kept)], Evidence(""))
     assert found.state == state and says in found.why
-    later = judged([Visit("day1", Verdict(90.0, 40, 9.0, alarm.suspects, 1e-9), (), 1.0)], Evidence(""))
+    later = last_visit_verdict([Visit("day1", Verdict(90.0, 40, 9.0, alarm.suspects, 1e-9), (), 1.0)], Evidence(""))
     assert later.state == "bad" and "something changed" in later.why
 
 

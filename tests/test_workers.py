@@ -18,7 +18,7 @@ from rig.compute import dask_cluster, worker_processes
 from rig.cli.command_line import main
 from rig.errors import FileError, RigError
 from rig.compute.parallel_map import parallel_map
-from rig.compute.worker_processes import WorkerEnded, cores, done_by
+from rig.compute.worker_processes import WorkerEnded, worker_count, process_map
 from tests.conftest import BENCH
 
 SAME = ("corners.csv", "poses.csv", "rpy.csv", "rig.toml", "frames.csv", "report.html")  # of what rig measure writes
@@ -36,24 +36,24 @@ def killed_once(item):
 def test_what_a_process_was_at_when_it_was_killed_is_done_again(tmp_path):
     told = []
     things = [(k, tmp_path / "killed") for k in range(20)]
-    assert done_by(2, "fork", killed_once, things, lambda done, of: told.append((done, of))) == [2 * k for k in range(20)]
+    assert process_map(2, "fork", killed_once, things, lambda done, of: told.append((done, of))) == [2 * k for k in range(20)]
     assert (tmp_path / "killed").exists() and told[-1] == (20, 20)
 
 
 def test_processes_that_end_at_the_same_thing_every_time_are_given_up(monkeypatch):
     begun = []
-    monkeypatch.setattr(worker_processes, "gathered", lambda *a, real=worker_processes.gathered: begun.append(1) or real(*a))
+    monkeypatch.setattr(worker_processes, "executor_map", lambda *a, real=worker_processes.executor_map: begun.append(1) or real(*a))
     with pytest.raises(WorkerEnded, match="3 processes at work were ended from outside"):
-        done_by(1, "fork", os._exit, [9, 9])
+        process_map(1, "fork", os._exit, [9, 9])
     assert len(begun) == 3
 
 
 def test_workers_are_as_many_as_asked(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    with worker_processes.workers(3), worker_processes.workers(None):
-        assert cores() == 3
+    with worker_processes.limit_workers(3), worker_processes.limit_workers(None):
+        assert worker_count() == 3
         assert len({pid for pid, _ in parallel_map(lambda k: (os.getpid(), time.sleep(0.01)), range(12), few=1)}) > 1
-    assert cores() == 1
+    assert worker_count() == 1
     for words in (["--workers", "0"], ["--jobs", "2000"]):
         assert main(["measure", str(tmp_path), "--out", str(tmp_path / "o"), *words]) == 1
         assert "--workers takes 1 to 1024" in capsys.readouterr().err
@@ -121,7 +121,7 @@ def test_what_the_work_raises_is_not_said_of_the_cluster(kind):
     def fail(k):
         raise kind(f"corners.csv of {k} is far away")
 
-    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as here, dask_cluster.cluster(here.scheduler_address) as there, \
+    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as here, dask_cluster.use_cluster(here.scheduler_address) as there, \
             pytest.raises(kind, match="corners.csv of 0 is far away"):
         there.map(fail, range(3))
 
@@ -133,7 +133,7 @@ def test_a_cluster_does_calls_in_order_and_raises_what_they_raise(tmp_path):
             raise FileError("x.csv", f"is wrong {k}", 3)
         return k
 
-    with two_workers() as (here, _), dask_cluster.cluster(here.scheduler_address) as there:
+    with two_workers() as (here, _), dask_cluster.use_cluster(here.scheduler_address) as there:
         told = []
         things = [(k, tmp_path / "killed") for k in range(40)]
         assert there.map(killed_once, things, lambda done, of: told.append((done, of))) == [2 * k for k in range(40)]
@@ -142,7 +142,7 @@ def test_a_cluster_does_calls_in_order_and_raises_what_they_raise(tmp_path):
             parallel_map(fail, range(40), far=True)
         nested = parallel_map(lambda k: (os.getpid(), {pid for pid in parallel_map(lambda _: os.getpid(), range(40))}), range(4), few=1, far=True)
         assert all(inner == {pid} and pid != os.getpid() for pid, inner in nested)
-    with pytest.raises(RigError, match="has no worker"), _no_workers() as address, dask_cluster.cluster(address):
+    with pytest.raises(RigError, match="has no worker"), _no_workers() as address, dask_cluster.use_cluster(address):
         pass
 
 
@@ -151,7 +151,12 @@ def test_work_at_which_workers_end_is_given_up():
     from dask import config
 
     once = config.set({"distributed.scheduler.allowed-failures": 0})
-    with once, two_workers() as (here, _), dask_cluster.cluster(here.scheduler_address), pytest.raises(RigError, match="ended one after the other"):
+    with (
+        once,
+        two_workers() as (here, _),
+        dask_cluster.use_cluster(here.scheduler_address),
+        pytest.raises(RigError, match="ended one after the other"),
+    ):
         parallel_map(lambda k: os._exit(9), range(4), few=1, far=True)
 
 
@@ -207,11 +212,11 @@ def test_drawing_is_the_same_by_one_by_two_and_by_a_cluster_of_which_one_is_kill
 
 @pytest.mark.slow
 def test_diagnosing_two_recordings_is_the_same_on_a_cluster(design, rig_text, tmp_path):
-    from rig.effects.texts.effect_text import parse
+    from rig.effects.texts.effect_text import parse_effect
     from tests.conftest import make_recording
 
     for name, seed in (("a", 1), ("b", 2)):
-        make_recording(tmp_path / name, design, rig_text, seed, count=24, effects=(parse("backlash:strut2:gap=8e-5"),))
+        make_recording(tmp_path / name, design, rig_text, seed, count=24, effects=(parse_effect("backlash:strut2:gap=8e-5"),))
     words = ["diagnose", str(tmp_path / "a"), "--only", "backlash", "--only", "scale_error", "--quiet", "--out"]
     assert main([*words, str(tmp_path / "1"), "--workers", "1"]) == 0
     with two_workers() as (here, pids), one_killed(here, pids) as found:
@@ -239,7 +244,7 @@ def test_a_process_here_that_is_killed_costs_no_result(tmp_path, monkeypatch):
     monkeypatch.setattr(recording_corners, "LEARN_FROM", 4)  # so that images are left to be shared out
     words = ["measure", str(BENCH / "check"), "--quiet", "--workers", "2", "--out"]
     assert main([*words, str(tmp_path / "1")]) == 0
-    seen, killed, here = recording_corners.detect, tmp_path / "killed", os.getpid()
+    seen, killed, here = recording_corners.detect_markers, tmp_path / "killed", os.getpid()
 
     def once(*a, **k):
         if not killed.exists() and os.getpid() != here:
@@ -247,7 +252,7 @@ def test_a_process_here_that_is_killed_costs_no_result(tmp_path, monkeypatch):
             os.kill(os.getpid(), signal.SIGKILL)
         return seen(*a, **k)
 
-    monkeypatch.setattr(recording_corners, "detect", once)
+    monkeypatch.setattr(recording_corners, "detect_markers", once)
     assert main([*words, str(tmp_path / "2")]) == 0 and killed.exists()
     alike(tmp_path / "1", tmp_path / "2", SAME)
     shutil.rmtree(tmp_path)

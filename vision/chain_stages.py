@@ -15,37 +15,37 @@ from vision.pose.ambiguous_poses import FAR
 from vision.targets import MarkerMap
 
 
-def numbers(markers: MarkerMap) -> list[int]:
+def stage_numbers(markers: MarkerMap) -> list[int]:
     """Numbers (from 1) of the stages below the last that carry markers."""
     return np.unique(markers.stage[markers.stage > 0]).tolist()
 
 
-def refuse_free(places: str) -> None:
+def refuse_free_places(places: str) -> None:
     """Raise RigError where places of markers are to be adjusted on a rig with targets on stages."""
     if places == "free":
         raise RigError("places of markers cannot be adjusted on a rig with targets on stages of a chain: the stated places of all a stage's markers "
                        "are what its pose is told by; measure with places as stated")
 
 
-def apart(observations: Observations, markers: MarkerMap) -> Observations:
+def separate_stage_frames(observations: Observations, markers: MarkerMap) -> Observations:
     """The corners with those of each stage in frames of their own, which follow all others."""
     o, count = observations, len(observations.frames)
     step = int(o.frames.max()) + 1
-    bodies = [0, *numbers(markers)]
+    bodies = [0, *stage_numbers(markers)]
     frame = o.frame + count * np.searchsorted(bodies, markers.stage[o.marker])
     order = np.lexsort((o.corner, o.marker, frame, o.camera))
     return replace(o.take(order), frames=np.concatenate([o.frames + k * step for k in range(len(bodies))]), frame=frame[order])
 
 
-def times(t: np.ndarray, markers: MarkerMap) -> np.ndarray:
+def stage_frame_times(t: np.ndarray, markers: MarkerMap) -> np.ndarray:
     """(frames of all bodies,) s, of frames exposed at t (F,) s: one body's come long after another's, and are not its neighbours."""
     gap = float(np.ptp(t)) + 4 * FAR
-    return np.concatenate([t + k * gap for k in range(1 + len(numbers(markers)))])
+    return np.concatenate([t + k * gap for k in range(1 + len(stage_numbers(markers)))])
 
 
-def parted(measured: Measurement, markers: MarkerMap) -> Measurement:
-    """The Measurement of the platform, with those of the stages in `stages`, of what was measured of corners `apart`."""
-    bodies = [0, *numbers(markers)]
+def separate_stage_measurements(measured: Measurement, markers: MarkerMap) -> Measurement:
+    """The Measurement of the platform, with those of the stages in `stages`, of what was measured of corners `separate_stage_frames`."""
+    bodies = [0, *stage_numbers(markers)]
     platform, *below = (_part(measured, k, len(bodies)) for k in range(len(bodies)))
     return replace(platform, stages=dict(zip(bodies[1:], below)))
 

@@ -10,9 +10,18 @@ import scipy
 from rig.model.cube_quarter_turns import WORDS
 from rig.errors import RigError
 from rig.model.pose import log
-from rig.recording.data_provenance import flat, marks, shared
+from rig.recording.data_provenance import marks_of_frames, content_marks, frames_with_known_data
 from rig.recording.recording_folder import Recording
-from rig.recording.combined_recordings import Owners, by_instrument, called, dropped, joined, refuse_strangers, seated, unmoved
+from rig.recording.combined_recordings import (
+    Owners,
+    is_measured_by_instrument,
+    camera_name,
+    dropped_channels,
+    join_recordings,
+    require_one_rig,
+    target_seats,
+    stated_camera_owners,
+)
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
 
@@ -33,7 +42,7 @@ class Elsewhere:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Together:
+class CombinedRecordings:
     """recording : one Recording of all; owners : Owners; moved : (Elsewhere, ..); dropped : channels that not all of them logged"""
 
     recording: Recording
@@ -52,47 +61,49 @@ class Together:
                    + (f", where camera{'s' * (len(alone) > 1)} {', '.join(alone)} stand{'s' * (len(alone) == 1)}" if alone else "")
                    + "; each one's own: poses, history of moves, start of clock and warming up, log")
         for m in self.moved:
-            now = called(m.camera, self.owners[m.recording])
+            now = camera_name(m.camera, self.owners[m.recording])
             how = "is stated otherwise" if np.isnan(m.distance) else f"stands elsewhere, by {m.distance * 1e3:.3g} mm and {m.angle * 1e3:.3g} mrad"
             out.append(f"camera {m.camera} {how} in {parts[m.recording].recording.name}: it is camera {now} here")
-        for k, seats in enumerate(seated([part.recording.design for part in parts])):
+        for k, seats in enumerate(target_seats([part.recording.design for part in parts])):
             for target in parts[k].recording.design.targets:
                 if target.turned is not None and seats[target.name] == k:
                     out.append(f"cube {target.name} was put back {WORDS[target.turned]} for {parts[k].recording.name}: it is target "
-                               f"{called(target.name, seats)} here, its place its own")
+                               f"{camera_name(target.name, seats)} here, its place its own")
         return out + ([f"not asked, since not all logged them: {', '.join(self.dropped)}"] if self.dropped else [])
 
 
-def together(recordings: Sequence[Recording], progress: Progress | None = None) -> Together:
-    """Together of recordings of one rig, in the order in which they were taken. progress : called with (label, done, of), or None
+def combine_recordings(recordings: Sequence[Recording], progress: Progress | None = None) -> CombinedRecordings:
+    """CombinedRecordings of recordings of one rig, in the order in which they were taken. progress : called with (label, done, of), or None
 
     Raises RigError naming what their rig.toml contradict each other in, and what measuring raises
     """
-    refuse(recordings)
-    owners = unmoved(recordings)
+    require_combinable(recordings)
+    owners = stated_camera_owners(recordings)
     moved = [Elsewhere(k, name, np.nan, np.nan) for k, own in enumerate(owners) for name, j in own.items()
              if j == k and any(name in earlier for earlier in owners[:k])]
-    if not by_instrument(recordings[0]):
+    if not is_measured_by_instrument(recordings[0]):
         measured = [measure_recording(r, progress=None if progress is None else _of(progress, k, len(recordings)))[0]
                     for k, r in enumerate(recordings)]
         owners, found = _standing(owners, measured)
         moved += found
-        if any(any(own.values()) for own in seated([r.design for r in recordings])):  # whose prints are read under one identity, and are two targets
+        if any(
+            any(own.values()) for own in target_seats([r.design for r in recordings])
+        ):  # whose prints are read under one identity, and are two targets
             recordings = [r if r.corners is not None else replace(r, corners=m.corners()) for r, m in zip(recordings, measured)]
-    return Together(joined(recordings, owners), owners, tuple(moved), tuple(dropped(recordings)))
+    return CombinedRecordings(join_recordings(recordings, owners), owners, tuple(moved), tuple(dropped_channels(recordings)))
 
 
-def refuse(recordings: Sequence[Recording]) -> None:
+def require_combinable(recordings: Sequence[Recording]) -> None:
     """Raise RigError for recordings that are not of one rig, naming what differs, and where data of one are in another: they would count twice."""
-    refuse_strangers(recordings)
+    require_one_rig(recordings)
     known: set[str] = set()
     for recording in recordings:
-        of = marks(recording)
-        twice = shared(of, known)
+        of = content_marks(recording)
+        twice = frames_with_known_data(of, known)
         if twice:
             raise RigError(f"{recording.folder}: {len(twice)} of {len(of)} frames are in another of the recordings; "
                            "the same pose does not count twice")
-        known |= set(flat(of))
+        known |= set(marks_of_frames(of))
 
 
 def _of(progress: Progress, number: int, count: int) -> Progress:

@@ -56,14 +56,14 @@ class Observations:
         return np.stack([np.r_[0, edges], np.r_[edges, len(key)]], axis=1) if len(key) else np.zeros((0, 2), int)
 
 
-def nothing_seen(frame: int) -> Observations:
+def observations_without_corners(frame: int) -> Observations:
     """Observations of a frame in which no camera looked: no corners."""
     none, whole = np.zeros(0), np.zeros(0, int)
     return Observations(np.array([frame]), whole, whole, whole, whole, none.reshape(0, 2), none.reshape(0, 2, 2), none.reshape(0, 3),
                         none.astype(bool), True)
 
 
-def only(observations: Observations, solved: np.ndarray) -> Observations:
+def observations_of_frames(observations: Observations, solved: np.ndarray) -> Observations:
     """The corners of the frames (indices (k,)) that are solved, those frames counted anew."""
     kept = observations.take(np.isin(observations.frame, solved))
     return replace(kept, frames=observations.frames[solved], frame=np.searchsorted(solved, kept.frame))
@@ -122,7 +122,7 @@ def whitener(observations: Observations) -> Whitener:
     return Whitener(own, sighting, o.corner, np.linalg.inv(np.linalg.cholesky(R)))
 
 
-def correlation_of(covariance: np.ndarray) -> np.ndarray:
+def corner_correlation(covariance: np.ndarray) -> np.ndarray:
     """(m, 4, 2, 8) Observations.correlation of m markers' corners whose covariances are (m, 8, 8) px^2."""
     m = len(covariance)
     blocks = np.linalg.inv(np.linalg.cholesky(np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1)))
@@ -132,7 +132,7 @@ def correlation_of(covariance: np.ndarray) -> np.ndarray:
     return (whiten @ covariance @ np.swapaxes(whiten, 1, 2)).reshape(m, 4, 2, 8)
 
 
-def from_corners(corners: Corners, frames: np.ndarray, design: Design, marker_map: MarkerMap,
+def observations_from_corners(corners: Corners, frames: np.ndarray, design: Design, marker_map: MarkerMap,
                  correlation: np.ndarray | None = None) -> Observations:
     """Observations of recording.Corners whose markers and cameras the design knows. frames : (F,) the frame numbers.
 

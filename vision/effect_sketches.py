@@ -10,13 +10,13 @@ from rig.effects import sketches
 from rig.model.design import Camera, Design, Marker, Target
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.model.motion_simulation import Run
-from rig.report.pages.plots import Series, panel
+from rig.report.pages.plots import Series, plot_panel
 from rig.report.pages.image_plane_figures import Arrows, Cells, Quads, image_plane
 from rig.model.pose import pose
 from rig.recording.recording_folder import Sensors
-from rig.effects.sketches.effect_example import Sketch, example, rig, said
-from rig.effects.sketches.motion_effect_figures import HIGH, TIMES, done, enlarged, unit_of
-from vision.predict import Sightings, State, see
+from rig.effects.sketches.effect_example import Sketch, effect_example, sketch_hexapod, effect_text
+from rig.effects.sketches.motion_effect_figures import HIGH, TIMES, enlargement_text, enlargement, unit_of
+from vision.predict import Sightings, State, predict_sightings
 from vision.targets import marker_map
 
 WIDTH, HEIGHT, FOCAL = 640, 420, 600.0  # px, of the camera that looks
@@ -29,38 +29,38 @@ CHANGES = 1e-6  # of the displacement; less is no change in time
 PLACES = {"cameras": "cameras", "markers": "markers", "camera": "camera cam0", "marker": "marker 9", "target": "target target2"}
 
 
-def drawn(kind: type[Effect], factor: float = 1.0) -> Sketch:
+def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     """Sketch of an effect of a kind, `factor` times as large as the largest that rigs show.
 
     Raises RigError for an effect that neither the rig of the sketches nor its camera can have
     """
     if kind.stage in MOTION_STAGES:
         return sketches.drawn(kind, factor)
-    way = example(kind, PLACES[kind.places[-1]], factor, wall(), displaced)
+    way = effect_example(kind, PLACES[kind.places[-1]], factor, sketch_targets(), corner_displacement)
     true, found = (_seen(effects, way.t, way.sensors) for effects in ([], [way.effect]))
     by = found[-1] - true[-1]
-    much = enlarged(float(np.linalg.norm(by, axis=-1).max()), DRAWN)
+    much = enlargement(float(np.linalg.norm(by, axis=-1).max()), DRAWN)
     off = np.abs(by).max(axis=(1, 2)) > CHANGES * np.abs(by).max()
     layers: list[Arrows | Cells | Quads] = [Quads(true[-1]), Arrows(true[-1].reshape(-1, 2), by.reshape(-1, 2), much, "px", 3),
                                             Quads((true[-1] + much * by)[off], 1)]
-    picture = image_plane("Markers in the image", f"grey: as stated; {done('orange: as seen', much)}", (WIDTH, HEIGHT), layers)
+    picture = image_plane("Markers in the image", f"grey: as stated; {enlargement_text('orange: as seen', much)}", (WIDTH, HEIGHT), layers)
     size = np.sqrt(np.mean(np.sum((found - true) ** 2, axis=-1), axis=(1, 2)))
     if np.ptp(size) <= CHANGES * size.max():
-        return Sketch(said(way.effect), (picture,))
+        return Sketch(effect_text(way.effect), (picture,))
     scale, unit = unit_of(way.t[-1], TIMES)
-    through = panel("Through time", (f"time, {unit}", "RMS, px"), [Series(way.t / scale, size, "", "line", 1)], high=HIGH)
-    return Sketch(said(way.effect), (picture, through))
+    through = plot_panel("Through time", (f"time, {unit}", "RMS, px"), [Series(way.t / scale, size, "", "line", 1)], high=HIGH)
+    return Sketch(effect_text(way.effect), (picture, through))
 
 
-def displaced(effect: Effect, camera: Camera) -> float:
+def corner_displacement(effect: Effect, camera: Camera) -> float:
     """px RMS by which an effect moves corners all over the image of the sketches' camera, which is the only one there is."""
-    assert camera.name == wall().cameras[0].name
+    assert camera.name == sketch_targets().cameras[0].name
     true, found = (_seen(effects, np.zeros(1), None) for effects in ([], [effect]))
     return float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=-1))))
 
 
 @cache
-def wall() -> Design:
+def sketch_targets() -> Design:
     """A camera before targets of four markers each, which face it, nearer ones and farther ones side by side, all over its image."""
     matrix = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
     camera = Camera("cam0", WIDTH, HEIGHT, matrix, np.zeros(5), pose(np.zeros(3), np.zeros(3)))
@@ -70,15 +70,15 @@ def wall() -> Design:
         at = [middle + APART * SIDE / 2 * np.array(corner) for corner in ((-1, -1), (1, -1), (-1, 1), (1, 1))]
         listed = tuple(Marker(4 * k + j, SIDE, pose(np.array([*xy, away]), np.array([np.pi, 0, 0])), SIDE / 8) for j, xy in enumerate(at))
         targets.append(Target(f"target{k}", "platform", "DICT_5X5_100", listed=listed))
-    return replace(rig(), cameras=(camera,), targets=tuple(targets))
+    return replace(sketch_hexapod(), cameras=(camera,), targets=tuple(targets))
 
 
 def _seen(effects: list[Effect], t: np.ndarray, sensors: Sensors | None) -> np.ndarray:
     """(n, markers, 4, 2) px, all corners of the wall at exposures at t (n,) s."""
-    design, count = wall(), len(t)
+    design, count = sketch_targets(), len(t)
     markers = marker_map(design)
     still = RigidTransform.from_matrix(np.broadcast_to(np.eye(4), (count, 4, 4)))
     moving = Run(still, np.zeros((count, 6)), np.tile([SPEED, 0, 0, 0, 0, 0], (count, 1)), np.zeros((count, 6)))
     frame, marker = (index.ravel() for index in np.indices((count, len(markers.id))))
     sightings = Sightings(frame, np.zeros(len(frame), int), marker)
-    return see(sightings, State(design.cameras, still, {}), markers, t, effects, sensors, moving).reshape(count, -1, 4, 2)
+    return predict_sightings(sightings, State(design.cameras, still, {}), markers, t, effects, sensors, moving).reshape(count, -1, 4, 2)

@@ -13,7 +13,7 @@ from rig.recording.exposures import read_image
 from rig.formats.output_files import write_bytes
 from rig.recording.recording_folder import Exposures, Recording
 from vision import lens
-from vision.corners.marker_detection import grey
+from vision.corners.marker_detection import grey_image
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
 
@@ -40,7 +40,7 @@ def frame_picture(recording: Recording, frame: int, enlarge: float = 200.0,
         if not names:
             continue
         if names[0]:
-            picture = cv2.cvtColor(grey(read_image(recording.folder / names[0]))[0], cv2.COLOR_GRAY2BGR)
+            picture = cv2.cvtColor(grey_image(read_image(recording.folder / names[0]))[0], cv2.COLOR_GRAY2BGR)
         else:
             picture = np.full((camera.height, camera.width, 3), 40, np.uint8)
         _markers(picture, measured, i, enlarge)
@@ -57,7 +57,7 @@ def check_format(path: str | Path) -> str:
     return suffix or ".png"
 
 
-def save(path: str | Path, pictures: list[tuple[str, np.ndarray]], measured: Measurement) -> str:
+def save_pictures(path: str | Path, pictures: list[tuple[str, np.ndarray]], measured: Measurement) -> str:
     """Write pictures (h, w, 3) with their names side by side; returns what there is to say about the frame, in words.
 
     Raises FileError as `check_format` and writing do, RigError for a picture that cannot be coded

@@ -14,23 +14,23 @@ from rig.recording.recording_folder import Recording
 from vision.recording_adjustment import Measurement
 
 
-def in_hand(design: Design) -> bool:
+def has_hand_cameras(design: Design) -> bool:
     """Whether a rig's cameras are carried by its platform; rig.toml has all of them there, or none."""
     return any(camera.mount == "hand" for camera in design.cameras)
 
 
-def exchanged(recording: Recording) -> Recording:
+def recording_seen_from_hand(recording: Recording) -> Recording:
     """A recording as seen from the hand: its cameras stand still, and the base's targets are on the body that moves; others as they are."""
-    return replace(recording, design=seen_from(recording.design)) if in_hand(recording.design) else recording
+    return replace(recording, design=design_seen_from_hand(recording.design)) if has_hand_cameras(recording.design) else recording
 
 
-def seen_from(design: Design) -> Design:
-    """A design whose cameras are in the hand as seen from there, see `exchanged`."""
+def design_seen_from_hand(design: Design) -> Design:
+    """A design whose cameras are in the hand as seen from there, see `recording_seen_from_hand`."""
     cameras = tuple(replace(camera, mount="fixed") for camera in design.cameras)
     return replace(design, cameras=cameras, targets=tuple(replace(target, body="platform") for target in design.targets))
 
 
-def of_platform(measured: Measurement) -> Measurement:
+def invert_measurement(measured: Measurement) -> Measurement:
     """The Measurement of a body whose poses are the inverses: poses, covariances and what they share.
 
     T exp(xi) of the one is T^-1 exp(-Ad xi) of the other, with Ad that of T.

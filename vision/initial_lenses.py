@@ -12,7 +12,7 @@ UNSTATED = (0.2, 0.06)  # of the focal length and of the image's width, that a l
 Cameras = tuple[Camera, ...]
 
 
-def lens_starts(stated: Cameras, loosened: Callable[[Cameras], Cameras | None]) -> Iterator[Cameras]:
+def initial_lenses(stated: Cameras, loosened: Callable[[Cameras], Cameras | None]) -> Iterator[Cameras]:
     """Cameras with other lenses to begin from, as stated but for these: some of which nothing is known, then those found with markers' places free.
 
     loosened : Cameras -> these, adjusted with markers' places free, or None where that fails
@@ -36,7 +36,7 @@ def unknown_lenses(stated: Cameras, factor: float = 1.0) -> Cameras:
     return tuple(out)
 
 
-def plausible(adjusted: Cameras, stated: Cameras) -> bool:
+def are_lenses_plausible(adjusted: Cameras, stated: Cameras) -> bool:
     """Whether lenses that adjusting found from nothing known are such as cameras have: near the stated focal length, centred nearly."""
     zoomed = [abs(float(a.matrix[0, 0] / s.matrix[0, 0]) - 1) for a, s in zip(adjusted, stated)]
     aside = [float(np.abs(a.matrix[:2, 2] - [(s.width - 1) / 2, (s.height - 1) / 2]).max()) / s.width for a, s in zip(adjusted, stated)]

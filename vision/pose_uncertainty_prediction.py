@@ -9,18 +9,18 @@ from rig.model.design import Design
 from rig.errors import RigError
 from rig.model.pose import adjoint
 from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.normal_equations import linearise, normal_equations, reduce
-from vision.hand_mounted_cameras import in_hand
+from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
+from vision.hand_mounted_cameras import has_hand_cameras
 from vision.recording_adjustment import Measurement
 from vision.corner_observations import Observations, whitener
-from vision.predict import Sightings, State, facing, inside, see
+from vision.predict import Sightings, State, facing, is_inside_image, predict_sightings
 from vision.targets import SQUARE
 
 LEAST = 2  # sightings of markers; one alone leaves two poses alike
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Foreseen:
+class PredictedUncertainty:
     """seen : (n,) bool, poses of which cameras will see enough, m of them; covariance : (m, 6, 6) of each one's own error, m and rad, on the right
     common : (m, 6, k) factor of what they share with each other and, by the same draws, with the poses of the Measurement."""
 
@@ -29,14 +29,15 @@ class Foreseen:
     common: np.ndarray
 
 
-def foreseen(measured: Measurement, design: Design, T_base_platform: RigidTransform) -> Foreseen:
-    """Foreseen of poses (n,), by cameras, lenses and corners' noise as a recording's Measurement has them. design : as its owner states it
+def predict_pose_uncertainty(measured: Measurement, design: Design, T_base_platform: RigidTransform) -> PredictedUncertainty:
+    """PredictedUncertainty of poses (n,), by cameras, lenses and corners' noise as a recording's Measurement has them. design : as its owner states
+    it
 
     Raises RigError for cameras that stand elsewhere in every frame, and where places of markers were adjusted
     """
     if measured.adjustment.unknowns.local_poses or measured.places_free:
         raise RigError("poses that are not there yet are told of cameras that stand still, or sit in the hand, and of markers where they are stated")
-    body = T_base_platform.inv() if in_hand(design) else T_base_platform
+    body = T_base_platform.inv() if has_hand_cameras(design) else T_base_platform
     sightings, uv = _sightings(measured, body)
     share = _share(measured)
     seen = share * np.bincount(sightings.frame, minlength=len(body)) >= LEAST
@@ -45,10 +46,10 @@ def foreseen(measured: Measurement, design: Design, T_base_platform: RigidTransf
     k = measured.common.shape[2]
     rest = common[..., k:]
     covariance, common = own + rest @ np.swapaxes(rest, 1, 2), common[..., :k]
-    if in_hand(design):
+    if has_hand_cameras(design):
         inverted = adjoint(body[seen])
         covariance, common = inverted @ covariance @ np.swapaxes(inverted, 1, 2), -inverted @ common
-    return Foreseen(seen, covariance, common)
+    return PredictedUncertainty(seen, covariance, common)
 
 
 def _share(measured: Measurement) -> float:
@@ -64,8 +65,8 @@ def _sightings(measured: Measurement, body: RigidTransform) -> tuple[Sightings, 
     state, markers = State(a.state.cameras, body, {}, a.state.placed), a.state.placed
     found = facing(state, markers)
     found = found.take(np.isin(found.camera, list(a.unknowns.poses)) & np.isin(found.marker, a.unknowns.seen) & markers.on_platform[found.marker])
-    uv = see(found, state, markers)
-    whole = inside(found, uv, a.state.cameras)
+    uv = predict_sightings(found, state, markers)
+    whole = is_inside_image(found, uv, a.state.cameras)
     found, uv = found.take(whole), uv[whole]
     order = np.lexsort((found.marker, found.frame, found.camera))
     return found.take(order), uv[order]
@@ -85,6 +86,6 @@ def _covariances(measured: Measurement, body: RigidTransform, sightings: Sightin
     estimate = Estimate(State(a.state.cameras, body, {}, markers), None, {})
     _, derivatives = linearise(corners, estimate, here, whitener(corners))
     blocks = normal_equations(corners, derivatives, here, np.zeros(u.shared))
-    gain, _, _ = reduce(blocks)
+    gain, _, _ = schur_complement(blocks)
     own = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2
     return own, (gain @ (a.shared_factor / u.scale[:, None]))[:, :6] * POSE_SCALE

@@ -113,7 +113,7 @@ def facing(state: State, markers: MarkerMap, steepest: float = STEEPEST) -> Sigh
     return Sightings(*(np.concatenate(column) for column in zip(*out)))
 
 
-def see(sightings: Sightings, state: State, markers: MarkerMap, t: np.ndarray | None = None, effects: Sequence[Effect] = (),
+def predict_sightings(sightings: Sightings, state: State, markers: MarkerMap, t: np.ndarray | None = None, effects: Sequence[Effect] = (),
         sensors: Sensors | None = None, run: Run | None = None) -> np.ndarray:
     """Corners (k, 4, 2) px of sightings, with all that the effects do to markers, cameras and the moment of exposure.
 
@@ -143,7 +143,7 @@ def see(sightings: Sightings, state: State, markers: MarkerMap, t: np.ndarray | 
     return uv
 
 
-def shown(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> np.ndarray:
+def visible_marker_counts(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> np.ndarray:
     """(F,) how many markers are seen whole, of the platform's by cameras that stand, of the base's by those in the hand, at poses (F,).
 
     What stands in the way is not looked at
@@ -152,12 +152,12 @@ def shown(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers:
     state = State(cameras, T_base_platform, held)
     found = facing(state, markers)
     found = found.take(markers.on_platform[found.marker] != bool(held))
-    whole = inside(found, see(found, state, markers), cameras)
+    whole = is_inside_image(found, predict_sightings(found, state, markers), cameras)
     pairs = np.unique(np.stack([found.frame[whole], found.marker[whole]], axis=1), axis=0)
     return np.bincount(pairs[:, 0], minlength=len(T_base_platform))
 
 
-def inside(sightings: Sightings, uv: np.ndarray, cameras: Sequence[Camera], margin: float = INSIDE) -> np.ndarray:
+def is_inside_image(sightings: Sightings, uv: np.ndarray, cameras: Sequence[Camera], margin: float = INSIDE) -> np.ndarray:
     """(k,) bool, whether all corners (k, 4, 2) px lie in their camera's image, by a margin (px)."""
     size = np.array([[camera.width, camera.height] for camera in cameras])[sightings.camera]
     return ((uv > margin) & (uv < size[:, None] - 1 - margin)).all(axis=(1, 2))

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera, Design
 from rig.errors import RigError
-from vision.corners.marker_detection import detect
+from vision.corners.marker_detection import detect_markers
 from vision.targets import MarkerMap, marker_map
 
 CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # of a square of side 1, from its top left, clockwise, y up
@@ -30,7 +30,7 @@ class Printed:
     bend: float
 
 
-def on_sheet(image: np.ndarray, design: Design, paper: tuple[float, float], tolerance: float) -> Printed:
+def print_scale_on_sheet(image: np.ndarray, design: Design, paper: tuple[float, float], tolerance: float) -> Printed:
     """The markers' scale across and along a whole sheet. image : as cv2.imread gives it; paper : (width, height) m; tolerance : m, standard
     uncertainty of both. Raises RigError where no marker of the rig or no whole sheet is seen"""
     seen, side = _seen(image, design)
@@ -54,7 +54,7 @@ def on_sheet(image: np.ndarray, design: Design, paper: tuple[float, float], tole
     return Printed(scale, ("across the sheet", "along the sheet"), tuple(float(np.hypot(a, b)) for a, b in zip(scatter, seen_as)), len(seen), bend)
 
 
-def by_ruler(image: np.ndarray, design: Design, ends: np.ndarray, length: float) -> Printed:
+def print_scale_by_ruler(image: np.ndarray, design: Design, ends: np.ndarray, length: float) -> Printed:
     """The markers' scale along a ruler. ends : (2, 2) px of two of its lines; length : m between them. The markers are taken to be printed as
     large one way as the other. Raises RigError where no marker of the rig is seen"""
     seen, side = _seen(image, design)
@@ -77,7 +77,7 @@ def _seen(image: np.ndarray, design: Design) -> tuple[np.ndarray, np.ndarray]:
     markers = marker_map(design)
     height, width = image.shape[:2]
     matrix = np.array([[1.2 * max(width, height), 0, width / 2], [0, 1.2 * max(width, height), height / 2], [0, 0, 1]])
-    found = detect(image, Camera("photograph", width, height, matrix, np.zeros(5), RigidTransform.identity()), markers)
+    found = detect_markers(image, Camera("photograph", width, height, matrix, np.zeros(5), RigidTransform.identity()), markers)
     if not len(found.marker):
         raise RigError("no marker of the rig is seen in the photograph")
     return found.corners.astype(np.float64), _sides(markers, found.marker)

@@ -10,14 +10,14 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera, Design
-from rig.report.notebook_display import shown
+from rig.report.notebook_display import result_html
 from rig.recording.recording_folder import Corners
-from vision.bundle.bundle_adjustment import Adjustment, adjust
-from vision.bundle.robust_adjustment import adjust_robustly, standing_error
-from vision.bundle.printing_variance import printed
-from vision.corner_observations import Observations, only
-from vision.pose.frame_poses import Frames, Views, locate_frames, related, resect
-from vision.pose.camera_placement import joined
+from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
+from vision.bundle.robust_adjustment import adjust_robustly, repeated_corner_error
+from vision.bundle.printing_variance import estimate_printing_errors
+from vision.corner_observations import Observations, observations_of_frames
+from vision.pose.frame_poses import Frames, Views, locate_frames, locate_cameras_by_body, locate_fixed_cameras
+from vision.pose.camera_placement import place_cameras_by_poses
 from vision.pose.body_pose import FINEST
 from vision.predict import State, predict
 from vision.targets import MarkerMap
@@ -65,7 +65,7 @@ class Measurement:
         position, rotation = (np.sqrt(np.mean(np.trace(self.covariance[:, part, part], axis1=1, axis2=2))) * 1e3
                               for part in (slice(0, 3), slice(3, 6)))
         missed = [f"frame {frame} has no pose: {reason}" for frame, reason in list(self.unsolved.items())[:5]]
-        return shown(f"{len(self.frames)} of {total} frames solved", [
+        return result_html(f"{len(self.frames)} of {total} frames solved", [
             f"poses to {position:.4f} mm and {rotation:.4f} mrad (standard uncertainty, RMS)",
             f"corners scatter by {self.noise:.4f} px; {self.inliers.sum()} of {len(self.inliers)} used", *missed])
 
@@ -77,7 +77,7 @@ class Measurement:
     def used(self) -> Observations:
         """Observations that were adjusted, with the weights they were given: the inliers of the solved frames."""
         solved = np.searchsorted(self.observations.frames, self.frames)
-        kept = replace(only(self.observations, solved), covariance=self.weights)
+        kept = replace(observations_of_frames(self.observations, solved), covariance=self.weights)
         return kept.take(self.inliers[np.isin(self.observations.frame, solved)])
 
     def ids(self) -> list[int]:
@@ -99,7 +99,7 @@ def measure(observations: Observations, design: Design, marker_map: MarkerMap, f
     """Platform poses of all frames with cameras and lenses adjusted to them, and places of markers too if asked for.
 
     observations : Observations; design : Design, nominal; marker_map : MarkerMap as stated
-    free : what is adjusted, see `adjust`; progress : called with (label, done, of), or None
+    free : what is adjusted, see `adjust_bundle`; progress : called with (label, done, of), or None
     t : (F,) s of the frames; with it, one sighting alone counts where the frames before and after confirm its pose
     cameras : to locate frames by, where they are better known than the design has them
     Returns Measurement. Raises NotEnoughData where no frame can be solved, with the reasons.
@@ -111,7 +111,7 @@ def measure(observations: Observations, design: Design, marker_map: MarkerMap, f
     finest, covariance = UNSURE if places else FINEST, observations.covariance
     for _ in range(2 if places else 1):  # once to find the places, once more with these
         views = Views(replace(observations, covariance=covariance), cameras, markers, finest)
-        found = resect(views, cameras) if "poses" in free else {}
+        found = locate_fixed_cameras(views, cameras) if "poses" in free else {}
         cameras = tuple(replace(c, pose=found.get(i, c.pose)) for i, c in enumerate(cameras))
         frames, cameras = _located(views, cameras, t, set(found) if "poses" in free else None, progress and partial(progress, "locating"))
         state = State(cameras, frames.all_poses(count), frames.all_moving(count), markers)
@@ -120,12 +120,12 @@ def measure(observations: Observations, design: Design, marker_map: MarkerMap, f
                               progress and partial(progress, "adjusting"))
         covariance = fit.covariance
         cameras, markers = fit.adjustment.state.cameras, fit.adjustment.state.placed
-    fit = fit if places else printed(observations, fit, tuple(free))
+    fit = fit if places else estimate_printing_errors(observations, fit, tuple(free))
     solved, keep = fit.solved, np.isin(observations.frame, fit.solved)
     observations = replace(observations, covariance=fit.covariance)
-    kept, good = only(observations, solved), fit.inliers[keep]
-    weights, standing = standing_error(kept, good, fit.adjustment.state)
-    result = adjust(replace(kept, covariance=weights).take(good), fit.adjustment.state, free, stated=stated, printing=fit.adjustment.printing)
+    kept, good = observations_of_frames(observations, solved), fit.inliers[keep]
+    weights, standing = repeated_corner_error(kept, good, fit.adjustment.state)
+    result = adjust_bundle(replace(kept, covariance=weights).take(good), fit.adjustment.state, free, stated=stated, printing=fit.adjustment.printing)
     numbers, covariance = observations.frames[solved], result.platform_covariance
     result, common = _in_order(result)
     residuals = np.full((len(observations), 2), np.nan)
@@ -154,7 +154,7 @@ def _located(views: Views, cameras: tuple[Camera, ...], t: np.ndarray | None, he
     """(Frames, cameras) located by cameras as they are, or, where they may move and no base says where they stand, as the body relates them if
     the corners agree better so. held : indices of those that the base placed, None where none may move"""
     found = locate_frames(views, cameras, t, progress)
-    other = {} if held is None else related(views, cameras) or joined(views, cameras, found, held, t, progress)
+    other = {} if held is None else locate_cameras_by_body(views, cameras) or place_cameras_by_poses(views, cameras, found, held, t, progress)
     if not other:
         return found, cameras
     moved = tuple(replace(c, pose=other.get(i, c.pose)) for i, c in enumerate(cameras))

@@ -9,15 +9,15 @@ from rig.errors import NotEnoughData
 from rig.recording.recording_folder import Corners, Recording
 from vision import chain_stages
 from vision.bundle.bundle_adjustment import NoOptimum
-from vision.bundle.marker_displacements import HALVED, doubtful, moves
-from vision.hand_mounted_cameras import exchanged, in_hand, of_platform
-from vision.initial_lenses import lens_starts, plausible
+from vision.bundle.marker_displacements import HALVED, are_places_doubtful, marker_displacements
+from vision.hand_mounted_cameras import recording_seen_from_hand, has_hand_cameras, invert_measurement
+from vision.initial_lenses import initial_lenses, are_lenses_plausible
 from vision.recording_adjustment import Measurement, measure
-from vision.corner_observations import Observations, from_corners, only
-from vision.reading.corner_refit import ROUNDS, SETTLED, otherwise, placed_anew
-from vision.reading.recording_corners import Collected, collect, image_reader, look_again
-from vision.reading.marker_identity import LOOKED_AT, why_none
-from vision.remounted_cubes import put_back, without
+from vision.corner_observations import Observations, observations_from_corners, observations_of_frames
+from vision.reading.corner_refit import ROUNDS, SETTLED, lens_difference, refit_corners
+from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
+from vision.reading.marker_identity import LOOKED_AT, no_marker_reason
+from vision.remounted_cubes import is_on_remounted_cube, measure_without_remounted
 from vision.targets import MarkerMap, marker_map
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
@@ -55,10 +55,10 @@ def measure_recording(recording: Recording, free: Sequence[str] = ("poses", "len
     progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None; what it raises ends it
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
-    if not in_hand(recording.design):
+    if not has_hand_cameras(recording.design):
         return _measured(recording, free, detect_anew, progress, places, look)
-    measured, collected = _measured(exchanged(recording), free, detect_anew, progress, places, look)
-    return of_platform(measured), collected
+    measured, collected = _measured(recording_seen_from_hand(recording), free, detect_anew, progress, places, look)
+    return invert_measurement(measured), collected
 
 
 def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, progress: Callable[[str, int, int], None] | None, places: str,
@@ -81,28 +81,28 @@ def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, prog
     def solved(corners: Corners, correlation: np.ndarray | None = None, look: Callable[[Corners], None] | None = None) -> Measurement:
         if look:
             look(corners)
-        observed = from_corners(corners, frames, design, markers, correlation)
-        loose = put_back(observed, design, markers)
+        observed = observations_from_corners(corners, frames, design, markers, correlation)
+        loose = is_on_remounted_cube(observed, design, markers)
         if markers.stage.any():
             return solve(observed.take(~loose), design, markers, free, progress, t, places)
-        return without(observed, loose, lambda held: solve(held, design, markers, free, progress, t, places))
+        return measure_without_remounted(observed, loose, lambda held: solve(held, design, markers, free, progress, t, places))
 
     if recording.corners is not None and not detect_anew:
         return solved(recording.corners, look=look), None
     if not recording.has_images:
         raise NotEnoughData(f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is nothing to measure")
-    found = collect(recording, markers, said("reading images"))
+    found = collect_corners(recording, markers, said("reading images"))
     if not len(found.corners.frame):
         raise NotEnoughData(f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}")
     measured = solved(found.corners, found.correlation, look)
-    again = look_again(recording, found, measured, markers, said("looking again"))
+    again = search_missed_markers(recording, found, measured, markers, said("looking again"))
     if len(again.corners.frame) > len(found.corners.frame):
         found = again
         measured = solved(found.corners, found.correlation)
     for _ in range(ROUNDS):
-        if otherwise(found.corners, found.cameras, measured.design.cameras) < SETTLED:
+        if lens_difference(found.corners, found.cameras, measured.design.cameras) < SETTLED:
             break
-        found = placed_anew(recording, found, measured.design.cameras, markers, said("placing anew"))
+        found = refit_corners(recording, found, measured.design.cameras, markers, said("placing anew"))
         measured = solved(found.corners, found.correlation)
     return measured, found
 
@@ -111,9 +111,12 @@ def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequ
           t: np.ndarray, places: str) -> Measurement:
     """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at. t : (F,) s"""
     if markers.stage.any():
-        chain_stages.refuse_free(places)
-        return chain_stages.parted(
-            measure(chain_stages.apart(observed, markers), design, markers, free, progress, chain_stages.times(t, markers)), markers
+        chain_stages.refuse_free_places(places)
+        return chain_stages.separate_stage_measurements(
+            measure(
+                chain_stages.separate_stage_frames(observed, markers), design, markers, free, progress, chain_stages.stage_frame_times(t, markers)
+            ),
+            markers,
         )
     loose, measured = (*free, "markers"), None
     if places == "free":
@@ -129,11 +132,13 @@ def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequ
     if begun is not None:
         other = measure(observed, design, markers, free, progress, t, begun)
         measured = other if measured is None or other.inliers.sum() > measured.inliers.sum() else measured
-    contradicted = measured is None or len(refused(measured)) > REFUSED * len(observed.frames)
-    if measured is not None and (places == "stated" or not (contradicted or doubtful(measured, markers))):
+    contradicted = measured is None or len(unsolved_frames(measured)) > REFUSED * len(observed.frames)
+    if measured is not None and (places == "stated" or not (contradicted or are_places_doubtful(measured, markers))):
         return measured
     loosened = measure(observed, design, markers, loose, progress, t)
-    if contradicted and not any(move.moved for move in moves(loosened.adjustment)):  # it was the cameras that were not where they are stated
+    if contradicted and not any(
+        move.moved for move in marker_displacements(loosened.adjustment)
+    ):  # it was the cameras that were not where they are stated
         loosened = measure(observed, design, markers, free, progress, t, loosened.design.cameras)
     if measured is None or len(loosened.frames) > len(measured.frames) or loosened.noise < HALVED * measured.noise:
         return loosened
@@ -143,7 +148,7 @@ def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequ
 def _contradicts(measured: Measurement) -> bool:
     """Whether corners contradict what is stated: frames that show enough are refused, or many corners of those solved set aside."""
     solved = np.isin(measured.observations.frames[measured.observations.frame], measured.frames)
-    return len(refused(measured)) > REFUSED * len(measured.observations.frames) or bool((~measured.inliers[solved]).mean() > ASIDE)
+    return len(unsolved_frames(measured)) > REFUSED * len(measured.observations.frames) or bool((~measured.inliers[solved]).mean() > ASIDE)
 
 
 def _other_lenses(observed: Observations, design: Design, markers: MarkerMap, free: Sequence[str]) -> tuple[Camera, ...] | None:
@@ -152,7 +157,7 @@ def _other_lenses(observed: Observations, design: Design, markers: MarkerMap, fr
         return None
     rich = np.bincount(observed.frame, minlength=len(observed.frames))
     parts = np.array_split(np.arange(len(rich)), min(FRAMES, len(rich)))
-    few = only(observed, np.array([part[np.argmax(rich[part])] for part in parts]))
+    few = observations_of_frames(observed, np.array([part[np.argmax(rich[part])] for part in parts]))
 
     def adjusted(cameras: tuple[Camera, ...], free: Sequence[str]) -> Measurement | None:
         try:
@@ -164,14 +169,14 @@ def _other_lenses(observed: Observations, design: Design, markers: MarkerMap, fr
         found = adjusted(cameras, (*free, "markers"))
         return None if found is None else found.design.cameras
 
-    for cameras in lens_starts(design.cameras, loosened):
+    for cameras in initial_lenses(design.cameras, loosened):
         found = adjusted(cameras, free)
-        if found is not None and not _contradicts(found) and plausible(found.design.cameras, design.cameras):
+        if found is not None and not _contradicts(found) and are_lenses_plausible(found.design.cameras, design.cameras):
             return found.design.cameras
     return None
 
 
-def refused(measured: Measurement) -> list[int]:
+def unsolved_frames(measured: Measurement) -> list[int]:
     """Numbers of frames that show two markers or more of all that is needed, and are not solved."""
     o = measured.observations
     enough = np.ones(len(o.frames), bool)
@@ -189,5 +194,5 @@ def _why_none(recording: Recording, found: Collected, markers: MarkerMap) -> str
     if found.left_out:
         return f"{len(images)} images that could be placed: " + "; ".join(sorted({one.reason for one in found.left_out})[:5])
     read, some = image_reader(recording), {round(k) for k in np.linspace(0, len(images) - 1, min(2 * LOOKED_AT, len(images)))}
-    why = why_none([image for k in sorted(some) if (image := read(*images[k])) is not None], markers)
+    why = no_marker_reason([image for k in sorted(some) if (image := read(*images[k])) is not None], markers)
     return f"{len(images)} images" + (f"; of {len(some)} that were looked at again, {why}" if why else "")

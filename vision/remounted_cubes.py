@@ -12,13 +12,13 @@ from vision.predict import predict
 from vision.targets import MarkerMap
 
 
-def put_back(observations: Observations, design: Design, markers: MarkerMap) -> np.ndarray:
+def is_on_remounted_cube(observations: Observations, design: Design, markers: MarkerMap) -> np.ndarray:
     """(n,) bool, whether a corner belongs to a cube that was taken off since its place was stated."""
     names = {target.name for target in design.targets if target.turned is not None}
     return np.array([name in names for name in markers.target])[observations.marker]
 
 
-def without(observations: Observations, loose: np.ndarray, measure: Callable[[Observations], Measurement]) -> Measurement:
+def measure_without_remounted(observations: Observations, loose: np.ndarray, measure: Callable[[Observations], Measurement]) -> Measurement:
     """Measurement of the corners that are not loose (n,); these are among its observations again, and none of its inliers.
 
     measure : of Observations. Raises what it raises

@@ -11,19 +11,19 @@ from calib.certify.held_out_errors import Figures
 from calib.certify.pose_error_promise import Promise
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
-from calib.certificate.certificate_verdict import judged
-from rig.formats.json_file import nulls
+from calib.certificate.certificate_verdict import certificate_verdict
+from rig.formats.json_file import nan_to_null
 
 SCHEMA = "certificate/1"
 
 
-def published() -> dict[str, Any]:
+def certificate_schema() -> dict[str, Any]:
     """The JSON schema that a certificate.json keeps."""
     found: dict[str, Any] = json.loads((files("calib") / "certificate" / "certificate.schema.json").read_text())
     return found
 
 
-def tree(c: Certificate) -> dict[str, Any]:
+def certificate_dict(c: Certificate) -> dict[str, Any]:
     """The dict that certificate.json holds; null where something was not measured or is not known."""
     v = c.volume
     out = {
@@ -32,7 +32,7 @@ def tree(c: Certificate) -> dict[str, Any]:
             certificate_sentences.scale_line(c),
             certificate_sentences.promise_line(c),
             certificate_sentences.volume_line(c),
-            *certificate_sentences.rest_lines(c),
+            *certificate_sentences.basis_lines(c),
         ],
         "machine": c.machine,
         "promise": _promise(c.promise),
@@ -47,16 +47,16 @@ def tree(c: Certificate) -> dict[str, Any]:
         "budget": _budget(c.budget),
         "conditions": asdict(c.conditions),
         "claim": {"kept": all(one.found.kept for one in c.claims), "recordings": [_against_claim(one) for one in c.claims]} if c.claims else None,
-        "verdict": judged(c).tree(),
+        "verdict": certificate_verdict(c).tree(),
         **({} if c.confounds is None else {"confounds": c.confounds.tree()}),
         **c.provenance,
     }
-    return {name: nulls(value) for name, value in out.items()}
+    return {name: nan_to_null(value) for name, value in out.items()}
 
 
-def text(c: Certificate) -> str:
+def certificate_text(c: Certificate) -> str:
     """What is written to certificate.json."""
-    return json.dumps(tree(c), indent=1, allow_nan=False) + "\n"
+    return json.dumps(certificate_dict(c), indent=1, allow_nan=False) + "\n"
 
 
 def _promise(p: Promise) -> dict[str, Any]:

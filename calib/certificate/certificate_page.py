@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.certify.iso9283 import FEWEST
-from calib.report.calibration_page import flat
+from calib.report.calibration_page import flattened_rows
 from calib.certificate import certificate_figures, certificate_sentences
 from calib.certificate.certificate import Certificate
-from calib.certificate.certificate_verdict import judged
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.html_elements import folded, heading, note, paragraph, table
+from calib.certificate.certificate_verdict import certificate_verdict
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
 
 NOT_KNOWN = "not known"
 
@@ -17,8 +17,8 @@ NOT_KNOWN = "not known"
 def certificate_page(path: Path, c: Certificate, links: Sequence[Link] = ()) -> None:
     """Write the page of a certificate: one file, offline."""
     parts = [*_promise(c), *_against(c), *_cells(c), *_floor(c), *_standards(c), *_budget(c), *_conditions(c), *_origin(c)]
-    verdict = judged(c)
-    write(path, Page("certify", f"Certificate of {c.machine} {c.provenance['id']}", verdict, parts, verdict.next, links))
+    verdict = certificate_verdict(c)
+    write_page(path, Page("certify", f"Certificate of {c.machine} {c.provenance['id']}", verdict, parts, verdict.next, links))
 
 
 def _promise(c: Certificate) -> list[str]:
@@ -26,9 +26,9 @@ def _promise(c: Certificate) -> list[str]:
         certificate_sentences.scale_line(c),
         certificate_sentences.promise_line(c),
         certificate_sentences.volume_line(c),
-        *certificate_sentences.rest_lines(c),
+        *certificate_sentences.basis_lines(c),
     )
-    return [*map(paragraph, lines), certificate_figures.distribution(c)]
+    return [*map(paragraph, lines), certificate_figures.error_distribution_figure(c)]
 
 
 def _against(c: Certificate) -> list[str]:
@@ -44,7 +44,7 @@ def _cells(c: Certificate) -> list[str]:
         return []
     rows = [(*(f"{low * 1e3:.0f} to {high * 1e3:.0f}" for low, high in zip(cell.low, cell.high)), f"{cell.promise.position.upper * 1e6:.1f}",
              "" if cell.promise.rotation is None else f"{cell.promise.rotation.upper * 1e6:.1f}", cell.promise.n) for cell in c.cells]
-    return [heading("Part by part"), certificate_figures.cells(c),
+    return [heading("Part by part"), certificate_figures.cell_bound_figures(c),
             note("The same promise for boxes of the volume, each by its own poses and with the stated confidence by itself."),
             table(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"), rows)]
 
@@ -93,20 +93,20 @@ def _budget(c: Certificate) -> list[str]:
             row.of,
             NOT_KNOWN if row.position is None else f"{row.position * 1e6:.2f}",
             "" if row.rotation is None else f"{row.rotation * 1e6:.2f}",
-            certificate_sentences.factors(row),
+            certificate_sentences.coverage_factor_text(row),
             row.kind,
             row.source,
         )
         for row in c.budget.rows
     ]
     said = [
-        f"A commanded pose: {certificate_sentences.expanded(c.budget.machine)}",
-        f"a measured one: {certificate_sentences.expanded(c.budget.measuring)}",
+        f"A commanded pose: {certificate_sentences.expanded_uncertainty_text(c.budget.machine)}",
+        f"a measured one: {certificate_sentences.expanded_uncertainty_text(c.budget.measuring)}",
     ]
     return [
         heading("Where it comes from (U, coverage 95 %)"),
         paragraph("; ".join(said) + ". What is not known is in neither."),
-        certificate_figures.budget(c),
+        certificate_figures.budget_figure(c),
         table(("contribution", "to", "position, um", "rotation, urad", "k", "kind", "how"), rows),
         note(
             "95 % of the error's lengths lie within U = k u, with u their RMS. k depends on the directions of the error: 1.61 where three are "
@@ -131,4 +131,4 @@ def _conditions(c: Certificate) -> list[str]:
 
 
 def _origin(c: Certificate) -> list[str]:
-    return [heading("Where this came from"), folded("Hashes, versions, arguments", table(("what", "value"), flat(c.provenance)))]
+    return [heading("Where this came from"), folding_section("Hashes, versions, arguments", table(("what", "value"), flattened_rows(c.provenance)))]

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from calib.report.calibration_page import flat
+from calib.report.calibration_page import flattened_rows
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
 from rig.formats.output_files import write_bytes
@@ -73,7 +73,7 @@ class _Paper:
         return self.figure, (LEFT + 0.06, self.y + 0.05, 0.72, high - 0.07)
 
 
-def save(path: Path, c: Certificate) -> None:
+def write_certificate_pdf(path: Path, c: Certificate) -> None:
     """Write certificate.pdf, whole or not at all."""
     buffer = io.BytesIO()
     title = f"Certificate of {c.machine} {c.provenance['id']}"
@@ -90,7 +90,7 @@ def _promise(paper: _Paper, c: Certificate, title: str) -> None:
     paper.line(title, 15, bold=True)
     paper.line(certificate_sentences.scale_line(c))
     paper.line(certificate_sentences.promise_line(c), 11, bold=True)
-    for said in (certificate_sentences.volume_line(c), *certificate_sentences.rest_lines(c)):
+    for said in (certificate_sentences.volume_line(c), *certificate_sentences.basis_lines(c)):
         paper.line(said)
     for said in certificate_sentences.conformity_lines(c):
         paper.line(said, bold=True)
@@ -136,7 +136,7 @@ def _rest(paper: _Paper, c: Certificate) -> None:
                 row.of,
                 "not known" if row.position is None else f"{row.position * 1e6:.2f}",
                 "" if row.rotation is None else f"{row.rotation * 1e6:.2f}",
-                certificate_sentences.factors(row),
+                certificate_sentences.coverage_factor_text(row),
                 row.kind,
             )
             for row in c.budget.rows
@@ -152,5 +152,5 @@ def _rest(paper: _Paper, c: Certificate) -> None:
                f"{k.warm_up / 60:.1f} min; duration {k.duration / 60:.1f} min; measured by {k.instrument}; frame and scale held by {k.frame}.")
     paper.table(("logged", "least", "greatest"), [(name, f"{low:.2f}", f"{high:.2f}") for name, low, high in k.channels])
     paper.head("Where this came from")
-    for name, value in flat(c.provenance):
+    for name, value in flattened_rows(c.provenance):
         paper.line(f"{name}: {value}", 6.5)

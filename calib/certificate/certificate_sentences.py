@@ -5,21 +5,21 @@ from calib.certify.uncertainty_budget import Contribution, Expanded
 from calib.certify.tolerance_conformity import CONFORMS, FAILS
 from calib.certify.iso9283 import POSES, VISITS
 from calib.certify.iso230_axis_test import AxisTest
-from calib.certify.calibration_verdict import elsewhere, stands
+from calib.certify.calibration_verdict import rigid_motion_text, stands
 from calib.certificate.certificate_contents import Contents
 
 
-def um(value: float) -> str:
+def micrometre_text(value: float) -> str:
     """A length in micrometres, to two digits of what matters."""
     return f"{value * 1e6:.1f} um" if value < 1e-3 else f"{value * 1e3:.3f} mm"
 
 
-def urad(value: float) -> str:
+def microradian_text(value: float) -> str:
     """An angle in microradians."""
     return f"{value * 1e6:.1f} urad" if value < 1e-3 else f"{value * 1e3:.3f} mrad"
 
 
-def share(value: float) -> str:
+def percentage_text(value: float) -> str:
     """A share in per cent, to no more digits than it has."""
     return f"{100 * value:.4g} %"
 
@@ -41,8 +41,12 @@ def _far(c: Contents) -> float:
 def promise_line(c: Contents) -> str:
     """What is promised."""
     p = c.promise
-    both = um(p.position.upper) if p.rotation is None else f"both {um(p.position.upper)} and {urad(p.rotation.upper)}"
-    return f"With {share(p.confidence)} confidence, {share(p.coverage)} of poses in this volume lie within {both} of where they should be."
+    both = (
+        micrometre_text(p.position.upper)
+        if p.rotation is None
+        else f"both {micrometre_text(p.position.upper)} and {microradian_text(p.rotation.upper)}"
+    )
+    return f"With {percentage_text(p.confidence)} confidence, {percentage_text(p.coverage)} of poses in this volume lie within {both} of where they should be."
 
 
 def volume_line(c: Contents) -> str:
@@ -55,24 +59,32 @@ def volume_line(c: Contents) -> str:
     return f"The volume: {box}{turned}; {axes} {unit}."
 
 
-def rest_lines(c: Contents) -> list[str]:
+def basis_lines(c: Contents) -> list[str]:
     """On what the promise rests, in a few lines."""
     p, r = c.promise, c.repeatability
     lines = [f"From {p.n} distinct configurations, none of which took part in fitting; as measured, noise and all, the limit is "
-             f"{um(p.position.measured)}" + ("" if p.rotation is None else f" and {urad(p.rotation.measured)}")
-             + f"; half of the poses lie nearer than {um(_median(c))}."]
+             f"{micrometre_text(p.position.measured)}" + ("" if p.rotation is None else f" and {microradian_text(p.rotation.measured)}")
+             + f"; half of the poses lie nearer than {micrometre_text(_median(c))}."]
     lines += [claim_line(one) for one in c.claims]
     if p.position.shared or p.position.scale:
-        lines.append(f"In it: {um(p.position.shared)} for what all poses of a recording share (cameras, lenses), {um(p.position.scale)} for "
-                     "the scale; margins add in squares.")
+        lines.append(
+            f"In it: {micrometre_text(p.position.shared)} for what all poses of a recording share (cameras, lenses), "
+            f"{micrometre_text(p.position.scale)} for "
+            "the scale; margins add in squares."
+        )
     if r.position is not None:
         ratio = c.after.position[0] / r.position if r.position else float("inf")
-        one = f"; from one side {um(r.one_sided[0])}" if r.one_sided else ""
-        lines.append(f"Repeatability, the floor: {um(r.position)}" + ("" if r.rotation is None else f" and {urad(r.rotation)}")
-                     + f" RMS over {r.visits} visits to {r.poses} poses, measuring included ({um(r.noise[0])}){one}. "
-                     f"The error is {ratio:.2f} times it.")
+        one = f"; from one side {micrometre_text(r.one_sided[0])}" if r.one_sided else ""
+        lines.append(
+            f"Repeatability, the floor: {micrometre_text(r.position)}"
+            + ("" if r.rotation is None else f" and {microradian_text(r.rotation)}")
+            + f" RMS over {r.visits} visits to {r.poses} poses, measuring included ({micrometre_text(r.noise[0])}){one}. "
+            f"The error is {ratio:.2f} times it."
+        )
     else:
-        lines.append(f"Repeatability is not known: no configuration was visited twice. A measured pose is uncertain by {um(r.noise[0])}.")
+        lines.append(
+            f"Repeatability is not known: no configuration was visited twice. A measured pose is uncertain by {micrometre_text(r.noise[0])}."
+        )
     if c.confounds is not None:
         lines.append(_sentence(c.confounds.line()))
     if not c.cells:
@@ -86,9 +98,9 @@ def claim_line(one: AgainstClaim) -> str:
         return f"Nothing that {one.recording} measured is claimed by the calibration."
     said = []
     for name, (_, beyond, (middle, low, high)) in one.parts.items():
-        size = um if name == "position" else urad
+        size = micrometre_text if name == "position" else microradian_text
         said.append(f"{name} error {size(beyond)} RMS beyond measuring noise, claimed {size(middle)} ({size(low)} to {size(high)})")
-    return f"The calibration's claim is {stands(one.found)} by {one.recording}: {'; '.join(said)}{elsewhere(one.found)}."
+    return f"The calibration's claim is {stands(one.found)} by {one.recording}: {'; '.join(said)}{rigid_motion_text(one.found)}."
 
 
 def _sentence(line: str) -> str:
@@ -106,7 +118,7 @@ def conformity_lines(c: Contents) -> list[str]:
     if not c.conformity:
         return []
     first = c.conformity[0]
-    sizes = {k.quantity: (um if k.quantity == "position" else urad) for k in c.conformity}
+    sizes = {k.quantity: (micrometre_text if k.quantity == "position" else microradian_text) for k in c.conformity}
     if first.estimate != first.estimate:
         why = "too few configurations for a decision that is wrong in 2.5 % of cases at the most"
     elif first.verdict == CONFORMS:
@@ -118,7 +130,7 @@ def conformity_lines(c: Contents) -> list[str]:
     else:
         why = f"it lies between the limits {_each(c, 'lower')} and {_each(c, 'upper')}"
     both = " and ".join(f"{k.quantity} within {sizes[k.quantity](k.tolerance)}" for k in c.conformity)
-    lines = [f"{both[0].upper()}{both[1:]} for {share(c.asked.coverage)} of poses: {first.verdict}; {why}."]
+    lines = [f"{both[0].upper()}{both[1:]} for {percentage_text(c.asked.coverage)} of poses: {first.verdict}; {why}."]
     if len(c.conformity) > 1:
         counts = ", ".join(f"{k.beyond} lie beyond the tolerance of {k.quantity}" for k in c.conformity)
         lines.append(f"Of the {c.promise.n} held-out poses as measured, {counts}.")
@@ -126,14 +138,14 @@ def conformity_lines(c: Contents) -> list[str]:
 
 
 def _each(c: Contents, limit: str) -> str:
-    return " with ".join((um if k.quantity == "position" else urad)(getattr(k, limit)) for k in c.conformity)
+    return " with ".join((micrometre_text if k.quantity == "position" else microradian_text)(getattr(k, limit)) for k in c.conformity)
 
 
 def iso9283_line(c: Contents) -> str:
     """What of ISO 9283 there is."""
     t = c.iso9283
     n, mean, most = t.random
-    random = f"Over all {n} poses, one visit each, AP is {um(mean)} in the mean and {um(most)} at the most."
+    random = f"Over all {n} poses, one visit each, AP is {micrometre_text(mean)} in the mean and {micrometre_text(most)} at the most."
     if not t.repeated:
         return f"ISO 9283 asks for {POSES} poses of {VISITS} visits; no pose was visited often enough for RP. {random}"
     least = min(row.visits for row in t.repeated)
@@ -147,13 +159,13 @@ def iso230_figures(axis: AxisTest) -> list[tuple[str, float | None]]:
             ("R", axis.R), ("R↑", axis.R_up), ("R↓", axis.R_down), ("A", axis.A), ("A↑", axis.A_up), ("A↓", axis.A_down)]
 
 
-def expanded(total: Expanded) -> str:
+def expanded_uncertainty_text(total: Expanded) -> str:
     """A total of the budget with its coverage factors."""
-    position = f"U = {um(total.position)} (k = {total.k[0]:.2f})"
-    return position if total.rotation is None else f"{position} and {urad(total.rotation)} (k = {total.k[1]:.2f})"
+    position = f"U = {micrometre_text(total.position)} (k = {total.k[0]:.2f})"
+    return position if total.rotation is None else f"{position} and {microradian_text(total.rotation)} (k = {total.k[1]:.2f})"
 
 
-def factors(row: Contribution) -> str:
+def coverage_factor_text(row: Contribution) -> str:
     """Coverage factors of a contribution, of position and of rotation."""
     if row.k is None:
         return ""

@@ -17,7 +17,7 @@ from calib.certify.tolerance_conformity import CONFORMS, OPEN
 from calib.certify.pose_error_promise import Promise
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
-from calib.certificate.digital_si_values import METRE, ONE, RADIAN, SI, UNIFORM, UNITS, Expanded, Interval, Standard, Uncertainty, element
+from calib.certificate.digital_si_values import METRE, ONE, RADIAN, SI, UNIFORM, UNITS, Expanded, Interval, Standard, Uncertainty, si_element
 
 VERSION = "3.3.0"
 DCC = "https://ptb.de/dcc"
@@ -38,7 +38,7 @@ class Issuer:
     manufacturer: str = NOT_STATED
 
 
-def text(c: Certificate, issuer: Issuer) -> str:
+def certificate_xml(c: Certificate, issuer: Issuer) -> str:
     """The XML of a certificate."""
     for prefix, name in (("dcc", DCC), ("si", SI), ("xsi", INSTANCE)):
         ET.register_namespace(prefix, name)
@@ -116,7 +116,7 @@ def _statements(part: ET.Element, c: Certificate) -> None:
 
 def _result(part: ET.Element, c: Certificate) -> None:
     _content(part, "name", "pose error of the calibrated machine")
-    _content(part, "description", certificate_sentences.promise_line(c), certificate_sentences.volume_line(c), *certificate_sentences.rest_lines(c))
+    _content(part, "description", certificate_sentences.promise_line(c), certificate_sentences.volume_line(c), *certificate_sentences.basis_lines(c))
     methods = _sub(part, "usedMethods")
     for name, norm in (("one-sided tolerance limits of held-out poses, without a distribution", None),
                        ("pose accuracy and repeatability", "ISO 9283"), ("positioning of single axes", "ISO 230-2")):
@@ -200,4 +200,4 @@ def _quantities(results: ET.Element, name: str, lines: Sequence[str], rows: Sequ
 def _quantity(data: ET.Element, label: str, value: float, unit: str, uncertainty: Uncertainty) -> None:
     quantity = _sub(data, "quantity")
     _content(quantity, "name", label)
-    quantity.append(element(value, unit, uncertainty))
+    quantity.append(si_element(value, unit, uncertainty))

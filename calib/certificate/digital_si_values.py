@@ -44,7 +44,7 @@ class Interval:
 Uncertainty = Standard | Expanded | Interval | None  # None : of a number that is exact
 
 
-def element(value: float, unit: str, uncertainty: Uncertainty) -> ET.Element:
+def si_element(value: float, unit: str, uncertainty: Uncertainty) -> ET.Element:
     """si:real of a value with its uncertainty, si:constant of an exact one."""
     root = ET.Element(_name("constant" if uncertainty is None else "real"))
     _add(root, "value", f"{value:.9g}")

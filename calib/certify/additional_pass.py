@@ -10,20 +10,29 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import Certified, Progress, model_covariance, silent
-from calib.certify.workspace_claim import DRAWS, extension_scatter, workspace_of
-from calib.certify.distinct_configurations import labels, ranges
-from calib.certify.extension_certification import Stand, Tried, extended_on, said_by_struts
+from calib.certify.platform_certification import Certified, Progress, model_covariance, silent_progress
+from calib.certify.workspace_claim import DRAWS, extension_scatter, sample_workspace
+from calib.certify.distinct_configurations import configuration_numbers, axis_ranges
+from calib.certify.extension_certification import Stand, Tried, certify_extension_of, stated_position_variance
 from calib.correct.correction import Correction
-from calib.correct.summand_extension import coordinates, extend, geometry_of, home_of, left_by, left_in_poses, with_map, with_pass
+from calib.correct.summand_extension import (
+    pose_coordinate_indices,
+    fit_summand_field,
+    geometry_of,
+    home_pose,
+    pass_residual_summands,
+    pass_residual_poses,
+    correction_with_map,
+    correction_with_pass,
+)
 from calib.correct.interpolation.field import Field
 from calib.correct.interpolation.partial_map import Part, Within
 from calib.correct.interpolation.repeated_passes import Passes
-from calib.correct.pose_space_map import PoseMap, places
-from calib.models.platform.identification import to_pose
+from calib.correct.pose_space_map import PoseMap, pose_coordinates
+from calib.models.platform.identification import inverse_strut_jacobian
 from calib.samples.pose_samples import Samples
 from rig.errors import NotEnoughData
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 CONFIGURATION, POSE, BOTH = "configuration", "pose", "both"
 SPACES = (CONFIGURATION, POSE, BOTH)
@@ -39,29 +48,31 @@ class Pass(NamedTuple):
     poses: Part | None = None
 
 
-def certify_onto(samples: Samples, before: Calibration, asked: Pass, rng: np.random.Generator,
+def certify_additional_pass(samples: Samples, before: Calibration, asked: Pass, rng: np.random.Generator,
                  progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...], int]:
     """(Certified, what was tried, samples that took part): a pass by samples measured anew. In both spaces the pose map is of what the other leaves.
 
     Raises NotEnoughData where a part holds no samples; the rest as `certify_extended`
     """
-    correction, said = before.correction, progress or silent
+    correction, said = before.correction, progress or silent_progress
     some = samples.take(_within(samples, correction, asked))
     found = geometry_of(samples, correction.nominal, True)
     if asked.configurations is not None or asked.poses is not None:  # beyond the part the machine is known as it was before
         found = replace(found, covariance=before.covariance, scatter=before.scatter)
-    basis = correction.nominal, labels(some.commanded, ranges(correction.nominal)), replace(found, mechanism=correction.fitted)
+    basis = correction.nominal, configuration_numbers(some.commanded, axis_ranges(correction.nominal)), replace(found, mechanism=correction.fitted)
 
     def struts(of: Samples) -> Stand:
-        return Stand(left_by(of, correction), lambda field: with_pass(correction, _part(field, asked.configurations)),
-                     lambda field, at: said_by_struts(field, at, correction.nominal))
+        return Stand(pass_residual_summands(of, correction), lambda field: correction_with_pass(correction, _part(field, asked.configurations)),
+                     lambda field, at: stated_position_variance(field, at, correction.nominal))
 
-    done, tried = extended_on(some, basis, struts if asked.space != POSE else _posed(lambda of: correction, asked.poses), asked.kind, rng, said)
+    done, tried = certify_extension_of(
+        some, basis, struts if asked.space != POSE else _posed(lambda of: correction, asked.poses), asked.kind, rng, said
+    )
     if asked.space == BOTH:
-        done, more = extended_on(some, basis, _posed(_again(done.correction, correction, asked), asked.poses), asked.kind, rng, said)
+        done, more = certify_extension_of(some, basis, _posed(_again(done.correction, correction, asked), asked.poses), asked.kind, rng, said)
         tried = (*tried, *more)
-    found = replace(found, mechanism=correction.fitted, residuals=left_by(samples, done.correction).values)
-    done = replace(done, label=labels(samples.commanded, ranges(correction.nominal)), found=found)
+    found = replace(found, mechanism=correction.fitted, residuals=pass_residual_summands(samples, done.correction).values)
+    done = replace(done, label=configuration_numbers(samples.commanded, axis_ranges(correction.nominal)), found=found)
     return _with_covariance(done, before, rng), tried, len(some)
 
 
@@ -70,10 +81,10 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
     no more than it moves, and nothing that those do not tell from noise."""
     if done.left is None:
         return done
-    commands, T = workspace_of(done.correction)
+    commands, T = sample_workspace(done.correction)
     was = float(np.trace(model_covariance(before, T)[:, :3, :3], axis1=1, axis2=2).mean())
-    stated = float(extension_scatter(done.correction, commands, to_pose(T, done.correction.fitted))[0])
-    moved = difference(before.correction.predict(commands), T)[:, :3]
+    stated = float(extension_scatter(done.correction, commands, inverse_strut_jacobian(T, done.correction.fitted))[0])
+    moved = pose_difference(before.correction.predict(commands), T)[:, :3]
     held = float(done.left.own_draws(stated, DRAWS, rng)[:, 0].mean())
     now = max(held, was - float((moved**2).sum(axis=1).mean()), min(was, done.left.unnoticed()))
     struts = np.diag(before.scatter**2) if before.strut_covariance is None else before.strut_covariance
@@ -85,7 +96,7 @@ def _posed(base: Callable[[Samples], Correction], part: Part | None) -> Callable
     """The stand of a map in pose space on a Correction by some samples."""
     def stand(of: Samples) -> Stand:
         on = base(of)
-        return Stand(left_in_poses(of, on), lambda field: with_map(on, _part(field, part)), lambda field, at: _said(field, at, on))
+        return Stand(pass_residual_poses(of, on), lambda field: correction_with_map(on, _part(field, part)), lambda field, at: _said(field, at, on))
 
     return stand
 
@@ -97,11 +108,11 @@ def _again(done: Correction, before: Correction, asked: Pass) -> Callable[[Sampl
     if extension is before.extension or field is None:
         return lambda of: before
     own = field.field if isinstance(field, Within) else field
-    return lambda of: with_pass(before, _part(extend(left_by(of, before), own.kind, own), asked.configurations))
+    return lambda of: correction_with_pass(before, _part(fit_summand_field(pass_residual_summands(of, before), own.kind, own), asked.configurations))
 
 
 def _said(field: Field, at: Samples, on: Correction) -> float:
-    one = PoseMap(home_of(on.nominal), coordinates(on.nominal), field)
+    one = PoseMap(home_pose(on.nominal), pose_coordinate_indices(on.nominal), field)
     return float((one.error(on.predict(at.commanded))[:, :3] ** 2).sum(axis=1).mean())
 
 
@@ -115,8 +126,8 @@ def _within(samples: Samples, correction: Correction, asked: Pass) -> np.ndarray
     if asked.configurations is not None:
         keep &= asked.configurations.holds(samples.commanded)
     if asked.poses is not None:
-        at = places(correction.predict(samples.commanded), home_of(correction.nominal))
-        keep &= asked.poses.holds(at[:, list(coordinates(correction.nominal))])
+        at = pose_coordinates(correction.predict(samples.commanded), home_pose(correction.nominal))
+        keep &= asked.poses.holds(at[:, list(pose_coordinate_indices(correction.nominal))])
     if not keep.any():
         raise NotEnoughData(f"none of {len(samples)} samples lies in the part that is asked for")
     return keep

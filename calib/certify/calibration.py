@@ -7,14 +7,14 @@ import numpy as np
 
 from calib.certify.workspace_claim import Claim
 from calib.certify.held_out_errors import HeldOut
-from calib.certify.calibration_verdict import verdict
+from calib.certify.calibration_verdict import claim_lines
 from calib.samples.confounded_conditions import Confounds
 from calib.correct.correction import Correction
 from calib.correct.physics import Physics
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_cells import Workspace
 from rig.errors import RigError
-from rig.report.notebook_display import shown
+from rig.report.notebook_display import result_html
 from rig.recording.recording_folder import Recording
 
 
@@ -55,8 +55,8 @@ class Calibration:
         rows = [] if held is None else [("held-out poses", "position RMS, mm", "95 %, mm", "max, mm", "rotation RMS, mrad"), *(
             (name, *(f"{x * 1e3:.4f}" for x in figures.position), f"{figures.rotation[0] * 1e3:.4f}")
             for name, figures in (("owner's model", held.before), ("corrected", held.after)))]
-        first, *rest = ["a calibration of before claims were made"] if self.claim is None else verdict(self.claim)
-        return shown(first, rest, rows)
+        first, *rest = ["a calibration of before claims were made"] if self.claim is None else claim_lines(self.claim)
+        return result_html(first, rest, rows)
 
     def told(self, recording: Recording, samples: Samples) -> Samples:
         """The samples of a recording with what physics says of their commands, under the recording's own sensors and history."""

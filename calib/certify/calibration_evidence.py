@@ -9,13 +9,13 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.workspace_claim import Claim
-from calib.certify.distinct_configurations import labels, ranges
+from calib.certify.distinct_configurations import configuration_numbers, axis_ranges
 from calib.certify.held_out_errors import HeldOut
-from calib.certify.calibration_verdict import WHERE, refuting, verdict
-from calib.certify.claim_verification import Verification, verification
+from calib.certify.calibration_verdict import WHERE, refutation_sentence, claim_lines
+from calib.certify.claim_verification import Verification, verify_claim
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
-from rig.report.verdict import LOOK, Evidence, Missing, State, Verdict, judge
+from rig.report.verdict import LOOK, Evidence, Missing, State, Verdict, judge_evidence
 from rig.report.refutations import Refutation
 
 MORE = "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that tell most"
@@ -35,16 +35,16 @@ class OfCalibrations(NamedTuple):
 ALONE = OfCalibrations()  # of a recording from which none was made
 
 
-def judgement(calibration: Calibration, refutations: Sequence[Refutation] = ()) -> Verdict:
+def calibration_verdict(calibration: Calibration, refutations: Sequence[Refutation] = ()) -> Verdict:
     """The Verdict on a calibration. refutations : of its file, by later recordings"""
-    return judge(evidence(calibration, refutations))
+    return judge_evidence(calibration_evidence(calibration, refutations))
 
 
-def evidence(calibration: Calibration, refutations: Sequence[Refutation] = (), statement: str | None = None,
+def calibration_evidence(calibration: Calibration, refutations: Sequence[Refutation] = (), statement: str | None = None,
              steps: Sequence[str] = ONWARD) -> Evidence:
     """Evidence for a calibration. refutations : of its file, by later recordings; statement : in place of its own; steps : where it is good"""
     claim = calibration.claim
-    said = "this calibration claims nothing" if claim is None else verdict(claim)[0]
+    said = "this calibration claims nothing" if claim is None else claim_lines(claim)[0]
     missing, refuted = list(_missing(calibration)), [one.line for one in refutations if one.state == State.BAD]
     if claim is not None and claim.ratio is not None:
         if claim.ratio[2] < 1:
@@ -56,12 +56,19 @@ def evidence(calibration: Calibration, refutations: Sequence[Refutation] = (), s
         nameless = [u.place for u in calibration.physics.unknown if not u.corrected]
         unexplained = (*unexplained, *(f"nothing in the catalogue explains what is at {place}" for place in nameless))
     doubted = tuple(one.line for one in refutations if one.state != State.BAD)
-    return Evidence(said if statement is None else statement, tuple(steps), of_claim(calibration.held_out, claim), (*unexplained, *doubted),
-                    separable(calibration.confounds),
-                    tuple(missing), tuple(refuted), LOOK if calibration.correction.nominal.kind == "chain" else TAKE_IN)
+    return Evidence(
+        said if statement is None else statement,
+        tuple(steps),
+        error_to_claim_ratio(calibration.held_out, claim),
+        (*unexplained, *doubted),
+        confound_sentences(calibration.confounds),
+        tuple(missing),
+        tuple(refuted),
+        LOOK if calibration.correction.nominal.kind == "chain" else TAKE_IN,
+    )
 
 
-def held_against(known: Evidence, found: Verification | None, by: str = "", look: str | None = None) -> Evidence:
+def evidence_with_verification(known: Evidence, found: Verification | None, by: str = "", look: str | None = None) -> Evidence:
     """Evidence with what a held-out recording says of the claim. found : Verification, None where no factor is claimed
 
     by : the recording, where the sentence names it; look : the step where the claim is refuted, that of known by default
@@ -72,7 +79,7 @@ def held_against(known: Evidence, found: Verification | None, by: str = "", look
         moved = Missing(f"the {WHERE[found.offset.of]} stands elsewhere", "Seat targets and instrument anew, or state where they stand in rig.toml")
         return replace(known, missing=(*known.missing, moved))
     if found.refutes:
-        said = f"the claim is NOT kept{by and f' by {by}'}: {refuting(found)}"
+        said = f"the claim is NOT kept{by and f' by {by}'}: {refutation_sentence(found)}"
         return replace(known, refuted=(said, *known.refuted), look=known.look if look is None else look)
     ratios = [part.of_allowed for part in found.parts.values()] + ([] if known.held_out is None else [known.held_out])
     return replace(known, held_out=max(ratios, default=None))
@@ -82,8 +89,8 @@ def of_samples(calibration: Calibration, samples: Samples, rng: np.random.Genera
     """Verification of a Calibration's claim by samples as `Calibration.told` gives them, None where no factor is claimed."""
     if calibration.claim is None or calibration.claim.after is None:
         return None
-    label = labels(samples.commanded, ranges(calibration.correction.nominal))
-    return verification(calibration.correction.predict(samples.effective), samples, label, calibration.claim, rng)
+    label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
+    return verify_claim(calibration.correction.predict(samples.effective), samples, label, calibration.claim, rng)
 
 
 def with_design(known: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], which: str) -> Evidence:
@@ -93,10 +100,12 @@ def with_design(known: Evidence, calibration: Calibration, confounds: Sequence[C
     """
     if calibration.confounds is not None:
         return known
-    return replace(known, confounds=tuple(dict.fromkeys([*known.confounds, *(f"{which}: {said}" for one in confounds for said in separable(one))])))
+    return replace(
+        known, confounds=tuple(dict.fromkeys([*known.confounds, *(f"{which}: {said}" for one in confounds for said in confound_sentences(one))]))
+    )
 
 
-def of_claim(held: HeldOut | None, claim: Claim | None) -> float | None:
+def error_to_claim_ratio(held: HeldOut | None, claim: Claim | None) -> float | None:
     """Held-out RMS error over what claim and noise allow, the greater of position's and rotation's; None where nothing was held out or claimed."""
     if held is None or claim is None or claim.after is None:
         return None
@@ -108,7 +117,7 @@ def of_claim(held: HeldOut | None, claim: Claim | None) -> float | None:
     return max(found, default=None)
 
 
-def separable(confounds: Confounds | None) -> tuple[str, ...]:
+def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
     """What a recording's design cannot separate, a sentence; nothing where it can, or states no conditions."""
     return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()
 

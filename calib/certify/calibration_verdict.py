@@ -10,7 +10,7 @@ from calib.certify.claim_verification import Verification
 WHERE = {"base": "base, or the instrument,", "platform": "target on the platform"}
 
 
-def verdict(claim: Claim) -> list[str]:
+def claim_lines(claim: Claim) -> list[str]:
     """Lines of a Claim, the first of which says it all."""
     configurations = f"{claim.distinct} distinct configuration{'' if claim.distinct == 1 else 's'}"
     rest = claim.unknowns - claim.determined
@@ -22,29 +22,29 @@ def verdict(claim: Claim) -> list[str]:
         return [f"no factor is claimed: {claim.reason}", told, *(few if claim.distinct < LEAST else [])]
     before, after = claim.before[0], claim.after[0]
     turned = f", rotation {claim.before[1][0] * 1e3:.3f} -> {claim.after[1][0] * 1e3:.4f} mrad" if any(claim.before[1]) else ""
-    return [f"{factor(claim.ratio)} all over the workspace: position error {before[0] * 1e3:.3f} -> {after[0] * 1e3:.4f} mm RMS ("
+    return [f"{ratio_text(claim.ratio)} all over the workspace: position error {before[0] * 1e3:.3f} -> {after[0] * 1e3:.4f} mm RMS ("
             f"{after[1] * 1e3:.4f} to {after[2] * 1e3:.4f}){turned}; "
             f"from {configurations}", told,
-            f"the workspace is {claim.workspace}; seen there by an instrument like this one, its own errors included: {factor(claim.measured)}"]
+            f"the workspace is {claim.workspace}; seen there by an instrument like this one, its own errors included: {ratio_text(claim.measured)}"]
 
 
-def factor(three: tuple[float, ...]) -> str:
+def ratio_text(three: tuple[float, ...]) -> str:
     """A ratio (median, low, high) in words; low and high are NaN where there is no interval."""
     interval = "too few configurations for an interval" if math.isnan(three[1]) else f"95 % interval {three[1]:.3g} to {three[2]:.3g}"
     return f"{three[0]:.3g} times better ({interval})"
 
 
-def verified(held: HeldOut, claim: Claim | None, found: Verification | None) -> str:
+def verification_line(held: HeldOut, claim: Claim | None, found: Verification | None) -> str:
     """What a recording's poses show of a calibration: a line. found : Verification of the claim, None where no factor is claimed"""
     where = "this 1 configuration" if held.configurations == 1 else f"these {held.configurations} configurations"
     placed = math.isfinite(held.after.position[0])
     before, after, unit = (held.before.position, held.after.position, "mm") if placed else (held.before.rotation, held.after.rotation, "mrad")
-    here = f"{factor(held.ratio)} on {where}: {before[0] * 1e3:.3f} -> {after[0] * 1e3:.4f} {unit} RMS as measured"
+    here = f"{ratio_text(held.ratio)} on {where}: {before[0] * 1e3:.3f} -> {after[0] * 1e3:.4f} {unit} RMS as measured"
     if claim is None or found is None:
         return f"{here}; no factor was claimed" + (f": {claim.reason}" if claim else "")
     if not found.parts:
         return f"{here}; nothing that was measured is claimed"
-    return f"{here}; the claim is {stands(found)} ({against(found)})" + elsewhere(found)
+    return f"{here}; the claim is {stands(found)} ({claim_comparison_text(found)})" + rigid_motion_text(found)
 
 
 def stands(found: Verification) -> str:
@@ -55,7 +55,7 @@ def stands(found: Verification) -> str:
     return "exceeded by no more than what it names as unexplained may" if within else "NOT kept"
 
 
-def against(found: Verification) -> str:
+def claim_comparison_text(found: Verification) -> str:
     """Each part of a claim against what was measured, in words."""
     said = []
     for name, part in found.parts.items():
@@ -65,13 +65,13 @@ def against(found: Verification) -> str:
     return "; ".join(said)
 
 
-def refuting(found: Verification) -> str:
+def refutation_sentence(found: Verification) -> str:
     """What a claim that is not kept is refuted by, a sentence: 45 um where 3.4 um is claimed."""
     wrong = [(name, part) for name, part in found.parts.items() if not part.kept]
     return " and ".join(f"{name} error {_size(part.rms, name)} RMS where up to {_size(part.claimed, name)} is claimed" for name, part in wrong)
 
 
-def elsewhere(found: Verification) -> str:
+def rigid_motion_text(found: Verification) -> str:
     """The rigid motion that explains why a claim is not kept, in words that follow; nothing where none does."""
     if found.offset is None:
         return ""

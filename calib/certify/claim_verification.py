@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.workspace_claim import Claim
-from calib.certify.held_out_errors import error_of
+from calib.certify.held_out_errors import pose_errors
 from calib.samples.pose_samples import Samples
 from rig.report.verdict import REFUTES
 from rig.model.pose import adjoint, exp
@@ -94,7 +94,7 @@ class Verification:
         return max((part.of_allowed / part.limit for part in self.parts.values()), default=math.nan)
 
 
-def verification(predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator) -> Verification:
+def verify_claim(predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator) -> Verification:
     """Verification of a Claim by poses predicted (n,) and measured.
 
     samples : Samples, the poses as measured; label : (n,) configuration of each pose; rng : numpy Generator
@@ -102,7 +102,7 @@ def verification(predicted: RigidTransform, samples: Samples, label: np.ndarray,
     """
     if claim.after is None:
         raise ValueError("no factor is claimed, so there is nothing to verify")
-    found = replace(_verified(error_of(predicted, samples), samples, label, claim, rng), unexplained=bool(claim.unexplained))
+    found = replace(_verified(pose_errors(predicted, samples), samples, label, claim, rng), unexplained=bool(claim.unexplained))
     return found if found.kept or not found.parts else replace(found, offset=_offset(predicted, samples, label, claim, found.of_limit, rng))
 
 
@@ -180,7 +180,7 @@ def _offset(predicted: RigidTransform, samples: Samples, label: np.ndarray, clai
     found: list[tuple[float, Offset]] = []
     for of in ("base", "platform"):
         motion, without = _without(of, predicted, samples, claim)
-        left = _verified(error_of(predicted, without), samples, label, claim, rng)
+        left = _verified(pose_errors(predicted, without), samples, label, claim, rng)
         sizes = float(np.linalg.norm(motion.translation)), float(motion.rotation.magnitude())
         found.append((left.of_limit, Offset(of, *sizes, left.kept)))
     least, best = min(found, key=lambda one: one[0])
@@ -193,7 +193,7 @@ def _without(of: str, predicted: RigidTransform, samples: Samples, claim: Claim)
     motion, moved = RigidTransform.identity(), samples
     sizes = np.repeat([three[2] / math.sqrt(3) for three in claim.after], 3)
     for _ in range(STEPS):
-        e = error_of(predicted, moved)
+        e = pose_errors(predicted, moved)
         rows = np.flatnonzero(np.isfinite(e).all(axis=0))
         weight = np.linalg.inv(samples.total_covariance()[:, rows][:, :, rows] + np.diag(np.maximum(sizes[rows], TINY) ** 2))
         A = (adjoint(predicted.inv()) if of == "base" else np.broadcast_to(np.eye(6), (len(e), 6, 6)))[:, rows]

@@ -34,7 +34,9 @@ class Closures(NamedTuple):
     parts: list[Component]
 
 
-def sizes(struts: list[Closures], scattered: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator) -> list[np.ndarray]:
+def draw_component_sizes(
+    struts: list[Closures], scattered: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator
+) -> list[np.ndarray]:
     """Per strut (count, components) m, draws of the sizes of its components; the same row of all struts is one machine.
 
     scattered : (k,) m -> (k,) by how much the log likelihood of all closures grows where all struts scatter by so much

@@ -3,17 +3,17 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.samples.pose_samples import Samples, blocks, precision
+from calib.samples.pose_samples import Samples, time_block_folds, inverse_covariance
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain
 from rig.model.mechanism_kinds import Struts
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 
 SAME = 1e-3  # of an axis' range, within which commands are one configuration
 LEAST = 8  # distinct configurations from which a factor is claimed, or has an interval; fewer cannot say whether the model holds elsewhere
 
 
-def labels(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+def configuration_numbers(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     """(n,) number of each command's configuration, counted in the order of their first visits.
 
     commanded : (n, axes) m or rad; ranges : (axes, 2) of the axes
@@ -29,20 +29,20 @@ def labels(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     return out
 
 
-def ranges(mechanism: Struts | Arm | Chain) -> np.ndarray:
+def axis_ranges(mechanism: Struts | Arm | Chain) -> np.ndarray:
     """(axes, 2) m or rad, from where to where each axis of a mechanism goes."""
-    return mechanisms.of(mechanism).travel(mechanism)
+    return mechanisms.kinematics_of(mechanism).travel(mechanism)
 
 
-def folds(label: np.ndarray, count: int) -> np.ndarray:
+def configuration_folds(label: np.ndarray, count: int) -> np.ndarray:
     """(n,) fold of each sample: whole stretches in time of the configurations (n,), none of which is in two folds."""
-    return blocks(label.max() + 1, count)[label]
+    return time_block_folds(label.max() + 1, count)[label]
 
 
-def witnesses(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Samples:
+def mean_sample_per_configuration(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Samples:
     """Samples with one row for each configuration: the mean of its repeats, weighted by their covariance, at the mean of their commands.
 
-    samples : Samples; label : (n,) from `labels`; to_pose : (n, 6, axes) change of each pose's tangent with the commands
+    samples : Samples; label : (n,) from `configuration_numbers`; to_pose : (n, 6, axes) change of each pose's tangent with the commands
     """
     count = label.max() + 1
     if count == len(samples):
@@ -51,14 +51,14 @@ def witnesses(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Sampl
     commanded, effective = (np.stack([np.bincount(label, weights=column) for column in values.T], axis=1) / size[:, None]
                             for values in (samples.commanded, samples.effective))
     moved = samples.T_base_platform * exp(np.einsum("nij,nj->ni", to_pose, effective[label] - samples.effective))
-    apart = difference(RigidTransform.from_matrix(moved.as_matrix()[first][label]), moved)
+    apart = pose_difference(RigidTransform.from_matrix(moved.as_matrix()[first][label]), moved)
     unseen = np.isinf(samples.covariance)  # rotations that nothing measured
-    weight = precision(np.where(unseen, 1.0, samples.covariance))
+    weight = inverse_covariance(np.where(unseen, 1.0, samples.covariance))
     total, mean, common = (np.zeros((count, *part.shape[1:])) for part in (weight, apart, samples.common))
     np.add.at(total, label, weight)
     np.add.at(mean, label, (weight @ apart[..., None])[..., 0])
     np.add.at(common, label, weight @ samples.common)
-    covariance = precision(total)
+    covariance = inverse_covariance(total)
     poses = moved[first] * exp((covariance @ mean[..., None])[..., 0])
     return Samples(samples.frame[first], samples.t[first], commanded, poses, np.where(unseen[first], np.inf, covariance), covariance @ common,
                    effective - commanded)

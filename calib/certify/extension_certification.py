@@ -6,26 +6,37 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calib.certify.platform_certification import FOLDS, SURELY, Certified, Progress, of_geometry, silent, sizes_beyond, with_drawn
-from calib.certify.workspace_claim import DRAWS, LEAST, PLACES, Claim, Told, Workspace, claimed, extension_scatter, too_few, workspace_of
-from calib.certify.distinct_configurations import folds, labels, ranges, witnesses
-from calib.certify.held_out_error_statistics import both, held_errors, influence, shared_squares
-from calib.certify.held_out_errors import HeldOut, compare, error_of, pays
-from calib.correct.correction import Correction, closing
-from calib.correct.summand_extension import corrected, extend, geometry_of, left
+from calib.certify.platform_certification import FOLDS, SURELY, Certified, Progress, of_geometry, silent_progress, sizes_beyond, with_drawn
+from calib.certify.workspace_claim import (
+    DRAWS,
+    LEAST,
+    PLACES,
+    Claim,
+    ConfigurationInformation,
+    Workspace,
+    claim_of_drawn_machines,
+    extension_scatter,
+    claim_of_too_few_configurations,
+    sample_workspace,
+)
+from calib.certify.distinct_configurations import configuration_folds, configuration_numbers, axis_ranges, mean_sample_per_configuration
+from calib.certify.held_out_error_statistics import both, held_out_error_statistics, influence, draw_common_error_squares
+from calib.certify.held_out_errors import HeldOut, compare_errors, pose_errors, is_significant_gain
+from calib.correct.correction import Correction, commands_with_pose
+from calib.correct.summand_extension import correction_with_field, fit_summand_field, geometry_of, geometry_residual_summands
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Field, Known
-from calib.correct.interpolation.grid import lattice
+from calib.correct.interpolation.grid import lattice_of_configurations
 from calib.correct.interpolation.gaussian_process import RadialMap
 from calib.correct.interpolation.weighted_fields import Weighted
-from calib.models.platform.identification import Identified, identify, pose_jacobian, to_pose
-from calib.samples.pose_samples import Samples, precision
+from calib.models.platform.identification import Identified, identify, pose_jacobian, inverse_strut_jacobian
+from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.model import mechanisms
 from rig.planning.configuration_sets import FILL, low_discrepancy
 from rig.model.design import Arm
 from rig.errors import RigError
 from rig.model.mechanism_kinds import Struts
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 AUTO = "auto"
 ELSE = "direction, order, temperature or noise explain what is left as well as the place does"
@@ -62,11 +73,11 @@ def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.ra
     """(Certified, what was tried): calibrated on all samples, and what was left at configurations held out.
 
     Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST configurations
-    beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses' covariance, if that `pays`
+    beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses' covariance, if that `is_significant_gain`
     against doing without. Raises RigError where the way asked for does not take these samples
     """
-    said = progress or silent
-    label = labels(samples.commanded, ranges(nominal))
+    said = progress or silent_progress
+    label = configuration_numbers(samples.commanded, axis_ranges(nominal))
     said("fitting the geometry", 0, 1)
     found = geometry_of(samples, nominal, asked.alone)
     sizes = None if asked.alone or label.max() + 1 < LEAST else sizes_beyond(samples, of_geometry(nominal, found, label), rng)
@@ -74,10 +85,14 @@ def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.ra
 
     def stand(some: Samples) -> Stand:
         geometry = found if some is samples else geometry_of(some, nominal, asked.alone, found.prior)
-        return Stand(left(some, geometry), lambda field: corrected(nominal, geometry, field), lambda field, at: said_by_struts(field, at, nominal))
+        return Stand(
+            geometry_residual_summands(some, geometry),
+            lambda field: correction_with_field(nominal, geometry, field),
+            lambda field, at: stated_position_variance(field, at, nominal),
+        )
 
     against = None if sizes is None or (sizes.of_place() > SURELY).any() else ELSE
-    done, tried = extended_on(samples, (nominal, label, found), stand, asked.kind, rng, said, against)
+    done, tried = certify_extension_of(samples, (nominal, label, found), stand, asked.kind, rng, said, against)
     field = done.correction.extension
     if field is not None:
         done = replace(done, found=_without(samples, nominal, found, field, asked.alone))
@@ -91,18 +106,18 @@ def with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) ->
     if done.left is None:
         return done
     correction, found = done.correction, done.found
-    J, out = pose_jacobian(samples.T_base_platform, correction.fitted), to_pose(samples.T_base_platform, correction.fitted)
+    J, out = pose_jacobian(samples.T_base_platform, correction.fitted), inverse_strut_jacobian(samples.T_base_platform, correction.fitted)
     noise = samples.covariance + (out * found.scatter**2) @ np.swapaxes(out, 1, 2)
-    part = folds(done.label, min(FOLDS, done.label.max() + 1))
+    part = configuration_folds(done.label, min(FOLDS, done.label.max() + 1))
     left = replace(done.left, parameters=both(influence(np.zeros((len(samples), 6)), J, found.covariance, noise, part).without))
-    commands, T = workspace_of(correction)
-    back = to_pose(T, correction.fitted)
+    commands, T = sample_workspace(correction)
+    back = inverse_strut_jacobian(T, correction.fitted)
     stated = float(extension_scatter(correction, commands, back)[0])
     own = np.sqrt(max(left.own(stated, rng)[0] - stated, 0.0) / (back[:, :3] ** 2).sum(axis=(1, 2)).mean())
     return replace(done, left=left, found=replace(found, scatter=np.maximum(found.scatter, own)))
 
 
-def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], stand: Callable[[Samples], "Stand"], kind: str,
+def certify_extension_of(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], stand: Callable[[Samples], "Stand"], kind: str,
                 rng: np.random.Generator, said: Progress, against: str | None = None) -> tuple[Certified, tuple[Tried, ...]]:
     """(Certified, what was tried): what one way, or of all ways the best, makes of what a stand leaves.
 
@@ -115,7 +130,7 @@ def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], s
     for name in interpolation_methods.ALL if kind == AUTO else (kind,):
         said(f"extending: {name}", 0, 1)
         try:
-            fields[name] = extend(known, name)
+            fields[name] = fit_summand_field(known, name)
         except RigError as error:
             if kind != AUTO:
                 raise
@@ -124,21 +139,21 @@ def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], s
     outcome = None if not splits else _held_out(samples, stand, fields, splits, said)
     auto = kind == AUTO
     kind = kind if not auto else NONE if outcome is None or against is not None else _best(outcome)
-    held = {} if outcome is None else {name: compare(outcome.before, errors, outcome.samples.total_covariance(), rng, label[outcome.rows])
+    held = {} if outcome is None else {name: compare_errors(outcome.before, errors, outcome.samples.total_covariance(), rng, label[outcome.rows])
                                        for name, errors in outcome.after.items()}
     tried = [Tried(name, held.get(name), against if auto and name != NONE else None, name == kind) for name in fields]
     tried += [Tried(name, None, reason, False) for name, reason in refused.items()]
     field = fields[kind]
     if outcome is None:
         return Certified(correct(field), found, label, None), tuple(tried)
-    left = held_errors(outcome.after[kind], outcome.samples, label[outcome.rows], outcome.said[kind])
+    left = held_out_error_statistics(outcome.after[kind], outcome.samples, label[outcome.rows], outcome.said[kind])
     if outcome.beside and left.stated:  # where noise explains all that is left, there is no error to scale
         scale = float(np.sqrt(left.beyond()[0] / left.stated))
         if isinstance(field, Weighted):
             field, left = replace(field, misfit=field.misfit * scale), replace(left, scale=scale)
         elif isinstance(field, RadialMap):
             field, left = replace(field, inflation=max(1.0, scale)), replace(left, scale=max(1.0, scale))
-    again = held_errors(error_of(correct(field).predict(samples.effective), samples), samples, label).beyond()
+    again = held_out_error_statistics(pose_errors(correct(field).predict(samples.effective), samples), samples, label).beyond()
     return Certified(correct(field), found, label, held[kind], left=replace(left, fitted=float(again[0]))), tuple(tried)
 
 
@@ -167,9 +182,9 @@ def _splits(samples: Samples, label: np.ndarray, nominal: Struts | Arm) -> list[
     """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
     if label.max() + 1 < LEAST:
         return []
-    found = lattice(samples.commanded, ranges(nominal))
+    found = lattice_of_configurations(samples.commanded, axis_ranges(nominal))
     if found is None:
-        fold = folds(label, min(FOLDS, label.max() + 1))
+        fold = configuration_folds(label, min(FOLDS, label.max() + 1))
         return [(fold != k, fold == k) for k in np.unique(fold)]
     on = found.vertex >= 0
     if len(np.unique(label[~on])) >= LEAST:
@@ -191,10 +206,10 @@ def _held_out(samples: Samples, stand: Callable[[Samples], "Stand"], fields: dic
         known, correct, said_of = stand(samples.take(fitted))
         rows.append(np.flatnonzero(out))
         owners = correct(None).nominal  # of an arm, as the rest of the samples place it
-        before.append(error_of(mechanisms.of(owners).forward(rest.commanded, owners), rest))
+        before.append(pose_errors(mechanisms.kinematics_of(owners).forward(rest.commanded, owners), rest))
         for name, field in fields.items():
-            own = None if field is None else extend(known, name, field)
-            after[name].append(error_of(correct(own).predict(rest.commanded), rest))
+            own = None if field is None else fit_summand_field(known, name, field)
+            after[name].append(pose_errors(correct(own).predict(rest.commanded), rest))
             squares[name] += 0.0 if own is None else len(rest) * said_of(own, rest)
         said("holding configurations out", k + 1, len(splits))
     at = np.concatenate(rows)
@@ -203,44 +218,47 @@ def _held_out(samples: Samples, stand: Callable[[Samples], "Stand"], fields: dic
     return _Outcome(dense, means, at, samples.take(at), np.concatenate(before), {name: np.concatenate(errors) for name, errors in after.items()})
 
 
-def said_by_struts(field: Field, samples: Samples, nominal: Struts) -> float:
+def stated_position_variance(field: Field, samples: Samples, nominal: Struts) -> float:
     """m^2, mean square by which a Field over the configuration space says that positions of samples may be off."""
-    back = to_pose(samples.T_base_platform, nominal)
+    back = inverse_strut_jacobian(samples.T_base_platform, nominal)
     return float((back[:, :3] ** 2 @ (field.error(samples.commanded) ** 2)[..., None]).sum(axis=1).mean())
 
 
 def _best(outcome: _Outcome) -> str:
-    """The way that leaves least, if it `pays` against doing without."""
+    """The way that leaves least, if it `is_significant_gain` against doing without."""
     covariance = outcome.samples.total_covariance()
-    weight = precision(np.where(np.isinf(covariance), 1.0, covariance))  # what was not measured has no error to weigh
+    weight = inverse_covariance(np.where(np.isinf(covariance), 1.0, covariance))  # what was not measured has no error to weigh
     loss = {name: np.einsum("ni,nij,nj->n", e, weight, e) for name, e in ((name, np.nan_to_num(errors)) for name, errors in outcome.after.items())}
     best = min(loss, key=lambda name: loss[name].mean())
-    return best if pays(loss[NONE] - loss[best]) else NONE
+    return best if is_significant_gain(loss[NONE] - loss[best]) else NONE
 
 
-def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
+def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a correction that stands on the owner's model alone: its field's error estimate all over the workspace, and the shared errors."""
     correction: Correction = done.correction
-    kinematics = mechanisms.of(correction.nominal)
-    each = witnesses(samples, done.label, to_pose(samples.T_base_platform, correction.nominal))
+    kinematics = mechanisms.kinematics_of(correction.nominal)
+    each = mean_sample_per_configuration(samples, done.label, inverse_strut_jacobian(samples.T_base_platform, correction.nominal))
     ways = ([] if correction.extension is None else [correction.extension.kind]) + [f"{one.field.kind} in pose space" for one in correction.posed]
     way = " and ".join(ways) or "nothing at all"
-    told = Told(len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}")
+    told = ConfigurationInformation(len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}")
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes free of each other"
     if len(each) < LEAST:
-        return too_few(told, middle)
+        return claim_of_too_few_configurations(told, middle)
     if done.left is None:
-        return none_held_out(told, middle)
-    commands, T = closing(low_discrepancy(kinematics.travel(correction.nominal), PLACES, FILL), correction)
-    offset = difference(T, kinematics.forward(commands, correction.nominal))
-    stated = float(extension_scatter(correction, commands, to_pose(T, correction.fitted))[0])
-    own = done.left.own_draws(stated, DRAWS, rng) + shared_squares(samples, DRAWS, rng)
+        return claim_without_held_out_data(told, middle)
+    commands, T = commands_with_pose(low_discrepancy(kinematics.travel(correction.nominal), PLACES, FILL), correction)
+    offset = pose_difference(T, kinematics.forward(commands, correction.nominal))
+    stated = float(extension_scatter(correction, commands, inverse_strut_jacobian(T, correction.fitted))[0])
+    own = done.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
     known = done.found.covariance  # of what an earlier pass left, where this one does not hold
     draws = rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh") if known.any() else np.zeros((DRAWS, len(known)))
-    return claimed(Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle), draws, each, told, rng)
+    return claim_of_drawn_machines(Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle), draws, each, told, rng)
 
 
-def none_held_out(told: Told, workspace: str) -> Claim:
+def claim_without_held_out_data(told: ConfigurationInformation, workspace: str) -> Claim:
     """The Claim of samples of which none could be held out: none, and why."""
-    return replace(too_few(told, workspace), reason="no configuration could be held out, so nothing says what is left between those recorded; record "
-                   f"{LEAST} beside the grid, as the plan `division:2,sobol:{2 * LEAST}` does")
+    return replace(
+        claim_of_too_few_configurations(told, workspace),
+        reason="no configuration could be held out, so nothing says what is left between those recorded; record "
+        f"{LEAST} beside the grid, as the plan `division:2,sobol:{2 * LEAST}` does",
+    )

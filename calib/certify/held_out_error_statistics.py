@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certify.held_out_errors import correlation
+from calib.certify.held_out_errors import autocorrelation_factor
 from calib.samples.pose_samples import Samples
 
 INDEPENDENT = 1.5  # degrees of freedom that a configuration is worth at the most: the three of a position would be of noise alone
@@ -58,7 +58,7 @@ class HeldErrors:
             squares, noise = self.squares[:, k], float(self.noise[:, k].mean())
             if np.isnan(squares).any() or not squares.any():
                 continue
-            freedom = freedom_of(squares)
+            freedom = degrees_of_freedom(squares)
             seen = squares.mean() * freedom / rng.chisquare(freedom, count)
             out[:, k] = np.maximum(seen - noise * TRUSTED / rng.chisquare(TRUSTED, count), 0.0)
         return out
@@ -79,14 +79,16 @@ class HeldErrors:
 
     def unnoticed(self) -> float:
         """m^2, mean square of position errors that so many poses held out do not tell from the noise of measuring them."""
-        return float(self.noise[:, 0].mean() * np.sqrt(2 / freedom_of(self.squares[:, 0])))
+        return float(self.noise[:, 0].mean() * np.sqrt(2 / degrees_of_freedom(self.squares[:, 0])))
 
     def beyond(self) -> np.ndarray:
         """(2,) m^2 and rad^2, mean square of the true errors as estimated; 0 for what was not measured."""
         return np.nan_to_num(np.maximum(self.squares.mean(axis=0) - self.noise.mean(axis=0), 0.0))
 
 
-def held_errors(errors: np.ndarray, samples: Samples, label: np.ndarray, stated: float = 0.0, parameters: np.ndarray | None = None) -> HeldErrors:
+def held_out_error_statistics(
+    errors: np.ndarray, samples: Samples, label: np.ndarray, stated: float = 0.0, parameters: np.ndarray | None = None
+) -> HeldErrors:
     """HeldErrors of errors (n, 6) m and rad, NaN where not measured. samples : Samples that they are of; label : (n,) configuration of each
     stated, parameters : as there, nothing by default"""
     label = np.unique(label, return_inverse=True)[1]
@@ -135,14 +137,14 @@ def both(squares: np.ndarray) -> np.ndarray:
     return np.asarray(squares.mean(axis=0).reshape(2, 3).sum(axis=1))
 
 
-def freedom_of(squares: np.ndarray) -> float:
+def degrees_of_freedom(squares: np.ndarray) -> float:
     """Degrees of freedom of the mean of squares (c,), in order of time, as they scatter and as neighbours say the same."""
-    variance = squares.var(ddof=1) / len(squares) * correlation(squares)
+    variance = squares.var(ddof=1) / len(squares) * autocorrelation_factor(squares)
     most = INDEPENDENT * len(squares)
     return float(np.clip(2 * squares.mean() ** 2 / max(variance, 1e-300), LEAST_FREEDOM, most))
 
 
-def shared_squares(samples: Samples, count: int, rng: np.random.Generator) -> np.ndarray:
+def draw_common_error_squares(samples: Samples, count: int, rng: np.random.Generator) -> np.ndarray:
     """(count, 2) m^2 and rad^2, draws of the mean square of what all poses of samples share: whoever measured them carries it into what is fitted."""
     drawn = np.einsum("nik,kd->dni", samples.common, rng.normal(size=(samples.common.shape[2], count)))
     return np.stack([(drawn[..., part] ** 2).sum(axis=2).mean(axis=1) for part in PARTS], axis=1)

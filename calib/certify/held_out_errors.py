@@ -8,9 +8,9 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certify.distinct_configurations import LEAST
 from calib.correct.correction import Correction
-from calib.samples.pose_samples import Samples, uncertainty
+from calib.samples.pose_samples import Samples, rms_uncertainty
 from rig.model import mechanisms
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 DRAWS = 1000  # of the bootstrap
 GAIN = 2.0  # standard errors by which a correction must pay on held-out poses to be kept
@@ -46,7 +46,7 @@ class HeldOut:
     configurations: int
 
 
-def figures(errors: np.ndarray) -> Figures:
+def error_figures(errors: np.ndarray) -> Figures:
     """Figures of pose errors (n, 6), position (m) and rotation (rad), NaN where these were not measured."""
     def three(parts: np.ndarray) -> tuple[float, float, float]:
         length = np.linalg.norm(parts, axis=1)
@@ -56,14 +56,14 @@ def figures(errors: np.ndarray) -> Figures:
     return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()), (position, rotation))
 
 
-def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.ndarray, rng: np.random.Generator,
+def compare_errors(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.ndarray, rng: np.random.Generator,
             label: np.ndarray | None = None) -> HeldOut:
     """HeldOut of the errors (n, 6) on the same poses; covariance : (n, 6, 6) of the measured poses.
 
     label : (n,) configuration of each pose, each its own by default; rng : numpy Generator, for the bootstrap
     """
     label = np.arange(len(errors_before)) if label is None else np.unique(label, return_inverse=True)[1]
-    before, after = figures(errors_before), figures(errors_after)
+    before, after = error_figures(errors_before), error_figures(errors_after)
     count, size = label.max() + 1, np.bincount(label)
     turned = bool(np.isnan(errors_after[:, :3]).any())
     part = slice(3, 6) if turned else slice(0, 3)
@@ -73,35 +73,36 @@ def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.
     low, high = np.quantile(draws, [0.025, 0.975]) if count >= LEAST else (np.nan, np.nan)
     sizes = [(one.rotation if turned else one.position)[0] for one in (before, after)]
     ratio = (sizes[0] / max(sizes[1], 1e-300), float(low), float(high))
-    return HeldOut(before, after, uncertainty(covariance), ratio, len(size))
+    return HeldOut(before, after, rms_uncertainty(covariance), ratio, len(size))
 
 
-def errors_of(correction: Correction[Any, Any], samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+def errors_before_and_after(correction: Correction[Any, Any], samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's; NaN where a
     rotation was not measured, or is not the machine's to give."""
-    nominal = mechanisms.of(correction.nominal).forward(samples.commanded, correction.nominal)
-    return error_of(nominal, samples), error_of(correction.predict(samples.effective), samples)
+    nominal = mechanisms.kinematics_of(correction.nominal).forward(samples.commanded, correction.nominal)
+    return pose_errors(nominal, samples), pose_errors(correction.predict(samples.effective), samples)
 
 
-def error_of(T_base_platform: RigidTransform, samples: Samples) -> np.ndarray:
-    """(n, 6) measured poses against these (n,), NaN as `errors_of` and for positions that were not measured; of a wire's length along x."""
+def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> np.ndarray:
+    """(n, 6) measured poses against these (n,), NaN as `errors_before_and_after` and for positions that were not measured; of a wire's length along
+    x."""
     if samples.measured == "distance":
         error = np.full((len(samples), 6), np.nan)
         error[:, 0] = samples.T_base_platform.translation[:, 0] - np.linalg.norm(T_base_platform.translation, axis=1)
         error[:, 1:3] = 0.0
         return error
-    error, spread = difference(T_base_platform, samples.T_base_platform), samples.covariance[:, [3, 4, 5], [3, 4, 5]]
+    error, spread = pose_difference(T_base_platform, samples.T_base_platform), samples.covariance[:, [3, 4, 5], [3, 4, 5]]
     error[:, 3:][np.isinf(spread) | (spread == 0)] = np.nan
     error[:, :3][np.isinf(samples.covariance[:, [0, 1, 2], [0, 1, 2]])] = np.nan
     return error
 
 
-def pays(gain: np.ndarray) -> bool:
+def is_significant_gain(gain: np.ndarray) -> bool:
     """Whether what each held-out pose gains (n,), in order of time, is beyond chance by GAIN standard errors, neighbours taken for alike."""
-    return bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)))
+    return bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / autocorrelation_factor(gain)))
 
 
-def correlation(series: np.ndarray) -> float:
+def autocorrelation_factor(series: np.ndarray) -> float:
     """How many neighbours in time say the same in a series (n,): 1 + 2 x the sum of the autocorrelations before they first turn negative."""
     centred = series - series.mean()
     total = (centred**2).sum()

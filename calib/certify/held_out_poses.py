@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.distinct_configurations import labels, ranges
+from calib.certify.distinct_configurations import configuration_numbers, axis_ranges
 from calib.correct.correction import Correction
 from calib.samples.pose_samples import Samples
 from rig.errors import NotEnoughData, RigError
@@ -65,7 +65,7 @@ class HeldPoses:
         return np.sqrt(np.trace(self.own[:, part, part], axis1=1, axis2=2) / 3)
 
 
-def at_rest(commands: Commands, t: np.ndarray) -> np.ndarray:
+def is_at_rest(commands: Commands, t: np.ndarray) -> np.ndarray:
     """(n,) bool, whether nothing was commanded to move for REST s before times t (n,) s."""
     earlier = np.maximum(t - REST, commands.t[0])
     between = np.searchsorted(commands.t, t) - np.searchsorted(commands.t, earlier)
@@ -93,7 +93,7 @@ def held_poses(correction: Correction, parts: Sequence[tuple[Samples, Commands, 
     for samples, *_ in parts:
         if samples.measured in ("orientation", "distance"):
             raise RigError(f"a certificate speaks for poses, and of these the {samples.measured} alone was measured")
-    kept = [np.flatnonzero(at_rest(commands, samples.t)) for samples, commands, _, _ in parts]
+    kept = [np.flatnonzero(is_at_rest(commands, samples.t)) for samples, commands, _, _ in parts]
     moving = sum(len(samples) - len(k) for k, (samples, *_) in zip(kept, parts))
     if not sum(map(len, kept)):
         raise NotEnoughData(f"none of {moving} exposures is of a machine at rest for {REST:g} s; a certificate speaks for poses that are held")
@@ -109,7 +109,18 @@ def held_poses(correction: Correction, parts: Sequence[tuple[Samples, Commands, 
     moves = [last_moves(commands, samples.t) for samples, commands, *_ in each]
     T = RigidTransform.from_matrix(np.concatenate([samples.T_base_platform.as_matrix() for samples, *_ in each]))
     own = np.concatenate([np.where(np.isinf(samples.covariance), 0.0, samples.covariance) for samples, *_ in each])
-    return HeldPoses(np.repeat(np.arange(len(parts)), sizes), np.concatenate([samples.frame for samples, *_ in each]),
-                     np.concatenate([samples.t for samples, *_ in each]), commanded, np.concatenate([sign for sign, _ in moves]),
-                     np.concatenate([step for _, step in moves]), T, np.concatenate([errors for *_, errors in each]),
-                     np.concatenate([plain for *_, plain, _ in each]), own, tuple(common), labels(commanded, ranges(correction.nominal)), moving)
+    return HeldPoses(
+        np.repeat(np.arange(len(parts)), sizes),
+        np.concatenate([samples.frame for samples, *_ in each]),
+        np.concatenate([samples.t for samples, *_ in each]),
+        commanded,
+        np.concatenate([sign for sign, _ in moves]),
+        np.concatenate([step for _, step in moves]),
+        T,
+        np.concatenate([errors for *_, errors in each]),
+        np.concatenate([plain for *_, plain, _ in each]),
+        own,
+        tuple(common),
+        configuration_numbers(commanded, axis_ranges(correction.nominal)),
+        moving,
+    )

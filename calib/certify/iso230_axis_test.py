@@ -60,9 +60,9 @@ def iso230(correction: Correction, poses: HeldPoses) -> tuple[AxisTest, ...]:
     mechanism = correction.nominal
     alone = poses.step.sum(axis=1) == 1
     out = []
-    for axis, name in enumerate(mechanisms.places(mechanism)):
+    for axis, name in enumerate(mechanisms.axis_places(mechanism)):
         rows = np.flatnonzero(alone & poses.step[:, axis])
-        found = _test(name, mechanisms.units(mechanism)[axis], poses, rows, axis, deviation[:, axis], float(noise[:, axis].mean()))
+        found = _test(name, mechanisms.axis_units(mechanism)[axis], poses, rows, axis, deviation[:, axis], float(noise[:, axis].mean()))
         if found is not None:
             out.append(found)
     return tuple(out)
@@ -90,17 +90,17 @@ def _test(name: str, unit: str, poses: HeldPoses, rows: np.ndarray, axis: int, d
     mean, s = np.array(means), np.array(spreads)
     cycles = min(counts)
     E_up, E_down = np.ptp(mean, axis=0).tolist()
-    return AxisTest(name, unit, len(mean), cycles, *reversal(mean), float(np.ptp(mean)), E_up, E_down, float(np.ptp(mean.mean(axis=1))),
-                    *accuracy(mean, s), *repeatability(mean, s), u, len(mean) >= POSITIONS and cycles >= CYCLES)
+    return AxisTest(name, unit, len(mean), cycles, *reversal_values(mean), float(np.ptp(mean)), E_up, E_down, float(np.ptp(mean.mean(axis=1))),
+                    *axis_accuracy(mean, s), *axis_repeatability(mean, s), u, len(mean) >= POSITIONS and cycles >= CYCLES)
 
 
-def reversal(mean: np.ndarray) -> tuple[float, float]:
+def reversal_values(mean: np.ndarray) -> tuple[float, float]:
     """(B, mean B) of means (positions, 2), from below and from above."""
     B = mean[:, 0] - mean[:, 1]
     return float(np.abs(B).max()), float(B.mean())
 
 
-def accuracy(mean: np.ndarray, s: np.ndarray) -> tuple[float | None, float | None, float | None]:
+def axis_accuracy(mean: np.ndarray, s: np.ndarray) -> tuple[float | None, float | None, float | None]:
     """(A, A up, A down) of means and standard deviations (positions, 2); None where one is not known."""
     if not np.isfinite(s).all():
         return None, None, None
@@ -109,7 +109,7 @@ def accuracy(mean: np.ndarray, s: np.ndarray) -> tuple[float | None, float | Non
     return float(high.max() - low.min()), up, down
 
 
-def repeatability(mean: np.ndarray, s: np.ndarray) -> tuple[float | None, float | None, float | None]:
+def axis_repeatability(mean: np.ndarray, s: np.ndarray) -> tuple[float | None, float | None, float | None]:
     """(R, R up, R down) of means and standard deviations (positions, 2); None where one is not known."""
     if not np.isfinite(s).all():
         return None, None, None

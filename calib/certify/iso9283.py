@@ -74,12 +74,12 @@ def iso9283(poses: HeldPoses, duty: Duty) -> Iso9283:
                                  float(far.mean() + 3 * far.std(ddof=1)), *turn))
     first = poses.errors[poses.first]
     lengths, turned = np.linalg.norm(first[:, :3], axis=1), np.linalg.norm(first[:, 3:], axis=1)
-    missing = not_met(poses, duty)
+    missing = unmet_requirements(poses, duty)
     return Iso9283(tuple(rows), not missing, missing, (len(first), float(lengths.mean()), float(lengths.max())),
                    (float(turned.mean()), float(turned.max())) if poses.rotations else None)
 
 
-def not_met(poses: HeldPoses, duty: Duty) -> tuple[str, ...]:
+def unmet_requirements(poses: HeldPoses, duty: Duty) -> tuple[str, ...]:
     """What the standard requires of the test and these HeldPoses do not show, one sentence each, without its full stop."""
     order = np.lexsort((poses.t, poses.recording))
     label, recording = poses.label[order], poses.recording[order]

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certify.deviation_component_sizes import Closures, sizes
-from calib.certify.strut_deviation_kernels import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component, components, scaled
+from calib.certify.deviation_component_sizes import Closures, draw_component_sizes
+from calib.certify.strut_deviation_kernels import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component, deviation_components, scaled_commands
 from calib.certify.possible_machines import Machines
 from calib.models.platform.identification import Identified, loop_jacobian, parameters, strut_jacobian
-from calib.models.platform.stated_geometry_accuracy import Tolerance, spread
+from calib.models.platform.stated_geometry_accuracy import Tolerance, parameter_widths
 from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
@@ -38,7 +38,7 @@ class Sizes:
         return np.array([(draws[:, [part.over == PLACE for part in own]] > 0).any(axis=1).mean() for own, draws in zip(self.components, self.draws)])
 
 
-def sized(found: Identified, known: Tolerance, samples: Samples, label: np.ndarray, nominal: Struts, rng: np.random.Generator) -> Sizes:
+def deviation_sizes(found: Identified, known: Tolerance, samples: Samples, label: np.ndarray, nominal: Struts, rng: np.random.Generator) -> Sizes:
     """Sizes of what struts do beyond their geometry.
 
     found : Identified, of a geometry alone; known : Tolerance; samples : Samples, each visit one; label : (n,) configurations
@@ -46,12 +46,12 @@ def sized(found: Identified, known: Tolerance, samples: Samples, label: np.ndarr
     counted = found.inliers if (~found.inliers).mean() <= WILD else np.ones(len(samples), bool)
     samples, label = samples.take(counted), np.unique(label[counted], return_inverse=True)[1]
     model, struts = _Closures(found, samples), []
-    parts, y = components(samples, label, nominal), model.about(nominal)
+    parts, y = deviation_components(samples, label, nominal), model.about(nominal)
     for i, own in enumerate(parts):
         D, C = model.D[:, i], model.common[:, i]
         V = np.diag(model.own[:, i, i]) + C @ C.T + (D * known.prior**2) @ D.T
         struts.append(Closures(y[:, i], V, float(np.sqrt(np.mean(model.own[:, i, i] + (C**2).sum(axis=1)))), own))
-    return Sizes(counted, parts, sizes(struts, _scattered(found, model, counted), COUNT, rng))
+    return Sizes(counted, parts, draw_component_sizes(struts, _scattered(found, model, counted), COUNT, rng))
 
 
 def _scattered(found: Identified, model: "_Closures", counted: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -71,16 +71,16 @@ def _scattered(found: Identified, model: "_Closures", counted: np.ndarray) -> Ca
     return lambda size: likelihood(size) - likelihood(np.zeros(1))
 
 
-def drawn(found: Identified, known: Tolerance, samples: Samples, sizes: Sizes, nominal: Struts, places: np.ndarray, noise: np.ndarray,
+def draw_machines(found: Identified, known: Tolerance, samples: Samples, sizes: Sizes, nominal: Struts, places: np.ndarray, noise: np.ndarray,
           rng: np.random.Generator) -> Machines:
     """Machines about a fit. found : Identified, whose mechanism the parameters are about; known : Tolerance; samples : Samples, each visit one
 
     sizes : Sizes by the same samples; places : (m, axes) m commands; noise : (COUNT,) factors on the poses' covariance
     """
-    model, parts, x = _Closures(found, samples.take(sizes.inliers)), sizes.components, scaled(places, nominal.strut_range)
+    model, parts, x = _Closures(found, samples.take(sizes.inliers)), sizes.components, scaled_commands(places, nominal.strut_range)
     at = [[part.at(x) if part.kernel is not None else part.use(x) if part.use is not None else None for part in own] for own in parts]
     middle, y, count = parameters(nominal) - parameters(found.mechanism), model.about(nominal), COUNT
-    width = spread(known.widths, known.counts)[rng.choice(len(known.weight), count, p=known.weight)]
+    width = parameter_widths(known.widths, known.counts)[rng.choice(len(known.weight), count, p=known.weight)]
     size = sizes.draws
     together, seen = np.zeros((2, count, EACH, len(parts), len(parts)))
     looks = model.common.shape[2] > 0  # whoever measures with errors that all poses share may drift and scatter as well
@@ -141,7 +141,7 @@ class _Closures:
         T, self.fitted = samples.T_base_platform, found.mechanism
         A = strut_jacobian(T, self.fitted)
         self.D, self.common = loop_jacobian(T, self.fitted), A @ samples.common
-        self.left = samples.effective - mechanisms.of(self.fitted).inverse(T, self.fitted)
+        self.left = samples.effective - mechanisms.kinematics_of(self.fitted).inverse(T, self.fitted)
         self.own = A @ samples.covariance @ np.swapaxes(A, 1, 2)
 
     def about(self, nominal: Struts) -> np.ndarray:

@@ -29,19 +29,19 @@ class Slip:
     sigma: float
 
 
-def slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | None:
+def detect_limb_slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | None:
     """The likeliest Slip among Samples (n,) whose commands are the limbs' readings; None where none is beyond chance.
 
     limbs : Limbs as fitted to these; sigma : m of one reading, as stated
     """
-    n, of = len(samples), redundant_legs.legs([("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))], limbs.hexapod.home)
+    n, of = len(samples), redundant_legs.combine_legs([("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))], limbs.hexapod.home)
     if n < 2 * LEAST:
         return None
-    told, J, _ = redundant_legs.rows(of, samples.T_base_platform)
+    told, J, _ = redundant_legs.leg_length_jacobians(of, samples.T_base_platform)
     spread = J @ samples.covariance @ np.swapaxes(J, 1, 2) + sigma**2 * np.eye(6)
     W = np.linalg.inv(np.linalg.cholesky(spread))
     y = (W @ (samples.commanded - told)[..., None]).reshape(-1)
-    geometry = redundant_legs.slopes(of, samples.T_base_platform)  # (n, 6, 42)
+    geometry = redundant_legs.leg_parameter_jacobians(of, samples.T_base_platform)  # (n, 6, 42)
     known = np.concatenate([W @ geometry * PRIOR, W @ J @ samples.common], axis=2).reshape(6 * n, -1)
     known = np.vstack([known, np.eye(known.shape[1])])  # each of these is a draw of unit size
     Q = np.linalg.qr(known)[0][: 6 * n]

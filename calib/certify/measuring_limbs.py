@@ -14,12 +14,12 @@ from scipy.spatial.transform import RigidTransform
 from calib.certify import redundant_limb_checks
 from calib.certify.fitted_limbs import Limbs
 from calib.models.platform.identification import Identified, identify
-from calib.samples.pose_samples import Samples, blocks
+from calib.samples.pose_samples import Samples, time_block_folds
 from rig.model.design import Design, Hexapod, MeasuringLimbs
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_kinds import hexapod_of
 from rig.model.mechanisms import hexapod as mechanism
-from rig.model.pose import difference, vector
+from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -55,30 +55,30 @@ class Agreement:
         return (self.surely <= self.tolerance) & (self.moved >= MOVES * self.tolerance)
 
 
-def measuring(design: Design) -> MeasuringLimbs:
+def stated_limbs(design: Design) -> MeasuringLimbs:
     """The measuring limbs as rig.toml has them. Raises RigError for a rig without [insitu]."""
     if design.insitu is None:
         raise RigError("rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma")
     return design.insitu
 
 
-def stated(design: Design, chosen: np.ndarray | None = None) -> Hexapod:
+def limb_hexapod(design: Design, chosen: np.ndarray | None = None) -> Hexapod:
     """Hexapod of six of the limbs as rig.toml has them. chosen : (6,) their numbers, from 0, the first six by default
 
     Raises RigError for a rig without [insitu], with fewer than six limbs, or that is no hexapod
     """
-    limbs = measuring(design)
+    limbs = stated_limbs(design)
     if not isinstance(design.mechanism, Hexapod):
         raise RigError(f"measuring limbs are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
-    return redundant_limb_checks.legs(limbs, design.mechanism.home).six(np.arange(6) if chosen is None else chosen)
+    return redundant_limb_checks.limb_legs(limbs, design.mechanism.home).six(np.arange(6) if chosen is None else chosen)
 
 
-def readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+def limb_readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """(frames (f,), lengths (f, limbs) m): what the limbs read at the exposures that have readings about them.
 
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
     """
-    sensors, channels = recording.sensors, measuring(recording.design).channels
+    sensors, channels = recording.sensors, stated_limbs(recording.design).channels
     told = f"{recording.folder}: measuring limbs are read from sensors.csv, columns {channels[0]}..{channels[-1]} (m); "
     if sensors is None:
         raise RigError(told + "there is no sensors.csv")
@@ -94,8 +94,9 @@ def readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     return frames[good], np.stack([np.interp(t[good], sensors.t, sensors.channels[name]) for name in channels], axis=1)
 
 
-def read(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
-    """Samples whose commands are the limbs' readings. samples : Samples by vision; frames (f,), lengths (f, 6) m : as `readings` gives them, of six.
+def samples_by_limbs(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
+    """Samples whose commands are the limbs' readings. samples : Samples by vision; frames (f,), lengths (f, 6) m : as `limb_readings` gives them, of
+    six.
 
     Raises NotEnoughData where no frame has both
     """
@@ -106,19 +107,19 @@ def read(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
     return replace(kept, commanded=lengths[np.searchsorted(frames, kept.frame)])
 
 
-def calibrated(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
-    """(Limbs, Identified) from Samples as `read` makes them. nominal : Hexapod as stated; sigma : m of one reading"""
-    found: Identified = identify(with_readings(samples, nominal, sigma), nominal)
+def calibrate_limbs(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
+    """(Limbs, Identified) from Samples as `samples_by_limbs` makes them. nominal : Hexapod as stated; sigma : m of one reading"""
+    found: Identified = identify(add_reading_noise(samples, nominal, sigma), nominal)
     return Limbs(hexapod_of(found.mechanism), found.covariance, np.hypot(found.scatter, sigma)), found
 
 
-def with_readings(samples: Samples, nominal: Hexapod, sigma: float) -> Samples:
+def add_reading_noise(samples: Samples, nominal: Hexapod, sigma: float) -> Samples:
     """The Samples with what the readings' own noise (m) does to a pose added to vision's covariance."""
     back = np.linalg.inv(mechanism.jacobian(samples.T_base_platform, nominal))
     return replace(samples, covariance=samples.covariance + sigma**2 * back @ np.swapaxes(back, 1, 2))
 
 
-def held_out(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, np.ndarray]:
+def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, np.ndarray]:
     """(T_limbs RigidTransform (n,), expected (n, 6, 6) covariance of the difference): every pose by limbs fitted to other stretches.
 
     The expectation holds what the limbs' fit to the same cameras shares with vision once only: vision's shared errors go into the
@@ -126,33 +127,33 @@ def held_out(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTra
     """
     if len(samples) < FEWEST:
         raise NotEnoughData(f"{len(samples)} poses by vision with readings; limits of agreement take at least {FEWEST}")
-    fold = blocks(len(samples), FOLDS)
+    fold = time_block_folds(len(samples), FOLDS)
     matrices, expected = np.empty((len(samples), 4, 4)), np.empty((len(samples), 6, 6))
     alone = replace(samples, common=samples.common[:, :, :0])
     for k in np.unique(fold):
-        limbs, _ = calibrated(samples.take(fold != k), nominal, sigma)
+        limbs, _ = calibrate_limbs(samples.take(fold != k), nominal, sigma)
         part = samples.take(fold == k)
         T = limbs.pose(part.commanded)
-        apart, _ = calibrated(alone.take(fold != k), nominal, sigma)  # what the fit's own noise adds, vision's shared errors aside
+        apart, _ = calibrate_limbs(alone.take(fold != k), nominal, sigma)  # what the fit's own noise adds, vision's shared errors aside
         own, common = apart.uncertainty(T)
         matrices[fold == k] = T.as_matrix()
         expected[fold == k] = own + part.covariance + common @ np.swapaxes(common, 1, 2)
     return type(samples.T_base_platform).from_matrix(matrices), expected
 
 
-def agreement(T_vision: RigidTransform, T_limbs: RigidTransform, expected: np.ndarray, tolerance: tuple[float, float]) -> Agreement:
+def limb_agreement(T_vision: RigidTransform, T_limbs: RigidTransform, expected: np.ndarray, tolerance: tuple[float, float]) -> Agreement:
     """Agreement of two measurements of the same poses (n,). expected : (n, 6, 6) covariance of their difference
     tolerance : (m, rad) for position and rotation, each axis"""
-    d, n = difference(T_vision, T_limbs), len(T_vision)
+    d, n = pose_difference(T_vision, T_limbs), len(T_vision)
     bias, scatter = d.mean(axis=0), d.std(axis=0, ddof=1)
     limits = np.stack([bias - COVERAGE * scatter, bias + COVERAGE * scatter])
     unsure = COVERAGE * scatter * np.sqrt(1 / n + COVERAGE**2 / (2 * (n - 1)))  # Bland and Altman: of the limits themselves
-    motion = vector(T_vision[0].inv() * T_vision)
+    motion = pose_to_vector(T_vision[0].inv() * T_vision)
     return Agreement(n, bias, scatter, limits, np.abs(limits).max(axis=0) + unsure, np.sqrt(np.einsum("nii->ni", expected).mean(axis=0)),
                      np.ptp(motion, axis=0), np.repeat(tolerance, 3))
 
 
-def still_agrees(T_vision: RigidTransform, covariance: np.ndarray, T_limbs: RigidTransform, own: np.ndarray, common: np.ndarray) -> bool:
+def vision_agrees_with_limbs(T_vision: RigidTransform, covariance: np.ndarray, T_limbs: RigidTransform, own: np.ndarray, common: np.ndarray) -> bool:
     """Whether vision (pose (), covariance (6, 6)) still agrees with the limbs (own (6, 6), common (6, k)), as an occasional check."""
-    d = difference(T_vision, T_limbs)
+    d = pose_difference(T_vision, T_limbs)
     return bool(d @ np.linalg.solve(covariance + own + common @ common.T, d) < scipy.special.chdtri(6, TRUST))

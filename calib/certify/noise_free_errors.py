@@ -114,7 +114,7 @@ def _held(at: np.ndarray, weights: np.ndarray, groups: list[tuple[slice, float]]
     return out
 
 
-def mixture(lengths: np.ndarray, sigma: np.ndarray) -> Mixture | None:
+def fit_depth_mixture(lengths: np.ndarray, sigma: np.ndarray) -> Mixture | None:
     """Mixture of measured lengths (n, d) with noise sigma (n, d) per direction; None where all noise is too small to matter.
 
     Noise of one of two lengths that alone is too small stands at the least that the grid resolves, 1/50 of the greatest length
@@ -143,7 +143,7 @@ def _likelihood(lengths: np.ndarray, sigma: np.ndarray, rho: np.ndarray) -> np.n
     return likelihood / likelihood.max(axis=1, keepdims=True)
 
 
-def limits(lengths: np.ndarray, sigma: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> Limits:
+def true_depth_limits(lengths: np.ndarray, sigma: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> Limits:
     """Limits of true depths. lengths : (n,) or (n, d) measured, in units of each; sigma : alike, standard deviation of their noise in each direction.
 
     Raises NotEnoughData for fewer than tolerance_limits.smallest
@@ -151,18 +151,21 @@ def limits(lengths: np.ndarray, sigma: np.ndarray, coverage: float = 0.95, confi
     n = len(lengths)
     lengths, sigma = lengths.reshape(n, -1), sigma.reshape(n, -1)
     measured = lengths.max(axis=1)
-    plain = tolerance_limits.lower(measured, coverage, confidence), tolerance_limits.upper(measured, coverage, confidence)
+    plain = (
+        tolerance_limits.lower_tolerance_limit(measured, coverage, confidence),
+        tolerance_limits.upper_tolerance_limit(measured, coverage, confidence),
+    )
     most = np.sqrt((lengths**2).sum(axis=0) / np.maximum(DIMENSIONS * (sigma**2).sum(axis=0), 1e-300))  # beyond which noise is all there is
-    found = mixture(lengths, sigma * np.minimum(1.0, most))
+    found = fit_depth_mixture(lengths, sigma * np.minimum(1.0, most))
     if found is None:
         return Limits(float(np.quantile(measured, coverage)), *plain)
     free = found.best()
     order = np.argsort(free.at)
     middle = float(found.depth[free.at[order[min(int(np.searchsorted(np.cumsum(free.weights[order]), coverage)), len(order) - 1)]]])
-    allowed = tolerance_limits.drop(n, tolerance_limits.beyond(n, coverage, confidence), coverage)
+    allowed = tolerance_limits.log_likelihood_drop(n, tolerance_limits.count_beyond_upper_limit(n, coverage, confidence), coverage)
     high = _crossing(found, free, allowed, 1 - coverage, middle, True)
-    k = tolerance_limits.within(n, coverage, confidence)
-    low = 0.0 if k is None else _crossing(found, free, tolerance_limits.drop(n, k, coverage), 1 - coverage, middle, False)
+    k = tolerance_limits.count_beyond_lower_limit(n, coverage, confidence)
+    low = 0.0 if k is None else _crossing(found, free, tolerance_limits.log_likelihood_drop(n, k, coverage), 1 - coverage, middle, False)
     high = min(high, plain[1])  # noise makes lengths longer, so that the limit of those measured is one as well
     return Limits(min(middle, high), min(low, middle, high), high)
 

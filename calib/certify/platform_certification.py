@@ -8,17 +8,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.certify.workspace_claim import Claim, dispersed, promise, workspace_of
-from calib.certify.distinct_configurations import LEAST, folds, labels, ranges, witnesses
+from calib.certify.workspace_claim import Claim, draw_fit_variance_ratio, workspace_claim, sample_workspace
+from calib.certify.distinct_configurations import LEAST, configuration_folds, configuration_numbers, axis_ranges, mean_sample_per_configuration
 from calib.certify.held_out_error_statistics import HeldErrors
-from calib.certify.held_out_errors import HeldOut, compare, errors_of, pays
-from calib.certify.machine_draws import COUNT, Sizes, drawn, sized
+from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after, is_significant_gain
+from calib.certify.machine_draws import COUNT, Sizes, draw_machines, deviation_sizes
 from calib.certify.possible_machines import Machines
-from calib.correct.correction import Correction, calibrate, geometry
+from calib.correct.correction import Correction, calibrate, identify_geometry
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.models.platform.identification import Identified, identify, loop_jacobian, parameters, pose_jacobian, to_pose
-from calib.samples.pose_samples import Samples, precision
-from calib.models.platform.stated_geometry_accuracy import tolerance
+from calib.models.platform.identification import Identified, identify, loop_jacobian, parameters, pose_jacobian, inverse_strut_jacobian
+from calib.samples.pose_samples import Samples, inverse_covariance
+from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
 from rig.model.mechanism_kinds import Struts
 from rig.compute.parallel_map import parallel_map
 
@@ -56,7 +56,7 @@ def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) 
     """
     fitted = calibration.correction.fitted
     J = pose_jacobian(T_base_platform, fitted)
-    back = to_pose(T_base_platform, fitted)
+    back = inverse_strut_jacobian(T_base_platform, fitted)
     own = np.diag(calibration.scatter**2) if calibration.strut_covariance is None else calibration.strut_covariance
     if calibration.correction.extension is not None:
         error = calibration.correction.extension.error(calibration.correction.inverse_without_physics(T_base_platform))
@@ -69,14 +69,14 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
             progress: Progress | None = None) -> Certified:
     """Certified: calibrated on all samples, and what was left at configurations held out in turn.
 
-    The remainder is kept only where it `pays` on the held-out stretches; its size and smoothness, and how good
+    The remainder is kept only where it `is_significant_gain` on the held-out stretches; its size and smoothness, and how good
     the owner's figures are, are those found on the whole recording. rng : numpy Generator, for the bootstrap
     progress : called with (label, done, of), or None
     """
-    label = labels(samples.commanded, ranges(nominal))
-    said = progress or silent
+    label = configuration_numbers(samples.commanded, axis_ranges(nominal))
+    said = progress or silent_progress
     said("fitting the geometry", 0, 1)
-    alone = geometry(samples, nominal)
+    alone = identify_geometry(samples, nominal)
     first = of_geometry(nominal, alone, label)
     if label.max() + 1 < LEAST:  # nothing says whether a remainder pays
         said("fitting the geometry", 1, 1)
@@ -88,16 +88,16 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
     covariance = samples.total_covariance()[good]
 
     def corrections(some: Samples) -> list[Correction[Struts, Radial]]:
-        known = geometry(some, nominal, alone)
+        known = identify_geometry(some, nominal, alone)
         return [calibrate(some, nominal, how, alone=known)[0] for how in (("none", like) if any(like) else ("none",))]
 
-    before, after, *more = [errors[good] for errors in in_turn(samples, label, corrections, said)]
-    done = replace(first, held_out=compare(before, after, covariance, rng, label[good]))
+    before, after, *more = [errors[good] for errors in held_out_errors_by_fold(samples, label, corrections, said)]
+    done = replace(first, held_out=compare_errors(before, after, covariance, rng, label[good]))
     if more:
-        weight = precision(covariance)
+        weight = inverse_covariance(covariance)
         loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
-        if pays(loss[0] - loss[1]):
-            done = Certified(correction, found, label, compare(before, more[0], covariance, rng, label[good]))
+        if is_significant_gain(loss[0] - loss[1]):
+            done = Certified(correction, found, label, compare_errors(before, more[0], covariance, rng, label[good]))
     return with_drawn(samples, done, sizes, rng)
 
 
@@ -107,20 +107,22 @@ def of_geometry(nominal: Struts, found: Identified, label: np.ndarray) -> Certif
     return Certified(plain, found, label, None)
 
 
-def silent(label: str, done: int, of: int) -> None:
+def silent_progress(label: str, done: int, of: int) -> None:
     """A Progress that says nothing."""
 
 
-def in_turn(samples: Samples, label: np.ndarray, correct: Callable[[Samples], Sequence[Correction[Any, Any]]], said: Progress) -> list[np.ndarray]:
-    """[before, after, after, ...], each (n, 6) as `errors_of`, m and rad, of whole stretches held out in turn, on all cores.
+def held_out_errors_by_fold(
+    samples: Samples, label: np.ndarray, correct: Callable[[Samples], Sequence[Correction[Any, Any]]], said: Progress
+) -> list[np.ndarray]:
+    """[before, after, after, ...], each (n, 6) as `errors_before_and_after`, m and rad, of whole stretches held out in turn, on all cores.
 
     label : (n,) configuration of each sample; correct : Corrections by some samples, as many each time
     """
-    fold = folds(label, min(FOLDS, label.max() + 1))
+    fold = configuration_folds(label, min(FOLDS, label.max() + 1))
 
     def errors(k: int) -> list[np.ndarray]:
         rest = samples.take(fold == k)
-        each = [errors_of(correction, rest) for correction in correct(samples.take(fold != k))]
+        each = [errors_before_and_after(correction, rest) for correction in correct(samples.take(fold != k))]
         return [each[0][0], *(after for _, after in each)]
 
     names = np.unique(fold).tolist()
@@ -136,30 +138,30 @@ def in_turn(samples: Samples, label: np.ndarray, correct: Callable[[Samples], Se
 def sizes_beyond(samples: Samples, first: Certified, rng: np.random.Generator) -> Sizes:
     """Sizes of what struts do beyond their geometry, each visit a sample of its own, by a geometry alone."""
     nominal = first.correction.nominal
-    return sized(first.found, tolerance(_each_configuration(samples, first)[1], nominal), samples, first.label, nominal, rng)
+    return deviation_sizes(first.found, stated_geometry_accuracy(_each_configuration(samples, first)[1], nominal), samples, first.label, nominal, rng)
 
 
 def with_drawn(samples: Samples, done: Certified, sizes: Sizes, rng: np.random.Generator) -> Certified:
     """The Certified with the machines that its samples leave possible."""
     correction, found = done.correction, _each_configuration(samples, done)[1]
-    noise = dispersed(found, correction.nominal, COUNT, rng)
-    known = tolerance(found, correction.nominal)
-    return with_machines(done, drawn(done.found, known, samples, sizes, correction.nominal, workspace_of(correction)[0], noise, rng))
+    noise = draw_fit_variance_ratio(found, correction.nominal, COUNT, rng)
+    known = stated_geometry_accuracy(found, correction.nominal)
+    return add_machine_draws(done, draw_machines(done.found, known, samples, sizes, correction.nominal, sample_workspace(correction)[0], noise, rng))
 
 
-def with_machines(done: Certified, machines: Machines) -> Certified:
+def add_machine_draws(done: Certified, machines: Machines) -> Certified:
     """The Certified with Machines about its correction, and what these leave unknown."""
-    places, T = workspace_of(done.correction)
+    places, T = sample_workspace(done.correction)
     covariance, struts = machines.second_moments(loop_jacobian(T, done.correction.fitted), done.correction.rho(places))
     return replace(done, machines=machines, covariance=covariance, strut_covariance=struts)
 
 
-def refitted(done: Certified, correction: Correction[Struts, Radial], found: Identified) -> Certified:
+def with_refitted_correction(done: Certified, correction: Correction[Struts, Radial], found: Identified) -> Certified:
     """The Certified with another Correction and Identified of the same samples; its machines are about these."""
     moved = replace(done, correction=correction, found=found)
     if done.machines is None:
         return moved
-    return with_machines(moved, done.machines.moved(parameters(correction.fitted) - parameters(done.correction.fitted)))
+    return add_machine_draws(moved, done.machines.moved(parameters(correction.fitted) - parameters(done.correction.fitted)))
 
 
 def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Identified]:
@@ -167,11 +169,11 @@ def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Ide
     nominal, good = done.correction.nominal, done.found.inliers
     label = np.unique(done.label[good], return_inverse=True)[1]
     agreed = samples.take(good)
-    each = witnesses(agreed, label, to_pose(agreed.T_base_platform, nominal))
+    each = mean_sample_per_configuration(agreed, label, inverse_strut_jacobian(agreed.T_base_platform, nominal))
     return each, identify(each, nominal, done.correction.rho(each.effective), done.found.prior, done.found)
 
 
-def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
+def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a certified calibration all over its workspace: each configuration counts once, however often it was visited."""
     each, found = _each_configuration(samples, done)
-    return promise(found, tolerance(found, done.correction.nominal), done.correction, each, rng, done.machines, done.left)
+    return workspace_claim(found, stated_geometry_accuracy(found, done.correction.nominal), done.correction, each, rng, done.machines, done.left)

@@ -70,7 +70,7 @@ class Unit:
     size: float
 
 
-def promised(poses: HeldPoses, coverage: float, confidence: float, scale: float, units: tuple[float, float], rng: np.random.Generator,
+def pose_error_promise(poses: HeldPoses, coverage: float, confidence: float, scale: float, units: tuple[float, float], rng: np.random.Generator,
              chosen: np.ndarray | None = None) -> Promise:
     """Promise of poses. scale : relative standard uncertainty of the targets' scale; chosen : (c,) indices, every configuration's first by default
 
@@ -88,14 +88,16 @@ def depth_bound(poses: HeldPoses, at: np.ndarray, units: tuple[Unit, ...], level
                 rng: np.random.Generator) -> Bound:
     """Bound of the depth of poses' errors, without unit.
 
-    at : (c,) indices of poses; level : (coverage, confidence); scale, rng : as `promised`
+    at : (c,) indices of poses; level : (coverage, confidence); scale, rng : as `pose_error_promise`
     Raises NotEnoughData for fewer poses than it takes
     """
     coverage, confidence = level
-    tolerance_limits.enough(len(at), coverage, confidence)
+    tolerance_limits.require_sample_size(len(at), coverage, confidence)
     errors = _in_units(poses.errors[at], units)
     lengths = np.linalg.norm(errors, axis=2)
-    own = noise_free_errors.limits(lengths, np.stack([poses.sigma(unit.of)[at] / unit.size for unit in units], axis=1), coverage, confidence)
+    own = noise_free_errors.true_depth_limits(
+        lengths, np.stack([poses.sigma(unit.of)[at] / unit.size for unit in units], axis=1), coverage, confidence
+    )
     drawn = [_in_units(np.einsum("nik,dk->dni", factor[at], rng.normal(size=(DRAWS, factor.shape[2]))), units) for factor in poses.common]
     shared = _margins(errors, np.sum(drawn, axis=0), coverage, confidence) if any(map(np.any, drawn)) else np.zeros(2)
     stretched = np.zeros(2)
@@ -105,7 +107,7 @@ def depth_bound(poses: HeldPoses, at: np.ndarray, units: tuple[Unit, ...], level
         stretched = _margins(errors, _in_units(scale * rng.normal(size=(DRAWS, 1, 1)) * moved, units), coverage, confidence)
     down, up = np.sqrt(np.array([own.estimate - own.lower, own.upper - own.estimate]) ** 2 + shared**2 + stretched**2)
     return Bound(own.estimate, max(0.0, own.estimate - float(down)), own.estimate + float(up),
-                 tolerance_limits.upper(lengths.max(axis=1), coverage, confidence), float(shared[1]), float(stretched[1]))
+                 tolerance_limits.upper_tolerance_limit(lengths.max(axis=1), coverage, confidence), float(shared[1]), float(stretched[1]))
 
 
 def _in_units(errors: np.ndarray, units: tuple[Unit, ...]) -> np.ndarray:
@@ -113,7 +115,7 @@ def _in_units(errors: np.ndarray, units: tuple[Unit, ...]) -> np.ndarray:
     return np.stack([errors[..., unit.of] / unit.size for unit in units], axis=-2)
 
 
-def depths(errors: np.ndarray) -> np.ndarray:
+def greatest_error_lengths(errors: np.ndarray) -> np.ndarray:
     """(..,) greatest length of the parts of errors (.., d, 3)."""
     found: np.ndarray = np.linalg.norm(errors, axis=-1).max(axis=-1)
     return found
@@ -124,22 +126,22 @@ def _margins(errors: np.ndarray, drawn: np.ndarray, coverage: float, confidence:
 
     Higher: the quantile with it taken off. Lower: its own size, as it may be all that is seen, which draws apart from the errors do not show
     """
-    quantiles = np.quantile(depths(errors - drawn), coverage, axis=1)
-    at = np.quantile(depths(errors), coverage)
+    quantiles = np.quantile(greatest_error_lengths(errors - drawn), coverage, axis=1)
+    at = np.quantile(greatest_error_lengths(errors), coverage)
     own = np.sqrt((drawn**2).sum(axis=3).mean(axis=1)).max(axis=1)
     return np.array([np.quantile(own, confidence), max(float(np.quantile(quantiles, confidence) - at), 0.0)])
 
 
-def cells(poses: HeldPoses, coverage: float, confidence: float, scale: float, units: tuple[float, float],
+def promise_by_cell(poses: HeldPoses, coverage: float, confidence: float, scale: float, units: tuple[float, float],
           rng: np.random.Generator) -> tuple[Cell, ...]:
     """Cells of the volume, halved along its longest side at the middle pose for as long as both halves have poses enough; none of one alone.
 
-    Each cell's promise has the confidence by itself. The arguments are those of `promised`
+    Each cell's promise has the confidence by itself. The arguments are those of `pose_error_promise`
     """
-    least = tolerance_limits.smallest(coverage, confidence)
+    least = tolerance_limits.least_sample_size(coverage, confidence)
     places = poses.T_base_platform.translation
     boxes = _halved(places, poses.first, places[poses.first].min(axis=0), places[poses.first].max(axis=0), least)
-    return tuple(Cell(tuple(low.tolist()), tuple(high.tolist()), promised(poses, coverage, confidence, scale, units, rng, at))
+    return tuple(Cell(tuple(low.tolist()), tuple(high.tolist()), pose_error_promise(poses, coverage, confidence, scale, units, rng, at))
                  for at, low, high in boxes) if len(boxes) > 1 else ()
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.calibration_evidence import of_samples
-from calib.certify.held_out_errors import error_of
+from calib.certify.held_out_errors import pose_errors
 from calib.certify.claim_verification import Part, Verification
 from calib.samples.pose_samples import Samples
 
@@ -29,12 +29,12 @@ class AgainstClaim:
         return {name: (part, beyond, claimed) for name, part, beyond, claimed in rows if part is not None and beyond is not None}
 
 
-def against_claim(calibration: Calibration, recording: str, samples: Samples, rng: np.random.Generator) -> AgainstClaim | None:
+def check_claim_on_recording(calibration: Calibration, recording: str, samples: Samples, rng: np.random.Generator) -> AgainstClaim | None:
     """AgainstClaim of a Calibration by samples as `Calibration.told` gives them, None where no factor is claimed. recording : its name"""
     found = of_samples(calibration, samples, rng)
     if found is None or calibration.claim is None or calibration.claim.after is None:
         return None
-    errors, covariance = error_of(calibration.correction.predict(samples.effective), samples), samples.total_covariance()
+    errors, covariance = pose_errors(calibration.correction.predict(samples.effective), samples), samples.total_covariance()
 
     def beyond(part: slice) -> float:
         square = (errors[:, part] ** 2).sum(axis=1) - np.trace(covariance[:, part, part], axis1=1, axis2=2)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certify.fitted_limbs import Checks, Limbs
 from calib.models.platform.identification import PRIOR
-from calib.samples.pose_samples import blocks
+from calib.samples.pose_samples import time_block_folds
 from rig.model.design import Design, MeasuringLimbs
 from rig.errors import NotConverged, RigError
 from rig.model.mechanisms import redundant_legs
@@ -26,7 +26,7 @@ CLEAR = 0.5  # share of the squares that one limb must explain to be named
 
 
 @dataclass(frozen=True, slots=True)
-class Unclosed:
+class UnclosedLimb:
     """at : index of the pose at which it is sure; limb : number (from 1) of the limb that explains best what does not close, None where none does
     alone; size : m by which that one is longer than it reads."""
 
@@ -40,20 +40,20 @@ class Unclosed:
         return f"the limbs do not close: limb {self.limb} is longer by {self.size * 1e6:+.1f} um than it reads, or reads otherwise than it did"
 
 
-def best(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransform) -> np.ndarray:
+def best_six_limbs(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransform) -> np.ndarray:
     """(6,) numbers, from 0, of the limbs that tell poses (n,) best. Raises RigError for fewer than six, and where no six hold the platform."""
-    of = legs(stated, home)
+    of = limb_legs(stated, home)
     return np.arange(redundant_legs.SIX) if len(of.names) == redundant_legs.SIX else redundant_legs.best_six(of, T)
 
 
-def legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant_legs.Legs:
+def limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant_legs.Legs:
     """Legs of all limbs as rig.toml has them, as if their geometry were known. home : T_base_platform. Raises RigError for fewer than six"""
-    refuse_few(stated)
+    require_six_limbs(stated)
     n = len(stated.channels)
-    return redundant_legs.legs([("m", stated, np.full(n, stated.length_sigma), np.zeros((7 * n, 7 * n)))], home)
+    return redundant_legs.combine_legs([("m", stated, np.full(n, stated.length_sigma), np.zeros((7 * n, 7 * n)))], home)
 
 
-def refuse_few(stated: MeasuringLimbs) -> None:
+def require_six_limbs(stated: MeasuringLimbs) -> None:
     """Raise RigError for limbs that tell no pose."""
     n = len(stated.channels)
     if n < redundant_legs.SIX:
@@ -61,12 +61,12 @@ def refuse_few(stated: MeasuringLimbs) -> None:
                        "pose. `rig closure` uses them as checks beside the struts")
 
 
-def enough(design: Design) -> bool:
+def has_six_limbs(design: Design) -> bool:
     """Whether a rig has limbs that tell the poses of its platform."""
     return design.insitu is not None and design.mechanism.kind == "hexapod" and len(design.insitu.channels) >= redundant_legs.SIX
 
 
-def fitted(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndarray) -> Checks:
+def fit_limb_checks(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndarray) -> Checks:
     """Checks of all limbs but the six, from the poses that these tell. lengths : (n, limbs) m read. Raises NotConverged for readings that close
     on no pose, RigError where a leg's fit does not settle"""
     others = np.setdiff1d(np.arange(len(stated.channels)), limbs.chosen)
@@ -90,7 +90,7 @@ def _leg(T: RigidTransform, read: np.ndarray, stated: np.ndarray, variance: np.n
     p, weight = stated.copy(), 1 / np.sqrt(variance)
     for _ in range(STEPS):
         one = redundant_legs.Legs(("m",), p[None, :3], p[None, 3:6], p[6:], T[0], np.ones(1), np.zeros((7, 7)))
-        told, A = redundant_legs.rows(one, T)[0][:, 0], redundant_legs.slopes(one, T)[:, 0]
+        told, A = redundant_legs.leg_length_jacobians(one, T)[0][:, 0], redundant_legs.leg_parameter_jacobians(one, T)[:, 0]
         rows = np.concatenate([A * weight[:, None], np.eye(7) / PRIOR])
         right = np.concatenate([(read - told) * weight, (stated - p) / PRIOR])
         step = np.linalg.lstsq(rows, right)[0]
@@ -118,20 +118,20 @@ def _closures(limbs: Limbs, checks: Checks, lengths: np.ndarray) -> redundant_le
         np.r_[limbs.sigma, checks.sigma],
         covariance,
     )
-    return redundant_legs.closures(of, lengths[:, order], np.arange(6))
+    return redundant_legs.leg_closures(of, lengths[:, order], np.arange(6))
 
 
-def held_out(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(error (n, k) m, sigma (n, k) m expected of it) of every check at every pose, by joints that were fitted to other stretches."""
-    fold, count = blocks(len(lengths), FOLDS), len(stated.channels) - redundant_legs.SIX
+    fold, count = time_block_folds(len(lengths), FOLDS), len(stated.channels) - redundant_legs.SIX
     error, sigma = np.zeros((len(lengths), count)), np.ones((len(lengths), count))
     for k in np.unique(fold) if count else ():  # of six alone nothing is over to be checked
-        found = _closures(limbs, fitted(limbs, stated, lengths[fold != k]), lengths[fold == k])
+        found = _closures(limbs, fit_limb_checks(limbs, stated, lengths[fold != k]), lengths[fold == k])
         error[fold == k], sigma[fold == k] = found.error, np.sqrt(np.einsum("nii->ni", found.covariance))
     return error, sigma
 
 
-def whole(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLimbs, np.ndarray, np.ndarray]:
+def all_fitted_limbs(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLimbs, np.ndarray, np.ndarray]:
     """(all limbs as found, sigma (n,) m of a reading, covariance (7 n, 7 n) m^2 of all base joints, platform joints and zeros)."""
     n, m, six = len(stated.channels), limbs.hexapod, limbs.chosen
     base, platform, zeros = np.array(stated.base_joints), np.array(stated.platform_joints), np.array(stated.zeros)
@@ -152,8 +152,8 @@ def whole(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLimbs, np.ndar
     return replace(stated, base_joints=base, platform_joints=platform, zeros=zeros), sigma, covariance
 
 
-def first(limbs: Limbs, lengths: np.ndarray) -> Unclosed | None:
-    """The first Unclosed of poses in a row whose limbs read lengths (n, limbs) m; None where all close, or nothing checks.
+def first_unclosed_limb(limbs: Limbs, lengths: np.ndarray) -> UnclosedLimb | None:
+    """The first UnclosedLimb of poses in a row whose limbs read lengths (n, limbs) m; None where all close, or nothing checks.
 
     Raises NotConverged for readings that close on no pose
     """
@@ -170,4 +170,4 @@ def first(limbs: Limbs, lengths: np.ndarray) -> Unclosed | None:
     some = _closures(limbs, checks, lengths[run[0] : at + 1])
     worst = int(some.share.argmax())
     order = np.r_[limbs.chosen, checks.limbs]
-    return Unclosed(at, int(order[worst]) + 1 if some.share[worst] > CLEAR else None, float(-some.off[worst]))
+    return UnclosedLimb(at, int(order[worst]) + 1 if some.share[worst] > CLEAR else None, float(-some.off[worst]))

@@ -20,7 +20,7 @@ class Repeatability:
     poses: int
 
 
-def repeatability(poses: HeldPoses) -> Repeatability:
+def pose_repeatability(poses: HeldPoses) -> Repeatability:
     """Repeatability of HeldPoses."""
     noise = tuple(float(np.sqrt(3) * np.sqrt((poses.sigma(part) ** 2).mean())) for part in (slice(0, 3), slice(3, 6)))
     position, rotation, visits, count = _scatter(poses, poses.label)

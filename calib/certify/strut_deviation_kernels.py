@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.certify.strut_load_signs import signs
+from calib.certify.strut_load_signs import strut_load_signs
 from calib.samples.pose_samples import Samples
 from rig.model.mechanism_kinds import Struts
 from rig.planning.plan import FILL
@@ -56,20 +56,20 @@ class Component:
         return there, np.maximum(own - (there**2).sum(axis=1), 0.0)
 
 
-def scaled(commands: np.ndarray, strokes: np.ndarray) -> np.ndarray:
+def scaled_commands(commands: np.ndarray, strokes: np.ndarray) -> np.ndarray:
     """(n, axes) commands (n, axes) m in half strokes from the middle. strokes : (axes, 2) m"""
     return np.asarray((commands - strokes.mean(axis=1)) / (np.ptp(strokes, axis=1) / 2))
 
 
-def components(samples: Samples, label: np.ndarray, nominal: Struts) -> list[list[Component]]:
+def deviation_components(samples: Samples, label: np.ndarray, nominal: Struts) -> list[list[Component]]:
     """Per strut the Components that samples may show. label : (n,) configuration of each; nominal : the owner's geometry"""
-    x, n = scaled(samples.effective, nominal.strut_range), len(samples)
+    x, n = scaled_commands(samples.effective, nominal.strut_range), len(samples)
     spread = FILL / np.sqrt(3)  # of a strut's place over the workspace, half strokes
     shared = [_scatter(n), *_repeated(label), *_times(samples), *_loads(samples, x)]
     whole = [_of_place(f"the configuration, over {length:g} half strokes", x, _whole(length)) for length in WHOLE]
     whole.append(_of_place("the configuration, in proportion", x, _linear(slice(None))))
     out = []
-    for i, side in enumerate(signs(samples, nominal)):
+    for i, side in enumerate(strut_load_signs(samples, nominal)):
         step = np.diff(x[:, i], prepend=x[0, i]) / (spread * np.sqrt(2))
         own = [replace(_line("the last step", 0.04, step), use=_stepped(i)),
                *(_of_place(f"the strut's own length, over {length:g} half strokes", x, _own(i, length)) for length in OWN),

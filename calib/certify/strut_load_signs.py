@@ -18,7 +18,7 @@ NOTHING = 1e-9  # of the greatest load, below which a strut is not loaded
 Use = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def signs(samples: Samples, nominal: Struts) -> list[tuple[np.ndarray, Use] | None]:
+def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[np.ndarray, Use] | None]:
     """Per strut ((n,) sign of its load at the samples, positive where it pushes, and a `Component.use` of it), None where no sign changes over the
     workspace or nothing is known of weights. By the owner's geometry; payloads are those of the recording, each as likely as it was there."""
     if samples.conditions is None or samples.conditions.weight is None:
@@ -29,13 +29,13 @@ def signs(samples: Samples, nominal: Struts) -> list[tuple[np.ndarray, Use] | No
     middle, half = nominal.strut_range.mean(axis=1), np.ptp(nominal.strut_range, axis=1) / 2
 
     def seen(T: RigidTransform, commands: np.ndarray, payload: np.ndarray) -> np.ndarray:
-        loads = mechanisms.of(nominal).loads(T, commands, nominal, weight.wrench(T, payload))
+        loads = mechanisms.kinematics_of(nominal).loads(T, commands, nominal, weight.wrench(T, payload))
         return np.asarray(np.sign(loads) * (np.abs(loads) > NOTHING * np.abs(loads).max(initial=0.0)))
 
     @cache
     def there(places: bytes) -> np.ndarray:  # (m, axes), mean over the payloads; the same places are looked at for every strut
         commands = middle + half * np.frombuffer(places).reshape(-1, len(middle))
-        T = mechanisms.of(nominal).forward(commands, nominal)
+        T = mechanisms.kinematics_of(nominal).forward(commands, nominal)
         return np.asarray(np.average([seen(T, commands, np.full(len(commands), kg)) for kg in each], axis=0, weights=count))
 
     def use(i: int) -> Use:

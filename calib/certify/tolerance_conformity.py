@@ -34,7 +34,9 @@ class Conformity:
     beyond: int
 
 
-def judged(tolerances: Sequence[tuple[str, float]], depth: Bound | None, scale_certified: bool, beyond: Sequence[int]) -> tuple[Conformity, ...]:
+def tolerance_conformity(
+    tolerances: Sequence[tuple[str, float]], depth: Bound | None, scale_certified: bool, beyond: Sequence[int]
+) -> tuple[Conformity, ...]:
     """Conformity with each tolerance, ("position", m) or ("rotation", rad).
 
     depth : Bound of the depth in units of the tolerances, its limits of the confidence GUARD; None where there are too few poses for one

@@ -17,40 +17,40 @@ from rig.errors import NotEnoughData
 TIGHT = 1e-12
 
 
-def smallest(coverage: float = 0.95, confidence: float = 0.95) -> int:
+def least_sample_size(coverage: float = 0.95, confidence: float = 0.95) -> int:
     """How many values it takes at the least: below their greatest lies `coverage` with `confidence`. 59 for 0.95 and 0.95."""
     return ceil(log(1 - confidence) / log(coverage) - TIGHT)
 
 
-def reachable(n: int, coverage: float = 0.95, confidence: float = 0.95) -> tuple[float, float]:
+def reachable_confidence_and_coverage(n: int, coverage: float = 0.95, confidence: float = 0.95) -> tuple[float, float]:
     """(confidence reachable for that coverage, coverage reachable with that confidence) with n values."""
     return 1 - coverage**n, (1 - confidence) ** (1 / n) if n else 0.0
 
 
-def enough(n: int, coverage: float, confidence: float, what: str = "distinct configurations") -> None:
-    """Raise NotEnoughData, saying what n values can promise, where these are fewer than `smallest`."""
-    least = smallest(coverage, confidence)
+def require_sample_size(n: int, coverage: float, confidence: float, what: str = "distinct configurations") -> None:
+    """Raise NotEnoughData, saying what n values can promise, where these are fewer than `least_sample_size`."""
+    least = least_sample_size(coverage, confidence)
     if n < least:
-        sure, share = reachable(n, coverage, confidence)
+        sure, share = reachable_confidence_and_coverage(n, coverage, confidence)
         can = (f"they can speak for {share:.1%} of poses with {confidence:.1%} confidence, or for {coverage:.0%} with {sure:.1%}: ask with "
                "--coverage or --confidence, or" if n else "")
         raise NotEnoughData(f"{n} {what} held out and settled; that {coverage:.0%} of poses lie within a bound takes {least} with "
                             f"{confidence:.0%} confidence. {can} record {least - n} more".replace(". record", ". Record"))
 
 
-def beyond(n: int, coverage: float, confidence: float) -> float:
-    """How many (real) of n values lie beyond the upper limit, at least 0. Raises NotEnoughData for fewer than `smallest`"""
-    enough(n, coverage, confidence)
-    return n - min(rank(n, coverage, 1 - confidence), float(n))
+def count_beyond_upper_limit(n: int, coverage: float, confidence: float) -> float:
+    """How many (real) of n values lie beyond the upper limit, at least 0. Raises NotEnoughData for fewer than `least_sample_size`"""
+    require_sample_size(n, coverage, confidence)
+    return n - min(order_statistic_rank(n, coverage, 1 - confidence), float(n))
 
 
-def within(n: int, coverage: float, confidence: float) -> float | None:
+def count_beyond_lower_limit(n: int, coverage: float, confidence: float) -> float | None:
     """How many (real) of n values lie at the lower limit or beyond; None where n is too small for any."""
-    found = rank(n, coverage, confidence)
+    found = order_statistic_rank(n, coverage, confidence)
     return None if found < 1 else n + 1 - found
 
 
-def rank(n: int, coverage: float, chance: float) -> float:
+def order_statistic_rank(n: int, coverage: float, chance: float) -> float:
     """Real rank r, from 1 to n, of n values, so that with `chance` the value there lies below the `coverage` quantile; 0 where even the least does
     with less.
 
@@ -65,19 +65,19 @@ def rank(n: int, coverage: float, chance: float) -> float:
     return r + 1 / (1 + odds * r * (1 - coverage) / ((n - r) * coverage))
 
 
-def upper(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
+def upper_tolerance_limit(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
     """Limit below which a share `coverage` of the population lies, with `confidence`. values : (n,) drawn from it.
 
-    Raises NotEnoughData for fewer than `smallest`
+    Raises NotEnoughData for fewer than `least_sample_size`
     """
     n = len(values)
-    return _at(np.sort(values), n - beyond(n, coverage, confidence))
+    return _at(np.sort(values), n - count_beyond_upper_limit(n, coverage, confidence))
 
 
-def lower(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
+def lower_tolerance_limit(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
     """Limit beyond which a share 1 - coverage of the population lies, with `confidence`; 0 where n values cannot say. values : (n,) >= 0"""
     n = len(values)
-    k = within(n, coverage, confidence)
+    k = count_beyond_lower_limit(n, coverage, confidence)
     return 0.0 if k is None else _at(np.sort(values), n + 1 - k)
 
 
@@ -88,7 +88,7 @@ def _at(ordered: np.ndarray, rank: float) -> float:
     return float(ordered[low - 1] + (rank - low) * (ordered[high - 1] - ordered[low - 1]))
 
 
-def drop(n: int, beyond_it: float, coverage: float) -> float:
+def log_likelihood_drop(n: int, beyond_it: float, coverage: float) -> float:
     """By how much the log likelihood falls when `coverage` is forced on a limit that `beyond_it` (real) of n values exceed."""
     share = beyond_it / n
     return float(n * (xlogy(share, share / (1 - coverage)) + xlogy(1 - share, (1 - share) / coverage)))

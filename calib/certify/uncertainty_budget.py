@@ -15,7 +15,7 @@ from calib.certify.calibration import Calibration
 from calib.certify.held_out_poses import HeldPoses
 from calib.certify.repeatability import Repeatability
 from calib.samples.pose_samples import Samples
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording, Sensors
 from vision.recording_adjustment import Measurement
 
@@ -58,14 +58,14 @@ class Budget:
     measuring: Expanded
 
 
-def expanded(covariance: np.ndarray) -> Expanded:
+def expanded_uncertainty(covariance: np.ndarray) -> Expanded:
     """Expanded of errors normal with covariances (n, 6, 6), every pose as likely."""
-    u = rms(covariance)
-    k = factor(covariance[:, PARTS[0], PARTS[0]]), factor(covariance[:, PARTS[1], PARTS[1]])
+    u = rms_uncertainty(covariance)
+    k = coverage_factor(covariance[:, PARTS[0], PARTS[0]]), coverage_factor(covariance[:, PARTS[1], PARTS[1]])
     return Expanded(k[0] * u[0], k[1] * u[1], k)
 
 
-def factor(covariance: np.ndarray) -> float:
+def coverage_factor(covariance: np.ndarray) -> float:
     """COVERAGE quantile over RMS of the lengths of errors normal with covariances (n, 3, 3), every pose as likely; by draws with a fixed seed."""
     if not covariance.any():
         return float(np.sqrt(chdtri(3, 1 - COVERAGE) / 3))
@@ -76,13 +76,13 @@ def factor(covariance: np.ndarray) -> float:
     return float(found)
 
 
-def rms(covariance: np.ndarray) -> tuple[float, float]:
+def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
     """(m, rad) RMS standard uncertainty of the lengths, of covariances (n, 6, 6)."""
     position, rotation = (float(np.sqrt(np.trace(covariance[:, p, p], axis1=1, axis2=2).mean())) for p in PARTS)
     return position, rotation
 
 
-def by_part(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[np.ndarray, np.ndarray] | None:
+def camera_and_lens_covariance(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[np.ndarray, np.ndarray] | None:
     """(cameras, lenses), each (n, 6, 6) covariance that their uncertainty adds to the poses, None where poses came without their images.
 
     Where a camera stands and what its lens does go together: cameras' part is what is left were all lenses known, lenses' part the rest, so that
@@ -101,25 +101,25 @@ def by_part(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[np.
     return np.concatenate([c for c, _ in shares]), np.concatenate([rest for _, rest in shares])
 
 
-def budget(poses: HeldPoses, model: np.ndarray, repeat: Repeatability, measured: Sequence[tuple[Samples, Measurement | None]],
+def uncertainty_budget(poses: HeldPoses, model: np.ndarray, repeat: Repeatability, measured: Sequence[tuple[Samples, Measurement | None]],
            scale: float | None, warmth: np.ndarray | None) -> Budget:
     """Budget of held-out poses.
 
     model : (n, 6, 6) covariance that the calibration's parameters give each pose; repeat : Repeatability
     measured : (Samples, Measurement or None) of each recording
     scale : relative standard uncertainty of the targets' scale, None where nobody states one
-    warmth : (n, 6, 6) as `thermometer` has it
+    warmth : (n, 6, 6) as `thermometer_covariance` has it
     """
     shared = np.sum([c @ np.swapaxes(c, 1, 2) for c in poses.common], axis=0)
-    noise = rms(poses.own)
+    noise = rms_uncertainty(poses.own)
     seen = [float(np.sqrt((poses.errors[:, p] ** 2).sum(axis=1).mean())) for p in PARTS]
     again = [None if value is None else _less(value, own) for value, own in zip((repeat.position, repeat.rotation), noise)]
-    rest = [_less(seen[i], noise[i], rms(shared)[i], rms(model)[i], again[i] or 0.0) for i in range(2)]
+    rest = [_less(seen[i], noise[i], rms_uncertainty(shared)[i], rms_uncertainty(model)[i], again[i] or 0.0) for i in range(2)]
     physics = _alike(poses.errors, rest)
     returns = None if again[0] is None else _alike(poses.errors, [again[0], again[1] or 0.0])
     place = np.pad(poses.T_base_platform.rotation.inv().apply(poses.T_base_platform.translation), ((0, 0), (0, 3)))
     datum = None if scale is None else scale**2 * place[:, :, None] * place[:, None, :]
-    parts = by_part(measured)
+    parts = camera_and_lens_covariance(measured)
     cameras, lenses = (shared if shared.any() else None, None) if parts is None else parts
     whole = "images" if parts else "poses' stated covariance, which does not tell cameras from lenses"
     rows = [_row("finder", "measuring", poses.own, "A", "each pose's own noise, from its corners" if parts else "each pose's own noise, as stated"),
@@ -135,7 +135,10 @@ def budget(poses: HeldPoses, model: np.ndarray, repeat: Repeatability, measured:
                  "visits to the same configurations, less measuring noise" if returns is not None else "no configuration was visited twice")]
     machine = model + physics + sum(part for part in (returns, datum) if part is not None)
     one = poses.own + shared
-    totals = [expanded(machine if warmth is None else machine + warmth.mean(axis=0)), expanded(one if datum is None else one + datum)]
+    totals = [
+        expanded_uncertainty(machine if warmth is None else machine + warmth.mean(axis=0)),
+        expanded_uncertainty(one if datum is None else one + datum),
+    ]
     if not poses.rotations:
         rows = [replace(row, rotation=None) for row in rows]
         totals = [replace(total, rotation=None) for total in totals]
@@ -152,7 +155,7 @@ def _alike(errors: np.ndarray, sizes: Sequence[float]) -> np.ndarray:
     return out
 
 
-def thermometer(calibration: Calibration, held: Sequence[tuple[Recording, Samples]]) -> np.ndarray | None:
+def thermometer_covariance(calibration: Calibration, held: Sequence[tuple[Recording, Samples]]) -> np.ndarray | None:
     """(n, 6, 6) covariance that the noise of logged temperatures adds to poses through the physics that is undone; None where none follows one.
 
     The noise is what a log shows against the straight line through a row's neighbours.
@@ -167,7 +170,7 @@ def thermometer(calibration: Calibration, held: Sequence[tuple[Recording, Sample
                 log = sensors.channels[name]
                 off = float(np.sqrt(np.mean((log[1:-1] - (log[:-2] + log[2:]) / 2) ** 2) / 1.5))
                 warmer = replace(recording, sensors=Sensors(sensors.t, {**sensors.channels, name: log + off}))
-                moved = difference(*(calibration.correction.predict(one.effective) for one in (plain, calibration.told(warmer, samples))))
+                moved = pose_difference(*(calibration.correction.predict(one.effective) for one in (plain, calibration.told(warmer, samples))))
                 added, followed = added + moved[:, :, None] * moved[:, None, :], followed or bool(moved.any())
         found.append(added)
     return np.concatenate(found) if followed else None
@@ -176,7 +179,7 @@ def thermometer(calibration: Calibration, held: Sequence[tuple[Recording, Sample
 def _row(name: str, of: str, covariance: np.ndarray | None, kind: str, source: str) -> Contribution:
     if covariance is None:
         return Contribution(name, of, None, None, None, kind, source)
-    U = expanded(covariance)
+    U = expanded_uncertainty(covariance)
     return Contribution(name, of, U.position, U.rotation, U.k, kind, source)
 
 

@@ -16,15 +16,15 @@ from scipy.spatial.transform import RigidTransform
 from calib.certify.distinct_configurations import LEAST
 from calib.certify.held_out_error_statistics import HeldErrors
 from calib.certify.possible_machines import Machines
-from calib.correct.correction import Correction, closing
+from calib.correct.correction import Correction, commands_with_pose
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.models.platform.identification import PRIOR, Identified, parameters, pose_jacobian, to_pose
+from calib.models.platform.identification import PRIOR, Identified, parameters, pose_jacobian, inverse_strut_jacobian
 from calib.samples.pose_samples import Samples
-from calib.models.platform.stated_geometry_accuracy import Tolerance, spread
+from calib.models.platform.stated_geometry_accuracy import Tolerance, parameter_widths
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
 from rig.planning.plan import FILL, low_discrepancy
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 PLACES = 128  # of the workspace
 DRAWS = 1000
@@ -86,7 +86,7 @@ class Workspace:
         return out
 
 
-class Told(NamedTuple):
+class ConfigurationInformation(NamedTuple):
     """What recorded poses tell, as in Claim."""
 
     distinct: int
@@ -96,16 +96,20 @@ class Told(NamedTuple):
     tolerance: str
 
 
-def claimed(workspace: Workspace, draws: np.ndarray, samples: Samples, told: Told, rng: np.random.Generator) -> Claim:
+def claim_of_drawn_machines(
+    workspace: Workspace, draws: np.ndarray, samples: Samples, told: ConfigurationInformation, rng: np.random.Generator
+) -> Claim:
     """Claim of machines drawn (d, k) about the corrected model; samples : Samples, for what their instrument adds.
 
-    told : Told by the poses that the machines were drawn from; rng : numpy Generator
+    told : ConfigurationInformation by the poses that the machines were drawn from; rng : numpy Generator
     """
     before, after = workspace.squares(draws)
-    return concluded(before, after, workspace.words, samples, told, rng)
+    return claim_of_mean_squares(before, after, workspace.words, samples, told, rng)
 
 
-def concluded(before: np.ndarray, after: np.ndarray, words: str, samples: Samples, told: Told, rng: np.random.Generator) -> Claim:
+def claim_of_mean_squares(
+    before: np.ndarray, after: np.ndarray, words: str, samples: Samples, told: ConfigurationInformation, rng: np.random.Generator
+) -> Claim:
     """Claim of drawn machines' mean squares over the workspace, before and after (d, 2) m^2 and rad^2. words : what is meant by it"""
     count = len(after)
     seen = np.full(count, np.trace(samples.covariance[:, :3, :3], axis1=1, axis2=2).mean())
@@ -126,7 +130,7 @@ def _both(squares: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(_three(np.sqrt(column)) for column in squares.T)
 
 
-def too_few(told: Told, workspace: str) -> Claim:
+def claim_of_too_few_configurations(told: ConfigurationInformation, workspace: str) -> Claim:
     """The Claim of fewer than LEAST distinct configurations: none, and why."""
     return Claim(*told, workspace, None, None, None, None,
                  f"{_counted(told.distinct)} cannot say how the model does at others; a factor takes {LEAST}")
@@ -136,7 +140,7 @@ def _counted(distinct: int) -> str:
     return f"{distinct} distinct configuration" + ("" if distinct == 1 else "s")
 
 
-def dispersion(cost: float, freedom: int, count: int, rng: np.random.Generator) -> np.ndarray:
+def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Generator) -> np.ndarray:
     """(count,) draws of by how much variances exceed the stated ones: the stated ones are worth TRUSTED degrees of freedom.
 
     cost : whitened squares of a fit, its priors' included; freedom : how many numbers were fitted
@@ -144,7 +148,7 @@ def dispersion(cost: float, freedom: int, count: int, rng: np.random.Generator) 
     return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
 
 
-def promise(found: Identified, tolerance: Tolerance, correction: Correction[Struts, Radial], samples: Samples,
+def workspace_claim(found: Identified, tolerance: Tolerance, correction: Correction[Struts, Radial], samples: Samples,
             rng: np.random.Generator, machines: Machines | None = None, left: HeldErrors | None = None) -> Claim:
     """Claim of a calibration of a machine on struts.
 
@@ -156,33 +160,33 @@ def promise(found: Identified, tolerance: Tolerance, correction: Correction[Stru
     determined, better = (int((np.linalg.svd(found.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior))
     nominal, fitted = correction.nominal, correction.fitted
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all struts free of each other"
-    told = Told(distinct, determined, better, len(found.prior), _tolerance_in_words(tolerance))
+    told = ConfigurationInformation(distinct, determined, better, len(found.prior), _tolerance_in_words(tolerance))
     if distinct < LEAST:
-        return too_few(told, middle)
-    commands, T = workspace_of(correction)
-    offset = difference(T, mechanisms.of(nominal).forward(commands, nominal))
-    back, J = to_pose(T, fitted), pose_jacobian(T, fitted)
+        return claim_of_too_few_configurations(told, middle)
+    commands, T = sample_workspace(correction)
+    offset = pose_difference(T, mechanisms.kinematics_of(nominal).forward(commands, nominal))
+    back, J = inverse_strut_jacobian(T, fitted), pose_jacobian(T, fitted)
     if machines is not None:
-        claim = concluded(*machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, told, rng)
+        claim = claim_of_mean_squares(*machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, told, rng)
         corrected = tuple(part is not None for part in correction.remainder)
-        return replace(claim, unexplained=machines.unexplained(corrected, mechanisms.of(nominal).AXIS))
+        return replace(claim, unexplained=machines.unexplained(corrected, mechanisms.kinematics_of(nominal).AXIS))
     stated = extension_scatter(correction, commands, back)
     if left is None:
         own = _scatters(found, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T + stated
     else:
         own = left.own_draws(float(stated[0]), DRAWS, rng)
     draws = _machines(found, tolerance, nominal, rng) - (parameters(fitted) - parameters(nominal))
-    return claimed(Workspace(J, -offset, own, middle), draws, samples, told, rng)
+    return claim_of_drawn_machines(Workspace(J, -offset, own, middle), draws, samples, told, rng)
 
 
-def workspace_of(correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
+def sample_workspace(correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
     """(commands (m, axes) m, poses (m,) of the corrected machine) all over the middle of the strokes."""
-    return closing(low_discrepancy(correction.nominal.strut_range, PLACES, FILL), correction)
+    return commands_with_pose(low_discrepancy(correction.nominal.strut_range, PLACES, FILL), correction)
 
 
-def dispersed(found: Identified, nominal: Struts, count: int, rng: np.random.Generator) -> np.ndarray:
+def draw_fit_variance_ratio(found: Identified, nominal: Struts, count: int, rng: np.random.Generator) -> np.ndarray:
     """(count,) draws of by how much the poses' variances exceed the stated ones, by a fit of one pose a configuration."""
-    return dispersion(found.cost, len(nominal.axes) * int(found.inliers.sum()), count, rng)
+    return draw_variance_ratio(found.cost, len(nominal.axes) * int(found.inliers.sum()), count, rng)
 
 
 def extension_scatter(correction: Correction[Any, Any], commands: np.ndarray, back: np.ndarray) -> np.ndarray:
@@ -199,9 +203,12 @@ def extension_scatter(correction: Correction[Any, Any], commands: np.ndarray, ba
 def _machines(found: Identified, tolerance: Tolerance, nominal: Struts, rng: np.random.Generator) -> np.ndarray:
     """(DRAWS, p) m, parameters less the owner's, drawn from what poses and owner's tolerance leave."""
     pick = rng.choice(len(tolerance.weight), size=DRAWS, p=tolerance.weight)
-    inflated = dispersed(found, nominal, DRAWS, rng)
+    inflated = draw_fit_variance_ratio(found, nominal, DRAWS, rng)
     z = rng.normal(size=(DRAWS, len(found.prior)))
-    H = tolerance.information / inflated[:, None, None] + np.eye(len(found.prior)) / spread(tolerance.widths, tolerance.counts)[pick][:, :, None] ** 2
+    H = (
+        tolerance.information / inflated[:, None, None]
+        + np.eye(len(found.prior)) / parameter_widths(tolerance.widths, tolerance.counts)[pick][:, :, None] ** 2
+    )
     L = np.linalg.cholesky(H)
     mean = np.linalg.solve(H, (tolerance.right / inflated[:, None])[..., None])[..., 0]
     return mean + np.linalg.solve(np.swapaxes(L, 1, 2), z[..., None])[..., 0]

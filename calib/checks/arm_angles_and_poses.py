@@ -9,14 +9,14 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.arm import error_model, instrument_placement
 from calib.models.arm.instrument_observations import Observations, of_positions
-from calib.checks.rough_arm_placement import placed
+from calib.checks.rough_arm_placement import place_arm_roughly
 from rig.model.design import Arm, Instrument
 from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
-from rig.checks.user_mistake import Mistake, in_order
-from rig.checks.platform_commands_and_poses import LIKELY, written
+from rig.checks.user_mistake import Mistake, sort_mistakes
+from rig.checks.platform_commands_and_poses import LIKELY, written_pose_columns
 from rig.checks.pose_conventions import other_poses
-from rig.model.pose import vector
+from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 
 MOST = 120  # poses looked at
@@ -29,7 +29,7 @@ REACH = 1.0  # m; a radian counts like so much
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reached:
+class ReachedPoses:
     """arm : Arm as stated; instrument : Instrument or None; q : (F, n) rad of all frames; index : (m,) of the measured ones
     v : (m, 6) m and rad as poses.csv has them; alone : whether positions alone were measured."""
 
@@ -45,8 +45,8 @@ class Reached:
         """(m, rad), medians of what poses and arm disagree by, the instrument and the target placed as well as may be."""
         q, free = self.q[self.index], self.instrument or Instrument("rig", "rig", 1e-4, None)
         try:
-            arm = placed(q, self.T, self.alone, self.arm, free.base == "free", free.tool == "free")
-            r = vector(mechanism.forward(q, arm).inv() * self.T)
+            arm = place_arm_roughly(q, self.T, self.alone, self.arm, free.base == "free", free.tool == "free")
+            r = pose_to_vector(mechanism.forward(q, arm).inv() * self.T)
         except (ValueError, np.linalg.LinAlgError):
             return np.inf, np.inf
         position = float(np.median(np.linalg.norm(r[:, :3], axis=1)))
@@ -63,7 +63,7 @@ class Reached:
             own = np.diag(np.repeat(np.square(INSTRUMENT), 3))
             seen = Observations("pose", q, self.T, np.tile(own, (len(q), 1, 1)), np.zeros((len(q), 6, 0)))
         try:
-            found = instrument_placement.placed(seen, self.arm, free.base == "free", free.tool == "free")
+            found = instrument_placement.place_arm(seen, self.arm, free.base == "free", free.tool == "free")
         except RigError:
             return False
         moved = np.abs(error_model.zeros(found) - error_model.zeros(self.arm))[1:]  # the first joint's zero is the base's
@@ -78,7 +78,7 @@ class Reached:
         return position + REACH * rotation
 
 
-def look(recording: Recording) -> tuple[Mistake, ...]:
+def find_arm_mistakes(recording: Recording) -> tuple[Mistake, ...]:
     """The mistake that makes an arm's commands and poses disagree, if one does."""
     arm = recording.design.mechanism
     instrument = recording.design.instrument
@@ -92,11 +92,11 @@ def look(recording: Recording) -> tuple[Mistake, ...]:
         return ()
     design, T = recording.design, recording.poses.T_base_platform[some]
     alone = design.instrument is not None and design.instrument.rotation_sigma is None
-    v = written(recording)[some] if not alone else vector(T)
-    return in_order(_mistakes(Reached(arm, design.instrument, all_q, index[some], v, alone, T)))
+    v = written_pose_columns(recording)[some] if not alone else pose_to_vector(T)
+    return sort_mistakes(_mistakes(ReachedPoses(arm, design.instrument, all_q, index[some], v, alone, T)))
 
 
-def _mistakes(reached: Reached) -> Iterator[Mistake]:
+def _mistakes(reached: ReachedPoses) -> Iterator[Mistake]:
     position, rotation = reached.miss()
     if (position < AWAY[0] and rotation < AWAY[1]) or reached.stands():
         return
@@ -111,7 +111,7 @@ def _mistakes(reached: Reached) -> Iterator[Mistake]:
                       bool(before > 10 * AWAY[0]), 0.3)
 
 
-def _candidates(reached: Reached) -> Iterator[tuple[str, str, Reached]]:
+def _candidates(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
     yield from _axes(reached)
     yield from _links(reached)
     frames = len(reached.q)
@@ -127,7 +127,7 @@ def _candidates(reached: Reached) -> Iterator[tuple[str, str, Reached]]:
         yield f"poses.csv: {what}", "Write the target in the instrument: m, and rotation vectors in rad", replace(reached, T=T)
 
 
-def _axes(reached: Reached) -> Iterator[tuple[str, str, Reached]]:
+def _axes(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
     """Joint angles in another unit, with other signs, zeros or in another order."""
     q, n, slides = reached.q, reached.q.shape[1], reached.arm.slides
     if not slides.all():
@@ -162,11 +162,11 @@ def _axes(reached: Reached) -> Iterator[tuple[str, str, Reached]]:
                replace(reached, q=np.roll(q, by, axis=1)))
 
 
-def _links(reached: Reached) -> Iterator[tuple[str, str, Reached]]:
+def _links(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
     """Denavit-Hartenberg rows written another way."""
     rows = reached.arm.rows
 
-    def put(what: str, do: str, other: np.ndarray) -> tuple[str, str, Reached]:
+    def put(what: str, do: str, other: np.ndarray) -> tuple[str, str, ReachedPoses]:
         return f"rig.toml: mechanism.joints: {what}", do, replace(reached, arm=replace(reached.arm, joints=other))
 
     write = "Write rows of theta, d, a, alpha: distal Denavit-Hartenberg, m and rad"

@@ -7,14 +7,14 @@ import numpy as np
 from calib.correct.correction import Correction
 from calib.correct.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import Identified
-from calib.models.platform.joint_camera_fit import commanded_state, solve
+from calib.models.platform.joint_camera_fit import commanded_state, fit_cameras_and_geometry
 from calib.samples.recording_samples import Sampled
 from rig.model.design import Design
 from rig.errors import RigError
 from rig.model.mechanism_kinds import Struts, hexapod_of
 
 
-def refine(sampled: Sampled, design: Design, correction: Correction[Struts, Radial],
+def refine_with_cameras(sampled: Sampled, design: Design, correction: Correction[Struts, Radial],
            found: Identified) -> tuple[Correction[Struts, Radial], Identified]:
     """(Correction, Identified) with geometry and covariance from the joint solve of a recording's corners.
 
@@ -28,5 +28,7 @@ def refine(sampled: Sampled, design: Design, correction: Correction[Struts, Radi
         i = int(np.argmax(found.scatter))
         raise RigError(f"a joint solve takes struts that do as commanded; strut {i + 1} scatters by {found.scatter[i] * 1e6:.1f} um beyond the poses")
     corners, commanded, state = commanded_state(sampled.measurement, sampled.samples.take(found.inliers))
-    done = solve(corners, commanded - correction.rho(commanded), state, design.cameras, hexapod_of(correction.nominal), hexapod_of(found.mechanism))
+    done = fit_cameras_and_geometry(
+        corners, commanded - correction.rho(commanded), state, design.cameras, hexapod_of(correction.nominal), hexapod_of(found.mechanism)
+    )
     return replace(correction, fitted=done.mechanism), replace(found, mechanism=done.mechanism, covariance=done.covariance, root=done.root)

@@ -13,8 +13,8 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform.identification import Identified, identify, pose_jacobian, strut_jacobian, to_pose
-from calib.models.platform.stated_geometry_accuracy import tolerance
+from calib.models.platform.identification import Identified, identify, pose_jacobian, strut_jacobian, inverse_strut_jacobian
+from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
 from calib.correct.interpolation import gaussian_process
 from calib.correct.interpolation.field import Field
 from calib.correct.interpolation.partial_map import Within
@@ -73,7 +73,7 @@ class Correction(Generic[M, R]):
 
     def predict(self, commands: np.ndarray, guess: RigidTransform | None = None) -> RigidTransform:
         """T_base_platform (...) that commands (..., axes) m will really give. Raises NotConverged like the mechanism."""
-        T = mechanisms.of(self.fitted).forward(np.asarray(commands, float) - self.rho(commands), self.fitted, guess)
+        T = mechanisms.kinematics_of(self.fitted).forward(np.asarray(commands, float) - self.rho(commands), self.fitted, guess)
         for one in self.posed:
             T = one.applied(T)
         return T
@@ -89,7 +89,7 @@ class Correction(Generic[M, R]):
 
     def summand(self, commands: np.ndarray) -> np.ndarray:
         """KSF (..., axes) m at commands (..., axes), docs/mathematics.md (19): commanded less what the owner's model says for the pose it gives."""
-        return commands - mechanisms.of(self.nominal).inverse(self.predict(commands), self.nominal)
+        return commands - mechanisms.kinematics_of(self.nominal).inverse(self.predict(commands), self.nominal)
 
     def single_step(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., axes) m of the method's text for wanted poses (...): X + KSF(X), X = IK(wanted).
@@ -110,7 +110,7 @@ class Correction(Generic[M, R]):
 
         Source: configuration-space patent, [0133] to [0135]
         """
-        return mechanisms.of(self.nominal).forward(configurations + self.summand(configurations), self.nominal)
+        return mechanisms.kinematics_of(self.nominal).forward(configurations + self.summand(configurations), self.nominal)
 
     def posed_error(self, T_base_platform: RigidTransform) -> np.ndarray:
         """(..., 6) m and rad, standard error of what maps in pose space add to poses (...): of the last that holds there."""
@@ -122,7 +122,7 @@ class Correction(Generic[M, R]):
 
     def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""
-        return mechanisms.of(self.nominal).inverse(T_base_platform, self.nominal)
+        return mechanisms.kinematics_of(self.nominal).inverse(T_base_platform, self.nominal)
 
     def taken(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
         """The poses (n,) that commands (n, axes) found for wanted poses (n,) give: these themselves, but for a machine of too few axes."""
@@ -130,19 +130,21 @@ class Correction(Generic[M, R]):
 
     def goal(self, T_base_platform: RigidTransform, near: np.ndarray) -> np.ndarray:
         """(n, axes) m or rad that the fitted geometry has to get for poses (n,). near : (n, axes), commands where there is more than one way."""
-        return mechanisms.of(self.fitted).inverse(T_base_platform, self.fitted)
+        return mechanisms.kinematics_of(self.fitted).inverse(T_base_platform, self.fitted)
 
     def responses(self, T_base_platform: RigidTransform, effective: np.ndarray) -> Responses:
         """Responses at poses (n,), of which the fitted geometry gets effective (n, axes) m or rad."""
         fitted = struts_of(self.fitted)
-        return Responses(to_pose(T_base_platform, fitted), strut_jacobian(T_base_platform, fitted), pose_jacobian(T_base_platform, fitted))
+        return Responses(
+            inverse_strut_jacobian(T_base_platform, fitted), strut_jacobian(T_base_platform, fitted), pose_jacobian(T_base_platform, fitted)
+        )
 
     def scattering(self, scatter: np.ndarray, responses: Responses) -> np.ndarray:
         """(n, 6, k) m and rad, factor of the covariance by which poses scatter. scatter : as a Calibration has it, of each strut"""
         return responses.axes * scatter
 
     def inverse(self, T_base_platform: RigidTransform) -> np.ndarray:
-        """Commands (..., axes) m that give wanted poses (...), to 1e-12 m, docs/mathematics.md (20); limits are for `reachable` to check.
+        """Commands (..., axes) m that give wanted poses (...), to 1e-12 m, docs/mathematics.md (20); limits are for `require_reachable` to check.
 
         Raises RigError where a calibration knows physics besides, NotConverged with index, commands and residual (m) where the fixed point is not
         found
@@ -152,7 +154,7 @@ class Correction(Generic[M, R]):
 
     def inverse_without_physics(self, T_base_platform: RigidTransform) -> np.ndarray:
         """The commands (..., axes) of `inverse` by the configuration alone, whatever else a calibration knows. Raises NotConverged as `inverse`"""
-        return self.settled(mechanisms.of(self.fitted).inverse(self.asked(T_base_platform), self.fitted))
+        return self.settled(mechanisms.kinematics_of(self.fitted).inverse(self.asked(T_base_platform), self.fitted))
 
     def _refuse_physics(self) -> None:
         """Raise RigError where commands by the configuration alone would leave known physics out."""
@@ -162,7 +164,7 @@ class Correction(Generic[M, R]):
 
     def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
         """Commands (n, axes) as `inverse` for poses (n,), NaN where none is found. guess : (n, axes), what is near."""
-        goal = mechanisms.of(self.fitted).inverse(self.asked(T_base_platform), self.fitted)
+        goal = mechanisms.kinematics_of(self.fitted).inverse(self.asked(T_base_platform), self.fitted)
         try:
             return self.settled(goal)
         except NotConverged as error:
@@ -195,13 +197,13 @@ class Correction(Generic[M, R]):
         return commands
 
 
-def closing(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
+def commands_with_pose(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
     """Those of the commands (m, axes) m or rad that close on a pose, and these poses (k,). Raises NotConverged where none does."""
-    index, T = closed(commands, correction.predict)
+    index, T = filter_closed_commands(commands, correction.predict)
     return commands[index], T
 
 
-def closed(commands: np.ndarray, predict: Callable[[np.ndarray], RigidTransform]) -> tuple[np.ndarray, RigidTransform]:
+def filter_closed_commands(commands: np.ndarray, predict: Callable[[np.ndarray], RigidTransform]) -> tuple[np.ndarray, RigidTransform]:
     """(index (k,) of those of the commands (m, axes) m or rad that close on a pose, these poses (k,)), by what predicts poses of commands.
 
     Raises NotConverged where none does
@@ -216,11 +218,11 @@ def closed(commands: np.ndarray, predict: Callable[[np.ndarray], RigidTransform]
                 raise
 
 
-def reachable(commands: np.ndarray, mechanism: Struts | Arm | Chain, labels: Sequence[str]) -> None:
+def require_reachable(commands: np.ndarray, mechanism: Struts | Arm | Chain, labels: Sequence[str]) -> None:
     """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n texts."""
-    places = mechanisms.places(mechanism)
-    shown = [DRAWN[unit] for unit in mechanisms.units(mechanism)]
-    beyond = mechanisms.of(mechanism).limits(commands, mechanism)
+    places = mechanisms.axis_places(mechanism)
+    shown = [DRAWN[unit] for unit in mechanisms.axis_units(mechanism)]
+    beyond = mechanisms.kinematics_of(mechanism).limits(commands, mechanism)
     bad = np.flatnonzero((beyond != 0).any(axis=1))
     if not len(bad):
         return
@@ -232,12 +234,12 @@ def reachable(commands: np.ndarray, mechanism: Struts | Arm | Chain, labels: Seq
     raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
 
 
-def geometry(samples: Samples, nominal: Struts, near: Identified | None = None) -> Identified:
+def identify_geometry(samples: Samples, nominal: Struts, near: Identified | None = None) -> Identified:
     """Identified geometry of samples alone, no remainder taken off. near : Identified of most of the same samples, whose prior is taken over, or
     None: how good the owner's figures are is told by these samples. Raises NotEnoughData as `identify`"""
     if near is None:
         first = identify(samples, nominal)
-        return identify(samples, nominal, prior=tolerance(first, nominal).prior, near=first)
+        return identify(samples, nominal, prior=stated_geometry_accuracy(first, nominal).prior, near=first)
     return identify(samples, nominal, prior=near.prior, near=near)
 
 
@@ -247,12 +249,12 @@ def calibrate(samples: Samples, nominal: Struts, remainder: str | tuple[Radial |
 
     samples : Samples; nominal : the owner's
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of Radial or
-    None takes over size and smoothness from there; alone : `geometry` of the same, where it is known already
+    None takes over size and smoothness from there; alone : `identify_geometry` of the same, where it is known already
     only : (axes,) bool, the struts that may have one where it is to be found; all by default
     Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
     nominal = struts_of(nominal)
-    found = geometry(samples, nominal) if alone is None else alone
+    found = identify_geometry(samples, nominal) if alone is None else alone
     parts: tuple[Radial | None, ...] = (None,) * len(nominal.axes)
     like = remainder if isinstance(remainder, tuple) else parts
     if remainder == "none" or (remainder == "find" and not found.scatter.any()) or (like is remainder and not any(like)):
@@ -279,7 +281,7 @@ def _remainder(samples: Samples, found: Identified, nominal: Struts, before: tup
     def part(i: int) -> Radial | None:
         if (like[i] is None) if given else not (found.scatter[i] and may[i]):
             return None
-        return gaussian_process.fit(samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
+        return gaussian_process.fit_gaussian_process(samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
 
     axes = range(len(like))
     return tuple([part(i) for i in axes] if given else parallel_map(part, axes, few=1))

@@ -32,10 +32,10 @@ class Summands(NamedTuple):
     covariance: np.ndarray
 
 
-def of_struts(samples: Samples, nominal: Struts) -> Summands:
+def strut_summands(samples: Samples, nominal: Struts) -> Summands:
     """Summands of a machine on struts: commands less IK(GDK(x)) of the owner's model; covariance : what all poses share included."""
     A = strut_jacobian(samples.T_base_platform, nominal)
-    return Summands(samples.commanded - mechanisms.of(nominal).inverse(samples.T_base_platform, nominal),
+    return Summands(samples.commanded - mechanisms.kinematics_of(nominal).inverse(samples.T_base_platform, nominal),
                     A @ samples.total_covariance() @ np.swapaxes(A, 1, 2))
 
 
@@ -60,7 +60,7 @@ def joint_tables(correction: Correction[Any, Any], count: int) -> JointTables:
 
     c = x + trim, c the fixed point c = x + rho(c) at the axis' own level x, the other axes all over their strokes
     """
-    strokes = mechanisms.of(correction.nominal).travel(correction.nominal)
+    strokes = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal)
     others = low_discrepancy(strokes, AVERAGED, FILL)
     levels = np.linspace(strokes[:, 0], strokes[:, 1], count, axis=1)
     trims, left = np.empty(levels.shape), np.empty(len(levels))
@@ -76,11 +76,11 @@ def joint_tables(correction: Correction[Any, Any], count: int) -> JointTables:
 def grid_table(correction: Correction[Any, Any], parts: int, fill: float = FILL) -> tuple[np.ndarray, np.ndarray]:
     """(x (vertices, axes), k (vertices, axes)) m or rad on an even grid of so many parts an axis: x + k is to be commanded where the owner's
     model says x. Raises RigError where a vertex closes on no pose."""
-    strokes = mechanisms.of(correction.nominal).travel(correction.nominal)
+    strokes = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal)
     levels = strokes.mean(axis=1)[:, None] + fill * np.ptp(strokes, axis=1)[:, None] / 2 * np.linspace(-1, 1, parts + 1)
     x = np.stack(np.meshgrid(*levels, indexing="ij"), axis=-1).reshape(-1, len(strokes))
     try:
-        wanted = mechanisms.of(correction.nominal).forward(x, correction.nominal)
+        wanted = mechanisms.kinematics_of(correction.nominal).forward(x, correction.nominal)
         return x, correction.inverse(wanted) - x
     except NotConverged as error:
         raise RigError(f"{len(error.index)} of the grid's {len(x)} vertices close on no pose; a smaller share of the strokes may do") from None

@@ -82,10 +82,10 @@ class Physics:
         return told(self.machine(mechanism), samples, commands, self.undone(), there)
 
 
-def told(design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None) -> Samples:
+def samples_with_effects(design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None) -> Samples:
     """Samples with what effects do to their commands; what they do to an arm beyond its joints is taken off its poses."""
     t, T = samples.t, samples.T_base_platform
     if not isinstance(design.mechanism, Arm):
-        return replace(samples, known=machine.effective(design, commands, t, T, effects, sensors) - samples.commanded)
-    values, sway = machine.reached(design, commands, t, T, effects, sensors)
+        return replace(samples, known=machine.effective_commands(design, commands, t, T, effects, sensors) - samples.commanded)
+    values, sway = machine.effective_commands_and_sway(design, commands, t, T, effects, sensors)
     return replace(samples, known=values - samples.commanded, T_base_platform=T * exp(-sway) if sway.any() else T)

@@ -60,13 +60,13 @@ class Machine:
         if self.physics is not None and effects:
             design, sensed = self.physics.machine(self.correction.fitted), sensors or self.sensors
             if isinstance(design.mechanism, Arm):
-                lengths, sway = motion_simulation.reached(design, commands, t, T, effects, sensed)
+                lengths, sway = motion_simulation.effective_commands_and_sway(design, commands, t, T, effects, sensed)
             else:
-                lengths = motion_simulation.effective(design, commands, t, T, effects, sensed)
+                lengths = motion_simulation.effective_commands(design, commands, t, T, effects, sensed)
         return lengths - self.correction.rho(lengths), sway
 
 
-def held(of: Machine, T: RigidTransform, route: Route, guess: np.ndarray) -> np.ndarray:
+def commands_at_poses(of: Machine, T: RigidTransform, route: Route, guess: np.ndarray) -> np.ndarray:
     """(n, axes) m or rad to command at the poses T (n,) of a Route, each row's history that of the rows before. guess : (n, axes), near
 
     Raises NotConverged with index, commands and residual of the poses for which none is found, to 1e-10 m or rad
@@ -88,21 +88,21 @@ def held(of: Machine, T: RigidTransform, route: Route, guess: np.ndarray) -> np.
     failed = np.flatnonzero(worst >= TOLERANCE)
     names = ", ".join(sorted({f"{e.name} at {e.place}" for e in of.effects}))
     raise NotConverged(f"no commands were found for {len(failed)} of {len(worst)} poses, which leave {worst.max():.3g} "
-                       f"{mechanisms.unit(of.correction.fitted)} under {names}", failed, commands[failed], worst[failed])
+                       f"{mechanisms.travel_unit(of.correction.fitted)} under {names}", failed, commands[failed], worst[failed])
 
 
-def memory(of: Machine) -> np.ndarray:
+def path_memory_length(of: Machine) -> np.ndarray:
     """(axes,) m or rad that each axis must travel one way until it no longer matters how it came to the start."""
-    places = mechanisms.places(of.correction.fitted)
+    places = mechanisms.axis_places(of.correction.fitted)
     return np.max([e.axes(places) * e.forgets() for e in of.effects] or [np.zeros(len(places))], axis=0)
 
 
-def unremembered(of: Machine, T: RigidTransform, route: Route, commands: np.ndarray) -> np.ndarray:
+def unknown_history_uncertainty(of: Machine, T: RigidTransform, route: Route, commands: np.ndarray) -> np.ndarray:
     """(n, axes) m or rad, half of what it changes whether the axes came to the start of a Route from below or from above: nobody knows which.
 
     commands : (n, axes) at the poses
     """
-    reach = memory(of)
+    reach = path_memory_length(of)
     if not reach.any():
         return np.zeros_like(commands)
     own = route.commands(commands)
@@ -110,7 +110,7 @@ def unremembered(of: Machine, T: RigidTransform, route: Route, commands: np.ndar
     return np.abs(of.effective(ends[0], route.times, T) - of.effective(ends[1], route.times, T)) / 2
 
 
-def refuse_uncovered(sensors: Sensors | None, t: np.ndarray, show: Callable[[float], float]) -> None:
+def require_sensor_coverage(sensors: Sensors | None, t: np.ndarray, show: Callable[[float], float]) -> None:
     """Raise RigError where poses are held at times t (n,) s farther outside a log than its rows are apart: nobody knows what is then.
     One row alone states what does not change. show : from s to the owner's clock"""
     if sensors is None or len(sensors.t) == 1:

@@ -9,17 +9,17 @@ from calib.correct.physics import Physics, Unknown
 from rig.model.design import Actuator, Arm, Chain, Platform
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.fit_coordinates import coordinates_of
-from rig.effects.texts.effect_text import Kinds, from_dict, placed, to_dict
+from rig.effects.texts.effect_text import Kinds, effect_from_dict, require_place, effect_to_dict
 from rig.formats.checked_entries import Entries
 from rig.errors import FileError, RigError
 from rig.model.mechanism_kinds import Struts
 
 
-def physics_out(physics: Physics) -> dict[str, Any]:
+def physics_dict(physics: Physics) -> dict[str, Any]:
     """dict of Physics, as JSON holds it."""
     platform = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in
                 ((name, getattr(physics.platform, name)) for name in Platform.__slots__)}
-    return {"effects": [to_dict(effect) for effect in physics.effects],
+    return {"effects": [effect_to_dict(effect) for effect in physics.effects],
             "parameter_order": [_told(c.effect, c.name, c.index, c.role, physics) for c in physics.coordinates],
             "covariance": physics.own.tolist(), "cross_covariance": physics.cross.tolist(),
             "gravity": physics.gravity.tolist(), "actuator": asdict(physics.actuator), "platform": platform,
@@ -34,8 +34,8 @@ def _told(effect: int, name: str, index: int | None, role: str, physics: Physics
     return f"{measure}{name}{'' if index is None else f' {index + 1}'} of {at.name} at {at.place}"
 
 
-def physics_in(table: Entries, mechanism: Struts | Arm | Chain, count: int, kinds: Kinds = BY_NAME) -> Physics:
-    """Physics of what `physics_out` gave, as Entries. mechanism : nominal; count : of the geometry's parameters
+def physics_from_entries(table: Entries, mechanism: Struts | Arm | Chain, count: int, kinds: Kinds = BY_NAME) -> Physics:
+    """Physics of what `physics_dict` gave, as Entries. mechanism : nominal; count : of the geometry's parameters
     kinds : effects that there are. Raises FileError."""
     actuator, platform = table.table("actuator"), table.table("platform")
     held = Physics((), np.zeros((0, 0)), np.zeros((count, 0)), table.array("gravity", (3,)),
@@ -46,7 +46,11 @@ def physics_in(table: Entries, mechanism: Struts | Arm | Chain, count: int, kind
     effects = []
     for entry in table.tables("effects"):
         try:
-            effects.append(placed(from_dict(entry.tree, kinds), held.machine(mechanism)) if not _seen(entry) else from_dict(entry.tree, kinds))
+            effects.append(
+                require_place(effect_from_dict(entry.tree, kinds), held.machine(mechanism))
+                if not _seen(entry)
+                else effect_from_dict(entry.tree, kinds)
+            )
         except FileError:
             raise
         except RigError as error:

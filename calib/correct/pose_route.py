@@ -56,7 +56,7 @@ class Pace:
     fastest: float | None
 
 
-def timed(pace: Pace, held: np.ndarray, start: np.ndarray, reach: np.ndarray | None = None) -> Route:
+def timed_route(pace: Pace, held: np.ndarray, start: np.ndarray, reach: np.ndarray | None = None) -> Route:
     """Route through values (n, axes) at the times of a Pace: the axes set out as soon as a pose has been held, and wait at the next.
 
     start : (axes,); reach : (n, axes) of approaches, zero for none. Raises Unreachable, listing the poses that come too soon
@@ -86,6 +86,6 @@ def timed(pace: Pace, held: np.ndarray, start: np.ndarray, reach: np.ndarray | N
     return Route(when, pose, doing, np.where((doing == TURNING)[:, None], reach[pose], 0.0), start)
 
 
-def untimed(held: np.ndarray, start: np.ndarray) -> Route:
+def untimed_route(held: np.ndarray, start: np.ndarray) -> Route:
     """Route through values (n, axes) in their order from start (axes,), each held until all has come to rest."""
-    return timed(Pace(AT_REST * np.arange(1, len(held) + 1), 0.0, np.abs(held - start).max() + 1.0, None), held, start)
+    return timed_route(Pace(AT_REST * np.arange(1, len(held) + 1), 0.0, np.abs(held - start).max() + 1.0, None), held, start)

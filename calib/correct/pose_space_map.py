@@ -29,7 +29,7 @@ class PoseMap:
 
     def at(self, T: RigidTransform) -> np.ndarray:
         """(..., k) coordinates of poses (...)."""
-        return places(T, self.home)[..., list(self.coordinates)]
+        return pose_coordinates(T, self.home)[..., list(self.coordinates)]
 
     def error(self, T: RigidTransform) -> np.ndarray:
         """(..., 6) m and rad, standard error of what the map adds to poses (...)."""
@@ -52,7 +52,7 @@ class PoseMap:
                 return found
         failed = np.flatnonzero(~(np.ravel(change) < TOLERANCE))
         raise NotConverged(f"where to stand for {len(failed)} poses was not found by a map in pose space", failed,
-                           places(T, self.home).reshape(-1, 6)[failed], np.ravel(change)[failed])
+                           pose_coordinates(T, self.home).reshape(-1, 6)[failed], np.ravel(change)[failed])
 
     def _whole(self, values: np.ndarray) -> np.ndarray:
         out = np.zeros((*values.shape[:-1], 6))
@@ -60,11 +60,11 @@ class PoseMap:
         return out
 
 
-def places(T: RigidTransform, home: RigidTransform) -> np.ndarray:
+def pose_coordinates(T: RigidTransform, home: RigidTransform) -> np.ndarray:
     """(..., 6) of poses (...): position in the base frame (m), rotation vector from home's turn (rad)."""
     return np.concatenate([T.translation, (home.rotation.inv() * T.rotation).as_rotvec()], axis=-1)
 
 
-def errors(T_taken: RigidTransform, T_measured: RigidTransform) -> np.ndarray:
+def pose_error_tangents(T_taken: RigidTransform, T_measured: RigidTransform) -> np.ndarray:
     """(n, 6) tangents on the right, m and rad, from where a machine is taken to stand (n,) to where it was measured (n,)."""
     return log(T_taken.inv() * T_measured)

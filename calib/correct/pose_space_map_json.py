@@ -2,22 +2,26 @@
 
 from typing import Any
 
-from calib.correct.summand_extension import coordinates
+from calib.correct.summand_extension import pose_coordinate_indices
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.pose_space_map import NAMES, PoseMap
 from rig.formats.checked_entries import Entries
 from rig.model.mechanism_kinds import Struts
-from rig.model.pose import as_entry
+from rig.model.pose import pose_entry_text
 
 
-def map_out(one: PoseMap) -> dict[str, Any]:
+def pose_map_dict(one: PoseMap) -> dict[str, Any]:
     """dict of a PoseMap, as JSON holds it."""
-    return {"home": as_entry(one.home), "coordinates": [NAMES[i] for i in one.coordinates], "field": interpolation_methods.as_dict(one.field)}
+    return {
+        "home": pose_entry_text(one.home),
+        "coordinates": [NAMES[i] for i in one.coordinates],
+        "field": interpolation_methods.field_to_dict(one.field),
+    }
 
 
-def map_in(table: Entries, nominal: Struts) -> PoseMap:
-    """PoseMap of what `map_out` gave, as Entries, of a mechanism. Raises FileError for anything else."""
-    some = coordinates(nominal)
+def pose_map_from_entries(table: Entries, nominal: Struts) -> PoseMap:
+    """PoseMap of what `pose_map_dict` gave, as Entries, of a mechanism. Raises FileError for anything else."""
+    some = pose_coordinate_indices(nominal)
     if table.texts("coordinates") != tuple(NAMES[i] for i in some):
         table.fail(f"{table.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of kind {nominal.kind!r}", "coordinates")
-    return PoseMap(table.pose("home"), some, interpolation_methods.from_entries(table.table("field"), len(some)))
+    return PoseMap(table.pose("home"), some, interpolation_methods.field_from_entries(table.table("field"), len(some)))

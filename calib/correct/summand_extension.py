@@ -12,13 +12,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correct import pose_space_map
-from calib.correct.correction import Correction, closing
+from calib.correct.correction import Correction, commands_with_pose
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Field, Known
 from calib.correct.interpolation.repeated_passes import Passes
 from calib.correct.interpolation.gaussian_process import RadialMap
 from calib.models.platform.identification import PRIOR, Identified, identify, parameters, strut_jacobian
-from calib.models.platform.stated_geometry_accuracy import tolerance
+from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
 from rig.planning.configuration_sets import FILL, low_discrepancy
@@ -33,7 +33,7 @@ def summands(samples: Samples, model: Struts) -> Known:
 
     Source: configuration-space patent, [0130]
     """
-    kinematics = mechanisms.of(model)
+    kinematics = mechanisms.kinematics_of(model)
     A = strut_jacobian(samples.T_base_platform, model)
     variances = np.einsum("nij,njk,nik->ni", A, samples.covariance, A)
     return Known(samples.commanded, samples.commanded - kinematics.inverse(samples.T_base_platform, model), variances, kinematics.travel(model))
@@ -43,7 +43,7 @@ def geometry_of(samples: Samples, nominal: Struts, alone: bool, prior: np.ndarra
     """Identified geometry that an extension stands on; alone : the owner's own, with nothing sought. prior : (p,) m, or None: as poses have it."""
     if not alone:
         if prior is None:
-            prior = tolerance(identify(samples, nominal), nominal).prior
+            prior = stated_geometry_accuracy(identify(samples, nominal), nominal).prior
         return identify(samples, nominal, prior=prior)
     known = summands(samples, nominal)
     n, axes = known.values.shape
@@ -53,13 +53,13 @@ def geometry_of(samples: Samples, nominal: Struts, alone: bool, prior: np.ndarra
                       np.ones(n, bool), np.full(p, PRIOR), 0.0)
 
 
-def left(samples: Samples, found: Identified) -> Known:
+def geometry_residual_summands(samples: Samples, found: Identified) -> Known:
     """What a geometry leaves of the summands, shared errors taken out: KSF_PM of the owner's model where none was sought."""
-    kinematics = mechanisms.of(found.mechanism)
+    kinematics = mechanisms.kinematics_of(found.mechanism)
     return Known(samples.commanded, found.residuals, np.einsum("nii->ni", found.residual_covariance), kinematics.travel(found.mechanism))
 
 
-def left_by(samples: Samples, correction: Correction[Any, Any]) -> Known:
+def pass_residual_summands(samples: Samples, correction: Correction[Any, Any]) -> Known:
     """What an earlier pass leaves: the lengths that its correction takes the struts to have, less those of the pose that was measured.
 
     Source: configuration-space patent, [0035]
@@ -68,7 +68,7 @@ def left_by(samples: Samples, correction: Correction[Any, Any]) -> Known:
     return Known(known.configurations, known.values - correction.rho(samples.commanded), known.variances, known.strokes)
 
 
-def with_pass(correction: Correction[Any, Any], field: Field | None) -> Correction[Any, Any]:
+def correction_with_pass(correction: Correction[Any, Any], field: Field | None) -> Correction[Any, Any]:
     """The Correction with one more pass on top; the same where the pass is None."""
     if field is None:
         return correction
@@ -77,58 +77,60 @@ def with_pass(correction: Correction[Any, Any], field: Field | None) -> Correcti
     return replace(correction, extension=Passes((*fields, field)))
 
 
-def left_in_poses(samples: Samples, correction: Correction[Any, Any]) -> Known:
+def pass_residual_poses(samples: Samples, correction: Correction[Any, Any]) -> Known:
     """What an earlier pass leaves in pose space: where machines were measured, as tangents from where its correction takes them to stand.
 
     Over the coordinates in which the mechanism's poses differ, see `posed.PoseMap`. Source: configuration-space patent, [0035]
     """
-    nominal, some = correction.nominal, list(coordinates(correction.nominal))
-    home = home_of(nominal)
+    nominal, some = correction.nominal, list(pose_coordinate_indices(correction.nominal))
+    home = home_pose(nominal)
     T = correction.predict(samples.commanded)
-    _, all_over = closing(low_discrepancy(mechanisms.of(nominal).travel(nominal), PLACES, 1.0), correction)
-    x, box = (pose_space_map.places(poses, home)[:, some] for poses in (T, all_over))
+    _, all_over = commands_with_pose(low_discrepancy(mechanisms.kinematics_of(nominal).travel(nominal), PLACES, 1.0), correction)
+    x, box = (pose_space_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
     both = np.concatenate([x, box])
     variances = np.einsum("nii->ni", samples.covariance)[:, some]
-    return Known(x, pose_space_map.errors(T, samples.T_base_platform)[:, some], variances, np.stack([both.min(axis=0), both.max(axis=0)], axis=1))
+    return Known(
+        x, pose_space_map.pose_error_tangents(T, samples.T_base_platform)[:, some], variances, np.stack([both.min(axis=0), both.max(axis=0)], axis=1)
+    )
 
 
-def coordinates(mechanism: Struts) -> tuple[int, ...]:
+def pose_coordinate_indices(mechanism: Struts) -> tuple[int, ...]:
     """Indices of posed.NAMES in which poses of a mechanism differ."""
     return (0, 1) if isinstance(mechanism, Planar2) else tuple(range(6))
 
 
-def home_of(mechanism: Struts) -> RigidTransform:
+def home_pose(mechanism: Struts) -> RigidTransform:
     """T_base_platform at a mechanism's home."""
-    kinematics = mechanisms.of(mechanism)
+    kinematics = mechanisms.kinematics_of(mechanism)
     return kinematics.forward(kinematics.home(mechanism), mechanism)
 
 
-def with_map(correction: Correction[Any, Any], field: Field | None) -> Correction[Any, Any]:
+def correction_with_map(correction: Correction[Any, Any], field: Field | None) -> Correction[Any, Any]:
     """The Correction with one more map in pose space, applied last; the same where the map is None."""
     if field is None:
         return correction
-    one = pose_space_map.PoseMap(home_of(correction.nominal), coordinates(correction.nominal), field)
+    one = pose_space_map.PoseMap(home_pose(correction.nominal), pose_coordinate_indices(correction.nominal), field)
     return replace(correction, posed=(*correction.posed, one))
 
 
-def extend(known: Known, kind: str, like: Field | None = None) -> Field:
+def fit_summand_field(known: Known, kind: str, like: Field | None = None) -> Field:
     """KSF_KR, the Field of a kind through samples. like : a Field of the same kind of more samples, whose smoothness holds for these as well.
 
     Raises RigError as `kinds.fit`
     """
-    return RadialMap.fit(known, like) if isinstance(like, RadialMap) and kind == RadialMap.kind else interpolation_methods.fit(kind, known)
+    return RadialMap.fit(known, like) if isinstance(like, RadialMap) and kind == RadialMap.kind else interpolation_methods.fit_field(kind, known)
 
 
-def corrected(nominal: Struts, found: Identified, field: Field | None) -> Correction[Struts, Any]:
+def correction_with_field(nominal: Struts, found: Identified, field: Field | None) -> Correction[Struts, Any]:
     """Correction by a geometry and a Field of what it leaves, or None."""
     return Correction(nominal, found.mechanism, (None,) * len(nominal.axes), extension=field)
 
 
-def single_step_misses(correction: Correction[Any, Any]) -> tuple[float, float]:
+def single_step_errors(correction: Correction[Any, Any]) -> tuple[float, float]:
     """(RMS, greatest) m by which X + KSF(X) misses the fixed point's commands, all over the middle of the strokes.
 
     Source: configuration-space patent, [0030], [0091]
     """
-    _, wanted = closing(low_discrepancy(mechanisms.of(correction.nominal).travel(correction.nominal), PLACES, FILL), correction)
+    _, wanted = commands_with_pose(low_discrepancy(mechanisms.kinematics_of(correction.nominal).travel(correction.nominal), PLACES, FILL), correction)
     off = correction.single_step(wanted) - correction.inverse(wanted)
     return float(np.sqrt((off**2).mean())), float(np.abs(off).max())

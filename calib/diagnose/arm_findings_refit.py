@@ -8,12 +8,12 @@ from threadpoolctl import threadpool_limits
 from calib.models.arm.certification import UNPLACED, Certified, start_of
 from calib.models.arm.error_model import names
 from calib.models.arm.instrument_observations import of_samples
-from calib.models.arm.joint_physics_fit import Beforehand, History, Together, together
-from calib.certify.platform_certification import Progress, silent
+from calib.models.arm.joint_physics_fit import Prior, History, JointFit, fit_geometry_and_effects
+from calib.certify.platform_certification import Progress, silent_progress
 from calib.correct.physics import Physics
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
-from calib.diagnose.problems.temperature_smoothing import smoothed
-from calib.diagnose.platform_findings_refit import Findings, channels, nameless
+from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
+from calib.diagnose.platform_findings_refit import Findings, sensor_statistics, unnamed_findings
 from calib.samples.recording_samples import Sampled
 from rig.model import mechanisms
 from rig.effects.framework.fit_coordinates import coordinates_of
@@ -23,33 +23,33 @@ from rig.recording.recording_folder import Recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TakenArm:
-    """together : Together of what was found; physics : Physics, of which the geometry does not know yet."""
+class ArmRefit:
+    """together : JointFit of what was found; physics : Physics, of which the geometry does not know yet."""
 
-    together: Together
+    together: JointFit
     physics: Physics
 
     def with_geometry(self, done: Certified) -> tuple[Physics, np.ndarray]:
         """(Physics, (p, p) covariance of the geometry, m and rad), of a geometry certified on these samples and the physics together."""
         response = self.together.response(done.found)
-        cross, places = response @ self.physics.own, mechanisms.places(done.correction.nominal)
+        cross, places = response @ self.physics.own, mechanisms.axis_places(done.correction.nominal)
         kept = [place for place, part in zip(places, done.correction.remainder) if part is not None]
         unknown = tuple(replace(u, corrected=u.place in kept or (u.place == "rig" and bool(kept))) for u in self.physics.unknown)
         return replace(self.physics, cross=cross, unknown=unknown), done.found.covariance + cross @ response.T
 
 
-def of_arm_diagnosis(found: ArmDiagnosis) -> Findings:
+def findings_of_arm_diagnosis(found: ArmDiagnosis) -> Findings:
     """Findings of a diagnosis of the recording that is calibrated."""
-    return Findings(found.effects, None, nameless(found.left))
+    return Findings(found.effects, None, unnamed_findings(found.left))
 
 
 @threadpool_limits.wrap(limits=1)
-def take_arm(recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None) -> TakenArm:
-    """TakenArm of a recording's samples: the findings' parameters refined with the geometry, and what they make of each command.
+def refit_arm_with_findings(recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None) -> ArmRefit:
+    """ArmRefit of a recording's samples: the findings' parameters refined with the geometry, and what they make of each command.
 
     Raises RigError where neither poses nor positions were measured, and what identifying raises
     """
-    said, samples, design = progress or silent, sampled.samples, recording.design
+    said, samples, design = progress or silent_progress, sampled.samples, recording.design
     nominal = arm_of(design.mechanism)
     if samples.measured in UNPLACED:
         raise RigError(f"physics is taken in where poses or positions were measured: {UNPLACED[samples.measured]}")
@@ -59,10 +59,10 @@ def take_arm(recording: Recording, sampled: Sampled, findings: Findings, progres
     said("refining physics and geometry together", 0, 1)
     before = None
     if findings.sigma is not None:
-        before = Beforehand(np.array([c.read(findings.effects[c.effect]) for c in coordinates_of(findings.effects)]), findings.sigma)
+        before = Prior(np.array([c.read(findings.effects[c.effect]) for c in coordinates_of(findings.effects)]), findings.sigma)
     start = start_of(of_samples(samples), nominal, sampled.instrument)
-    found = together(samples, History(design, commands, smoothed(recording.sensors)[0]), start, findings.effects, before)
+    found = fit_geometry_and_effects(samples, History(design, commands, smooth_temperatures(recording.sensors)[0]), start, findings.effects, before)
     said("refining physics and geometry together", 1, 1)
     physics = Physics(found.effects, found.own, np.zeros((len(names(nominal)), len(found.own))), design.gravity, design.actuator, design.platform,
-                      channels(recording, samples.t), findings.unknown)
-    return TakenArm(found, physics)
+                      sensor_statistics(recording, samples.t), findings.unknown)
+    return ArmRefit(found, physics)

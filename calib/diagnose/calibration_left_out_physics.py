@@ -17,11 +17,11 @@ from scipy.special import gammaincinv
 from calib.files import calibration_file
 from calib.certify.calibration import Calibration
 from calib.certify.workspace_claim import Claim
-from calib.certify.calibration_evidence import OfCalibrations, evidence, of_samples
-from calib.certify.held_out_errors import error_of
+from calib.certify.calibration_evidence import OfCalibrations, calibration_evidence, of_samples
+from calib.certify.held_out_errors import pose_errors
 from calib.diagnose.engine.problem_interface import Progress
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose as diagnose_arm
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose as diagnose_platform
+from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose_arm
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose_platform
 from calib.diagnose.report import arm_report
 from calib.diagnose.report import platform_report
 from calib.diagnose.report import report_sentences
@@ -33,9 +33,9 @@ from calib.samples.recording_samples import Sampled
 from calib.samples.pose_samples import Samples
 from rig.errors import NotEnoughData
 from rig.report.verdict import State
-from rig.recording.data_provenance import Marks, shared
+from rig.recording.data_provenance import Marks, frames_with_known_data
 from rig.recording.recording_folder import Recording
-from rig.report.refutations import of_file
+from rig.report.refutations import refutations_of_file
 
 LARGEST = 50_000_000  # bytes of a file that is looked into
 NOT_SEARCHED = "nobody looked for what it leaves out"
@@ -51,7 +51,7 @@ class Against(NamedTuple):
     finding: str
 
 
-def searched(calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None) -> Calibration:
+def search_left_out_physics(calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None) -> Calibration:
     """The Calibration of a recording, its claim with what a diagnosis of it leaves unexplained.
 
     sampled : Sampled that it was made from; progress : called with (label, done, of), or None
@@ -60,27 +60,27 @@ def searched(calibration: Calibration, recording: Recording, sampled: Sampled, p
         return calibration
     try:
         if recording.design.mechanism.kind in ("arm", "chain"):
-            report = arm_report.report(diagnose_arm(recording, progress=progress, sampled=sampled))
+            report = arm_report.arm_report(diagnose_arm(recording, progress=progress, sampled=sampled))
         else:
-            report = platform_report.report(diagnose_platform(recording, progress=progress, sampled=sampled))
+            report = platform_report.platform_report(diagnose_platform(recording, progress=progress, sampled=sampled))
     except NotEnoughData as error:
         return _with(calibration, (f"what it leaves out could not be looked for: {error}",))
-    return with_left_out(calibration, report, sampled.samples)
+    return add_left_out_physics(calibration, report, sampled.samples)
 
 
-def not_searched(calibration: Calibration) -> Calibration:
+def without_search(calibration: Calibration) -> Calibration:
     """The Calibration, its claim stating that nobody looked for what it leaves out."""
     return _with(calibration, (NOT_SEARCHED,))
 
 
-def with_left_out(calibration: Calibration, report: Report, samples: Samples) -> Calibration:
+def add_left_out_physics(calibration: Calibration, report: Report, samples: Samples) -> Calibration:
     """The Calibration with what a Report of its own recording says of its claim. samples : Samples of the recording, all of them"""
-    if refutes(report, calibration, samples):
-        calibration = replace(calibration, claim=widened(calibration, samples))
+    if refutes_calibration(report, calibration, samples):
+        calibration = replace(calibration, claim=widened_claim(calibration, samples))
     return _with(calibration, (*unexplained(report), *(one.text for one in doubts(report))))
 
 
-def refutes(report: Report, calibration: Calibration, samples: Samples) -> bool:
+def refutes_calibration(report: Report, calibration: Calibration, samples: Samples) -> bool:
     """Whether the poses of its own recording, those that it left out among them, refute a calibration's claim, and a Report gives that a cause."""
     if not report.mattering and not report.unknown:
         return False
@@ -88,7 +88,7 @@ def refutes(report: Report, calibration: Calibration, samples: Samples) -> bool:
     return found is not None and found.refutes
 
 
-def widened(calibration: Calibration, samples: Samples) -> Claim:
+def widened_claim(calibration: Calibration, samples: Samples) -> Claim:
     """A calibration's claim, no better than the errors of all poses of its recording beyond what measuring adds.
 
     Few poses may show most of it: as many as count are taken for a Poisson draw, whose 95 % interval is that of the mean square.
@@ -96,7 +96,7 @@ def widened(calibration: Calibration, samples: Samples) -> Claim:
     """
     claim = calibration.claim
     assert claim is not None and claim.before is not None and claim.after is not None
-    errors, covariance = error_of(calibration.correction.predict(samples.effective), samples), samples.total_covariance()
+    errors, covariance = pose_errors(calibration.correction.predict(samples.effective), samples), samples.total_covariance()
     after = tuple(_no_better(three, errors[:, part], covariance[:, part, part]) for part, three in zip((slice(0, 3), slice(3, 6)), claim.after))
     b, a = claim.before[0], after[0]
     pairs = ((b[0], a[0]), (b[1], a[2]), (b[2], a[1]))
@@ -116,7 +116,7 @@ def _no_better(three: tuple[float, ...], errors: np.ndarray, covariance: np.ndar
     return tuple(max(x, y * size) for x, y in zip(three, (1.0, low, high)))
 
 
-def against(report: Report, of: Marks, paths: Iterable[Path], samples: Samples | None) -> list[Against]:
+def refuted_calibrations(report: Report, of: Marks, paths: Iterable[Path], samples: Samples | None) -> list[Against]:
     """[Against] of calibrations made from a recording that know nothing of what a Report of it finds.
 
     of : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples of the recording, None where
@@ -129,16 +129,18 @@ def against(report: Report, of: Marks, paths: Iterable[Path], samples: Samples |
         nameless = [f.place for f in report.unknown if (f.effect, f.place) not in known]
         if not left and not nameless:
             continue
-        found = [f"it leaves out {'; '.join(report_sentences.title(f) + report_sentences.size(f) for f in left)}"] if left else []
+        found = (
+            [f"it leaves out {'; '.join(report_sentences.finding_title(f) + report_sentences.finding_size_text(f) for f in left)}"] if left else []
+        )
         found += [f"nothing in the catalogue explains what is at {', '.join(nameless)}"] if nameless else []
         after = (tree.get("claim") or {}).get("after")
         claimed = f", where {float(after[0][2]) * 1e6:.3g} um is claimed" if after else ""
-        refuted = samples is not None and not tree.get("physics") and refutes(report, calibration_file.load(path), samples)
+        refuted = samples is not None and not tree.get("physics") and refutes_calibration(report, calibration_file.load(path), samples)
         out.append(Against(path, State.BAD if refuted else State.CHECK, "; ".join(found) + claimed))
     return out
 
 
-def of_calibrations(of: Marks, paths: Iterable[Path], later: bool) -> OfCalibrations:
+def findings_against_calibrations(of: Marks, paths: Iterable[Path], later: bool) -> OfCalibrations:
     """OfCalibrations made from a recording with marks `of` by its geometry, without physics. paths : files that may be calibrations
 
     later : whether what other recordings found against them counts, as for what is learnt from the recording itself
@@ -148,7 +150,7 @@ def of_calibrations(of: Marks, paths: Iterable[Path], later: bool) -> OfCalibrat
     for path, tree in _made_from(of, paths):
         if any(tree.get(key) for key in BEYOND):
             continue
-        known = evidence(calibration_file.load(path), of_file(path) if later else ())
+        known = calibration_evidence(calibration_file.load(path), refutations_of_file(path) if later else ())
         refuted += [f"{path.name} {text}" for text in known.refuted] if later else []
         left += known.unexplained
     return OfCalibrations(tuple(dict.fromkeys(refuted)), tuple(dict.fromkeys(left)))
@@ -165,7 +167,7 @@ def _with(calibration: Calibration, texts: tuple[str, ...]) -> Calibration:
 def _made_from(of: Marks, paths: Iterable[Path]) -> list[tuple[Path, dict[str, Any]]]:
     """[(path, tree)] of the calibrations among files that were made from a recording with marks."""
     found = [(path, _calibration(path)) for path in paths]
-    return [(path, tree) for path, tree in found if tree is not None and shared(of, set(tree["provenance"].get("data", ())))]
+    return [(path, tree) for path, tree in found if tree is not None and frames_with_known_data(of, set(tree["provenance"].get("data", ())))]
 
 
 def _known(tree: dict[str, Any]) -> set[tuple[Any, Any]]:

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from calib.certify.platform_certification import Certified, Progress, silent, with_machines
+from calib.certify.platform_certification import Certified, Progress, silent_progress, add_machine_draws
 from calib.correct.physics import Physics, Unknown
 from calib.diagnose.engine.chance_probability import Z95
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.problems.platform.exchanged_markers import exchanged
-from calib.diagnose.problems.platform.operating_point import of_recording, within_reach
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording, without_distant_corners
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.report.diagnosis_json import SCHEMA, UNKNOWN
 from calib.models.platform.identification import Loops, parameters
-from calib.samples.recording_samples import Sampled, freed
+from calib.samples.recording_samples import Sampled, freedom_conditions
 from calib.samples.pose_samples import Samples
 from rig.formats import json_file, machine_json
 from rig.effects.catalogue.effect_list import BY_NAME
@@ -29,8 +29,8 @@ from rig.effects.texts.effect_text import Kinds
 from rig.formats.checked_entries import Entries
 from rig.errors import FileError
 from rig.model.mechanism_kinds import struts_of
-from rig.formats.output_files.folder_manifest import load as manifest
-from rig.recording.data_provenance import marks, shared
+from rig.formats.output_files.folder_manifest import load_manifest as manifest
+from rig.recording.data_provenance import content_marks, frames_with_known_data
 from rig.recording.recording_folder import Recording
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +44,7 @@ class Findings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Taken:
+class PlatformRefit:
     """samples : Samples with what the physics adds to their commands; physics : Physics, of which the geometry does not know yet
     refined : Refined that it comes from."""
 
@@ -66,7 +66,7 @@ class Taken:
             return done
         errors = rng.multivariate_normal(np.zeros(len(self.physics.own)), self.physics.own, len(done.machines.parameters), method="eigh")
         course = np.einsum("nac,dc->dna", self._columns(), errors)
-        return with_machines(done, done.machines.with_more(errors @ self._response(done).T, course))
+        return add_machine_draws(done, done.machines.with_more(errors @ self._response(done).T, course))
 
     def _response(self, done: Certified) -> np.ndarray:
         """(p, c) m, change of the fitted geometry with each coordinate of the physics."""
@@ -92,17 +92,17 @@ class Taken:
         return np.stack(out, axis=2) if out else np.zeros((*self.samples.commanded.shape, 0))
 
 
-def of_diagnosis(found: PlatformDiagnosis) -> Findings:
+def findings_of_diagnosis(found: PlatformDiagnosis) -> Findings:
     """Findings of a diagnosis of the recording that is calibrated."""
-    return Findings((*found.swapped, *found.effects), None, nameless(found.left))
+    return Findings((*found.swapped, *found.effects), None, unnamed_findings(found.left))
 
 
-def nameless(left: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
+def unnamed_findings(left: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
     """What a diagnosis found and has no name for."""
     return tuple(Unknown(u.place, u.magnitude, u.unit, tuple(u.depends_on), False) for u in left)
 
 
-def of_folder(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:
+def findings_of_folder(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:
     """Findings of a folder that `rig diagnose` wrote. kinds : effects that there are
 
     Raises FileError for a folder that holds none, or of another rig
@@ -112,12 +112,12 @@ def of_folder(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Fin
     tree = json_file.load(folder / "diagnosis.json", "diagnosis", SCHEMA)
     if not (folder / "machine.json").exists():
         raise FileError(folder / "machine.json", "no such file; --diagnosis takes a folder that `rig diagnose` wrote from a commanded recording")
-    _, effects = machine_json.load(folder / "machine.json", recording.design, kinds)
+    _, effects = machine_json.load_machine(folder / "machine.json", recording.design, kinds)
     entries = tree.tables("findings")
     unknown = tuple(_unknown(entry) for entry in entries if entry.text("effect") == UNKNOWN)
     origin = manifest(folder).origin
     known = [line.partition(" ")[2] for line in origin.data] if origin is not None else []
-    another = known and not shared(marks(recording), known)
+    another = known and not frames_with_known_data(content_marks(recording), known)
     return Findings(effects, _sigma(effects, entries, tree) if another else None, unknown)
 
 
@@ -149,27 +149,27 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
 
 
 @threadpool_limits.wrap(limits=1)
-def take(recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None) -> Taken:
-    """Taken of a recording's samples: the findings' parameters refined with cameras and geometry, and what they add to each command.
+def refit_platform_with_findings(recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None) -> PlatformRefit:
+    """PlatformRefit of a recording's samples: the findings' parameters refined with cameras and geometry, and what they add to each command.
 
     Raises RigError for a machine without struts, and what refining raises
     """
     nominal = struts_of(recording.design.mechanism)
-    said = progress or silent
+    said = progress or silent_progress
     said("refining physics and geometry together", 0, 1)
-    point, _, _ = of_recording(recording, progress, sampled=sampled)
-    point = within_reach(exchanged(point, [e for e in findings.effects if isinstance(e, MarkerSwap)]))
+    point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
+    point = without_distant_corners(exchanged(point, [e for e in findings.effects if isinstance(e, MarkerSwap)]))
     refined = refine(point.with_effects(e for e in findings.effects if not isinstance(e, MarkerSwap)), Sensitivities(point))
     effects, own = _combined(refined, findings)
     said("refining physics and geometry together", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
-        samples = freed(recording, replace(samples, T_base_platform=k.T))
+        samples = freedom_conditions(recording, replace(samples, T_base_platform=k.T))
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
     design = recording.design
     physics = Physics(effects, own, np.zeros((len(parameters(nominal)), len(own))), design.gravity, design.actuator, design.platform,
-                      channels(recording, samples.t), findings.unknown)
-    return Taken(replace(samples, known=known), physics, refined)
+                      sensor_statistics(recording, samples.t), findings.unknown)
+    return PlatformRefit(replace(samples, known=known), physics, refined)
 
 
 def _combined(refined: Refined, findings: Findings) -> tuple[tuple[Effect, ...], np.ndarray]:
@@ -190,7 +190,7 @@ def _motion(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
     return tuple(e for e in effects if e.stage in MOTION_STAGES)
 
 
-def channels(recording: Recording, t: np.ndarray) -> dict[str, tuple[float, float]]:
+def sensor_statistics(recording: Recording, t: np.ndarray) -> dict[str, tuple[float, float]]:
     """{channel: (median, standard deviation about it)} of a recording's sensors at times t (n,) s."""
     if recording.sensors is None:
         return {}

@@ -61,14 +61,14 @@ class Verdict:
         return None if first.kind == SOMETHING or self.left < UNSAID else first
 
 
-def unexplained(visits: Sequence[Equations], prior: np.ndarray) -> float:
+def unexplained_squares(visits: Sequence[Equations], prior: np.ndarray) -> float:
     """Whitened squares of visits that constants with a prior information (p, p) do not explain."""
     total = np.sum([v.information for v in visits], axis=0) + prior
     right = np.sum([v.right for v in visits], axis=0)
     return sum(v.square for v in visits) - float(right @ cho_solve(cho_factor(total), right))
 
 
-def judge(visits: Sequence[Equations], squares: Sequence[tuple[float, int]], scale: float, prior: np.ndarray, known: Sequence[Hypothesis],
+def change_verdict(visits: Sequence[Equations], squares: Sequence[tuple[float, int]], scale: float, prior: np.ndarray, known: Sequence[Hypothesis],
           first: int) -> Verdict:
     """Verdict of visits in order, the first of which may stand for several older ones.
 

@@ -31,7 +31,7 @@ class Hypothesis:
     prior: float
 
 
-def hypotheses(reference: Reference) -> list[Hypothesis]:
+def change_hypotheses(reference: Reference) -> list[Hypothesis]:
     """[Hypothesis] of all that may change on a rig."""
     places = 6 * len(reference.places)
     own, zeros = places + GEOMETRY, places + GEOMETRY - 6
@@ -47,7 +47,7 @@ def hypotheses(reference: Reference) -> list[Hypothesis]:
                        1 / (len(KINDS) + 1) / members[kind]) for kind, name, columns, size, unit in found]
 
 
-def prior(reference: Reference, covariance: np.ndarray) -> np.ndarray:
+def prior_information(reference: Reference, covariance: np.ndarray) -> np.ndarray:
     """(p, p) information, scaled, in what stays constant from visit to visit before any: places, the geometry, whose covariance (42, 42) m^2 is
     the calibration's, and what it left out."""
     places = np.concatenate([np.full(6, POSE_SCALE / STATED[name.split(" ")[0]]) for name in reference.places])

@@ -31,7 +31,7 @@ REMEASURE = {
 }
 
 
-def lines(verdict: Verdict, name: str, names: Sequence[str], reference: Reference, scale: float,
+def change_lines(verdict: Verdict, name: str, names: Sequence[str], reference: Reference, scale: float,
           allowed: bool = False) -> list[str]:
     """Lines about a visit of a name. names : of the visits in order, for saying since when; scale : see History.scale
     allowed : whether what a first visit disagrees by is within the calibration's claim."""

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.drift.visit_equations import of_base
+from calib.drift.visit_equations import base_motion_columns
 from calib.models.platform.identification import PRIOR, loop_jacobian, parameters, strut_jacobian, with_parameters
 from calib.samples.recording_samples import sample_recording
 from calib.samples.pose_samples import Samples
@@ -41,7 +41,7 @@ class Place:
         return f"the instrument stands elsewhere, by {far * 1e3:.3g} mm and {turned * 1e3:.3g} mrad, in {name}: its poses are brought to the first's"
 
 
-def placed(recording: Recording) -> tuple[Recording, list[Place]]:
+def remove_instrument_displacement(recording: Recording) -> tuple[Recording, list[Place]]:
     """(the Recording of several as if the instrument had stood still, [Place] where it did not), of a platform on struts.
 
     Raises what sampling raises
@@ -65,7 +65,7 @@ def placed(recording: Recording) -> tuple[Recording, list[Place]]:
 
 def _clear(samples: Samples, motion: np.ndarray, m: Struts) -> bool:
     """Whether a place (6,) does CLEAR times as much to the closures of a recording's samples as it leaves, by a mechanism as fitted."""
-    inverse, T = mechanisms.of(m).inverse, samples.T_base_platform
+    inverse, T = mechanisms.kinematics_of(m).inverse, samples.T_base_platform
     here = inverse(_back(T, np.tile(motion, (len(samples), 1))), m)
     return float(np.linalg.norm(inverse(T, m) - here)) > CLEAR * float(np.linalg.norm(here - samples.commanded))
 
@@ -82,9 +82,9 @@ def _solved(samples: Samples, number: np.ndarray, m: Struts, start: np.ndarray, 
     W = np.linalg.inv(np.linalg.cholesky(C + np.eye(len(m.axes)) * scatter[number][:, None] ** 2))
     moved = np.zeros((*A.shape[:2], later, 6))
     for k in range(later):
-        moved[number == k + 1, :, k] = (A @ of_base(T))[number == k + 1]
+        moved[number == k + 1, :, k] = (A @ base_motion_columns(T))[number == k + 1]
     J = np.concatenate([loop_jacobian(T, m), moved.reshape(*A.shape[:2], -1)], axis=2)
-    left = mechanisms.of(m).inverse(T, m) - samples.commanded
+    left = mechanisms.kinematics_of(m).inverse(T, m) - samples.commanded
     white, away = (W @ J).reshape(-1, J.shape[2]), np.r_[(start - parameters(m)) / PRIOR**2, np.zeros(6 * later)]
     covariance = np.linalg.inv(white.T @ white + np.diag(np.r_[np.full(p, 1 / PRIOR**2), np.zeros(6 * later)]))
     step = covariance @ (white.T @ (W @ left[..., None]).ravel() + away)

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.models.platform.identification import to_pose
+from calib.models.platform.identification import inverse_strut_jacobian
 from calib.samples.pose_samples import Samples
 from rig.model import motion_simulation
 from rig.model.design import Design, Hexapod, Platform
@@ -23,7 +23,7 @@ UNITS = (*(GAP,) * 6, GROWTH, SOFT)
 AT_ORIGIN = Platform(1.0, np.zeros(3), np.zeros(3))  # where nobody states the platform's: the added load then sits at its origin
 
 
-def hexapod_in(calibration: Calibration) -> Hexapod:
+def fitted_hexapod(calibration: Calibration) -> Hexapod:
     """The fitted hexapod. Raises RigError for a calibration of another mechanism."""
     fitted = calibration.correction.fitted
     if not isinstance(fitted, Hexapod):
@@ -31,12 +31,12 @@ def hexapod_in(calibration: Calibration) -> Hexapod:
     return fitted
 
 
-def expected(calibration: Calibration, samples: Samples) -> RigidTransform:
+def expected_poses(calibration: Calibration, samples: Samples) -> RigidTransform:
     """T_base_platform (n,) that the calibration gives for the commands of samples, physics that it knows included."""
     return calibration.correction.predict(samples.effective)
 
 
-def columns(mechanism: Hexapod, design: Design, commands: Commands, t: np.ndarray, T: RigidTransform) -> np.ndarray:
+def machine_change_columns(mechanism: Hexapod, design: Design, commands: Commands, t: np.ndarray, T: RigidTransform) -> np.ndarray:
     """(n, 6, 8) tangents (m, rad, on the right) of poses T (n,) per unit of OWN, at exposures t (n,) s under commands."""
     stated = design.platform if design.platform.payload_centre_of_mass is not None and design.platform.mass is not None else AT_ORIGIN
     there = Design("", design.gravity, mechanism, None, design.actuator, stated, (), ())
@@ -44,10 +44,10 @@ def columns(mechanism: Hexapod, design: Design, commands: Commands, t: np.ndarra
     ends = np.array([commands.t[0], commands.t[-1] + 1.0])
 
     def lengthened(effect: Effect, **channels: np.ndarray) -> np.ndarray:
-        return motion_simulation.effective(there, commands, t, T, (effect,), Sensors(ends, channels)) - commands.at(t)
+        return motion_simulation.effective_commands(there, commands, t, T, (effect,), Sensors(ends, channels)) - commands.at(t)
 
     yields = Compliance("rig", stiffness=1 / SOFT)
     out = [lengthened(Backlash(f"strut {i + 1}", gap=GAP)) for i in range(6)]
     out.append(lengthened(ThermalExpansion("rig", coefficient=GROWTH), **warm))
     out.append(lengthened(yields, payload_mass_kg=np.ones(2)) - lengthened(yields))
-    return to_pose(T, mechanism) @ np.stack(out, axis=-1)
+    return inverse_strut_jacobian(T, mechanism) @ np.stack(out, axis=-1)

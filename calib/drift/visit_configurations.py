@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.drift.visit_equations import of_base
-from calib.drift.machine_changes import AT_ORIGIN, GAP, OWN, UNITS, columns, hexapod_in
-from calib.models.platform.d_optimal_configurations import allowed
+from calib.drift.visit_equations import base_motion_columns
+from calib.drift.machine_changes import AT_ORIGIN, GAP, OWN, UNITS, machine_change_columns, fitted_hexapod
+from calib.models.platform.d_optimal_configurations import allowed_configurations
 from calib.models.platform.identification import pose_jacobian
-from calib.workspace.reachable_poses import lost
+from calib.workspace.reachable_poses import is_pose_lost
 from rig.planning import plan
 from rig.model.design import Actuator, Design
 from rig.errors import RigError
@@ -50,15 +50,19 @@ class Chosen:
         return out
 
 
-def choose(calibration: Calibration, design: Design | None, count: int, seed: int = 0, progress: Callable[[int, int], None] | None = None) -> Chosen:
+def choose_visit_configurations(
+    calibration: Calibration, design: Design | None, count: int, seed: int = 0, progress: Callable[[int, int], None] | None = None
+) -> Chosen:
     """Chosen configurations of a calibrated hexapod. design : whose platform and gravity tell loads, or None; progress : called with (done, of)
 
     Raises RigError for another mechanism or too few poses
     """
-    mechanism = hexapod_in(calibration)
+    mechanism = fitted_hexapod(calibration)
     if not LEAST <= count <= CANDIDATES:
         raise RigError(f"--count takes {LEAST} to {CANDIDATES} poses, got {count}")
-    candidates = allowed(plan.low_discrepancy(mechanism.strut_range, CANDIDATES, FILL, seed), lambda c: lost(calibration.correction, c))
+    candidates = allowed_configurations(
+        plan.low_discrepancy(mechanism.strut_range, CANDIDATES, FILL, seed), lambda c: is_pose_lost(calibration.correction, c)
+    )
     told = _Told(candidates, mechanism.strut_range.mean(axis=1), *_columns(calibration, design, candidates))
     order: list[int] = []
     for k in range(count):
@@ -124,10 +128,10 @@ def _sigma(M: np.ndarray) -> np.ndarray:
 
 def _columns(calibration: Calibration, design: Design | None, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(n, 6, 14) whitened columns of zeros, growth, sag and the frame's motion, and (n, 6, 6) of the struts' lengths per GAP."""
-    mechanism, n = hexapod_in(calibration), len(candidates)
+    mechanism, n = fitted_hexapod(calibration), len(candidates)
     T, t = calibration.correction.predict(candidates), np.arange(float(n))
     stated = Design("", DOWN, mechanism, None, Actuator(None, None, None), AT_ORIGIN, (), ()) if design is None else design
-    changed = columns(mechanism, stated, Commands(t, candidates), t, T)[..., 6:]
+    changed = machine_change_columns(mechanism, stated, Commands(t, candidates), t, T)[..., 6:]
     zeros = pose_jacobian(T, mechanism)[..., 36:]
     white = 1 / np.repeat(SIGMAS, 3)[:, None]
-    return np.concatenate([zeros * ZERO, changed, of_base(T)], axis=2) * white, zeros * GAP * white
+    return np.concatenate([zeros * ZERO, changed, base_motion_columns(T)], axis=2) * white, zeros * GAP * white

@@ -11,16 +11,16 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.drift.machine_changes import columns, expected, hexapod_in
+from calib.drift.machine_changes import machine_change_columns, expected_poses, fitted_hexapod
 from calib.drift.first_visit_reference import Reference
-from calib.models.platform.identification import pose_jacobian, to_pose
+from calib.models.platform.identification import pose_jacobian, inverse_strut_jacobian
 from calib.samples.recording_samples import sample_recording
 from calib.samples.pose_samples import Samples
 from rig.errors import RigError
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Recording
 from vision.bundle.normal_equations import linearise, normal_equations
-from vision.bundle.unknown_priors import POSE_SCALE, unknowns
+from vision.bundle.unknown_priors import POSE_SCALE, adjustment_unknowns
 from vision.lens import terms
 from vision.recording_adjustment import Measurement
 from vision.corner_observations import whitener
@@ -54,12 +54,12 @@ class _Seen:
     samples: Samples
 
 
-def read(recording: Recording, calibration: Calibration, reference: Reference | None) -> tuple[Equations, Reference]:
+def visit_equations(recording: Recording, calibration: Calibration, reference: Reference | None) -> tuple[Equations, Reference]:
     """(Equations of a visit, the Reference about which they stand: the visit itself where none is given).
 
     Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and what measuring raises
     """
-    mechanism = hexapod_in(calibration)
+    mechanism = fitted_hexapod(calibration)
     if recording.design.mechanism.kind != mechanism.kind:
         raise RigError(f"{recording.folder} is of a mechanism of kind {recording.design.mechanism.kind!r}, the calibration of one of kind "
                        f"{mechanism.kind!r}")
@@ -67,7 +67,7 @@ def read(recording: Recording, calibration: Calibration, reference: Reference | 
     reference = reference or Reference.of(recording.design, sampled.measurement)
     reference.refuse(recording, sampled.measurement is not None)
     samples = calibration.told(recording, sampled.samples)
-    T = expected(calibration, samples)
+    T = expected_poses(calibration, samples)
     seen = _by_instrument(samples, T) if sampled.measurement is None else _by_cameras(sampled.measurement, samples, T, reference)
     return _of_machine(seen, T, recording, calibration), reference
 
@@ -82,12 +82,12 @@ def _by_instrument(samples: Samples, T: RigidTransform) -> _Seen:
     K = samples.common.reshape(6 * n, -1)
     if K.shape[1]:
         D -= D @ K @ np.linalg.solve(np.eye(K.shape[1]) + K.T @ D @ K, K.T @ D)
-    J = np.concatenate([np.eye(6 * n), of_base(samples.T_base_platform).reshape(6 * n, 6)], axis=1)
+    J = np.concatenate([np.eye(6 * n), base_motion_columns(samples.T_base_platform).reshape(6 * n, 6)], axis=1)
     y = log(T.inv() * samples.T_base_platform).ravel()
     return _Seen(J.T @ D @ J * POSE_SCALE**2, J.T @ D @ y * POSE_SCALE, samples)
 
 
-def of_base(T: RigidTransform) -> np.ndarray:
+def base_motion_columns(T: RigidTransform) -> np.ndarray:
     """(n, 6, 6) tangents on the right of poses T (n,) per motion of the base (m, rad, along its axes about its origin)."""
     matrix = T.as_matrix()
     back = np.swapaxes(matrix[:, :3, :3], 1, 2)
@@ -100,7 +100,7 @@ def of_base(T: RigidTransform) -> np.ndarray:
 def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, reference: Reference) -> _Seen:
     """What corners say, linearised where they fit best. T : (n,) expected; lenses are each visit's own, as good as stated."""
     a, kept = measured.adjustment, measured.used()
-    u, estimate = unknowns(kept, a.state, a.stated, FREE)
+    u, estimate = adjustment_unknowns(kept, a.state, a.stated, FREE)
     _, derivatives = linearise(kept, estimate, u, whitener(kept))
     blocks = normal_equations(kept, derivatives, u, np.zeros(u.shared))
     frames, at = 6 * len(samples), {f"target {name}": s for name, s in u.targets.items()}
@@ -141,21 +141,21 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
 
 def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibration: Calibration) -> Equations:
     """Equations of a visit in which poses (n,) follow from the machine, each strut to within what it repeats to."""
-    mechanism, samples = hexapod_in(calibration), seen.samples
+    mechanism, samples = fitted_hexapod(calibration), seen.samples
     n = 6 * len(samples)
     values, vectors = np.linalg.eigh(seen.information)
     held = values > SEEN * values[-1]
     square = float(((vectors[:, held].T @ seen.right) ** 2 / values[held]).sum())
     if recording.commands is None:
         raise RigError(f"{recording.folder}: there is no commands.csv, so nothing was commanded")
-    changed = columns(mechanism, recording.design, recording.commands, samples.t, T) / POSE_SCALE  # its units are its own
+    changed = machine_change_columns(mechanism, recording.design, recording.commands, samples.t, T) / POSE_SCALE  # its units are its own
     of_machine = np.concatenate([pose_jacobian(T, mechanism), changed], axis=2).reshape(n, -1)
     places = len(seen.right) - n
     M = np.zeros((len(seen.right), n + places + of_machine.shape[1]))
     M[:, : n + places] = np.eye(n + places)
     M[:n, n + places :] = of_machine
     N, b = M.T @ seen.information @ M, M.T @ seen.right
-    spread = to_pose(T, mechanism) * np.sqrt(calibration.scatter**2 + REPEATS**2) / POSE_SCALE
+    spread = inverse_strut_jacobian(T, mechanism) * np.sqrt(calibration.scatter**2 + REPEATS**2) / POSE_SCALE
     tight = np.linalg.inv(spread @ np.swapaxes(spread, 1, 2))
     for f in range(len(samples)):
         N[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] += tight[f]

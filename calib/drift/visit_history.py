@@ -3,12 +3,12 @@
 from dataclasses import dataclass, replace
 
 from calib.certify.calibration import Calibration
-from calib.drift.change_evidence import Verdict, judge, unexplained
-from calib.drift.change_hypotheses import hypotheses, prior
-from calib.drift.visit_equations import Equations, read
+from calib.drift.change_evidence import Verdict, change_verdict, unexplained_squares
+from calib.drift.change_hypotheses import change_hypotheses, prior_information
+from calib.drift.visit_equations import Equations, visit_equations
 from calib.drift.first_visit_reference import Reference
 from rig.errors import RigError
-from rig.recording.data_provenance import flat, marks, shared
+from rig.recording.data_provenance import marks_of_frames, content_marks, frames_with_known_data
 from rig.recording.recording_folder import Recording
 
 KEPT = 8  # latest visits that a change may have begun with; older ones are one
@@ -50,25 +50,25 @@ class History:
         return max(1.0, (BELIEVED + sum(v.square for v in quiet)) / (BELIEVED + sum(v.count for v in quiet)))
 
 
-def take(history: History, recording: Recording, calibration: Calibration) -> tuple[History, Verdict]:
+def add_visit(history: History, recording: Recording, calibration: Calibration) -> tuple[History, Verdict]:
     """(History with one more visit, what it says now).
 
-    Raises RigError for data that were taken already or that the calibration was made from, and as `read` does
+    Raises RigError for data that were taken already or that the calibration was made from, and as `visit_equations` does
     """
-    of = marks(recording)
+    of = content_marks(recording)
     for known, what in ((history.data, "are in the history already"), (calibration.provenance.get("data", ()), "made the calibration")):
-        same = shared(of, known)
+        same = frames_with_known_data(of, known)
         if same:
             raise RigError(f"{recording.folder}: {len(same)} of {len(recording.exposures.times()[0])} frames (the first: {same[0]}) {what}; a visit "
                            "is what was recorded anew")
-    equations, reference = read(recording, calibration, history.reference)
-    before, constants = [visit.equations for visit in history.visits], prior(reference, calibration.covariance)
-    square = unexplained([*before, equations], constants) - (unexplained(before, constants) if before else 0.0)
+    equations, reference = visit_equations(recording, calibration, history.reference)
+    before, constants = [visit.equations for visit in history.visits], prior_information(reference, calibration.covariance)
+    square = unexplained_squares([*before, equations], constants) - (unexplained_squares(before, constants) if before else 0.0)
     squares = [*((visit.square, visit.count) for visit in history.visits), (square, equations.count)]
     first = history.visits[0].visits if history.visits else 1
-    verdict = judge([*before, equations], squares, history.scale(), constants, hypotheses(reference), first)
+    verdict = change_verdict([*before, equations], squares, history.scale(), constants, change_hypotheses(reference), first)
     visit = Visit(recording.folder.resolve().name, equations, square, equations.count, verdict.log_sum, 1, not verdict.alarm)
-    made = replace(history, reference=reference, visits=_summed((*history.visits, visit)), data=history.data | set(flat(of)))
+    made = replace(history, reference=reference, visits=_summed((*history.visits, visit)), data=history.data | set(marks_of_frames(of)))
     return made, verdict
 
 

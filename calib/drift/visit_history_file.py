@@ -15,24 +15,24 @@ from rig.model.design import DISTORTION_TERMS, Camera
 from rig.formats.checked_entries import Entries
 from rig.errors import FileError
 from rig.formats.output_files import write_text
-from rig.model.pose import as_entry
+from rig.model.pose import pose_entry_text
 
 SCHEMA = "watch/1"
 MOST_PLACES = 200
 
 
-def digest(calibration: Path) -> str:
+def calibration_digest(calibration: Path) -> str:
     """SHA-256 of a calibration's file, by which a history knows it again."""
     return sha256(calibration.read_bytes()).hexdigest()
 
 
-def save(path: Path | str, history: History) -> None:
+def write_history(path: Path | str, history: History) -> None:
     """Write a History that has visits, whole or not at all. Raises ValueError for one without."""
     r = history.reference
     if r is None:
         raise ValueError("expected a history with visits, got one without")
     cameras = [{"name": c.name, "width": c.width, "height": c.height, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(),
-                "pose": as_entry(c.pose), "shutter": c.shutter,
+                "pose": pose_entry_text(c.pose), "shutter": c.shutter,
                 "row_time": c.row_time} for c in r.cameras]
     visits = [{"name": v.name, "visits": v.visits, "quiet": v.quiet, "square": v.square, "count": v.count, "log_sum": v.log_sum,
                "information": v.equations.information[np.triu_indices(len(v.equations.right))].tolist(), "right": v.equations.right.tolist(),
@@ -42,8 +42,8 @@ def save(path: Path | str, history: History) -> None:
     write_text(path, json.dumps(tree) + "\n")
 
 
-def load(path: Path | str, calibration: str) -> History:
-    """History as `save` wrote it. calibration : SHA-256 of the file that it must be about.
+def read_history(path: Path | str, calibration: str) -> History:
+    """History as `write_history` wrote it. calibration : SHA-256 of the file that it must be about.
 
     Raises FileError for a file that is missing, cut off, none of these, or of another calibration
     """

@@ -14,12 +14,21 @@ from calib.diagnose.problems.arm.joint_candidates import joint_candidate
 from calib.diagnose.problems.arm.whitened_columns import Columns, Part
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
 from calib.diagnose.problems.arm.pose_fit import Fit, Term
-from calib.diagnose.problems.arm.nonlinear_parameters import at_best, sought
-from calib.diagnose.problems.arm.linearised_poses import Arms, Geometry, planned
+from calib.diagnose.problems.arm.nonlinear_parameters import optimise_nonlinear_parameters, has_continuous_parameters
+from calib.diagnose.problems.arm.linearised_poses import Arms, Geometry, linearise_planned_poses
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.platform.temperature_alternatives import WARM
-from calib.experiment.experiment_question import Foretold, PerFrame, Question, Rival, by_data, hypotheses, told_apart, with_foreign
-from calib.experiment.predicted_recording import course
+from calib.experiment.experiment_question import (
+    Prediction,
+    PerFrame,
+    Question,
+    Rival,
+    data_log_odds,
+    hypotheses,
+    is_ruled_out,
+    with_unlisted_hypothesis,
+)
+from calib.experiment.predicted_recording import predicted_sensor_log
 from rig.model.design import Arm
 from rig.errors import RigError
 from rig.planning.plan import Plan
@@ -43,7 +52,7 @@ class ArmQuestion(Question[ArmFit]):
     def warm(self) -> bool:
         return any(h.fitted.fit.terms[h.number].candidate.kind in WARM for h in self.named)
 
-    def foretold(self, plan: Plan, warmer: float = 0.0) -> Foretold:
+    def foretold(self, plan: Plan, warmer: float = 0.0) -> Prediction:
         named = self.named
         tables, shapes, _ = _seen([h.fitted for h in named], [h.number for h in named], plan, warmer)
         basis, values, _ = np.linalg.svd(np.concatenate([*tables, shapes], axis=1), full_matrices=False)
@@ -51,7 +60,7 @@ class ArmQuestion(Question[ArmFit]):
         spread = [basis.T @ table for table in tables]
         means = np.array([part @ h.fitted.fit.theta for part, h in zip(spread, named)])
         covariances = np.array([_square(part @ h.fitted.fit.inverse) + np.eye(len(part)) for part, h in zip(spread, named)])
-        return with_foreign(self, Foretold(means, covariances, _cosines(self, tables[0], shapes)), basis.T @ shapes)
+        return with_unlisted_hypothesis(self, Prediction(means, covariances, _cosines(self, tables[0], shapes)), basis.T @ shapes)
 
     def per_frame(self, plan: Plan) -> PerFrame:
         first, other = self.likeliest
@@ -66,7 +75,7 @@ class ArmQuestion(Question[ArmFit]):
 def arm_questions(d: ArmDiagnosis) -> list[ArmQuestion]:
     """[ArmQuestion] of what a diagnosis cannot tell apart, none where it can. Raises RigError for a machine of which no plan can be foretold."""
     size = d.fit.size
-    open_ones = [f for f in d.findings if any(not told_apart(f, a, size) for a in f.alternatives)]
+    open_ones = [f for f in d.findings if any(not is_ruled_out(f, a, size) for a in f.alternatives)]
     if not open_ones:
         return []
     if not isinstance(d.geometry.mechanism, Arm):
@@ -77,22 +86,22 @@ def arm_questions(d: ArmDiagnosis) -> list[ArmQuestion]:
         own = d.fit.terms[finding.number].candidate
         found: list[Rival[ArmFit]] = [Rival(own.name, own.place, 0.0, ArmFit(d.fit, d.geometry), finding.number)]
         bare = problem.remove_term(d.fit, finding.number)
-        for a in (a for a in finding.alternatives if not told_apart(finding, a, size)):
+        for a in (a for a in finding.alternatives if not is_ruled_out(finding, a, size)):
             term = Term.of(a.score)
-            fit = bare.with_terms([at_best(bare, term) if sought(term) else term])
+            fit = bare.with_terms([optimise_nonlinear_parameters(bare, term) if has_continuous_parameters(term) else term])
             found.append(Rival(a.score.candidate.name, a.score.candidate.place, a.behind, ArmFit(fit, d.geometry), len(bare.terms),
-                               by_data(finding, a, size)))
+                               data_log_odds(finding, a, size)))
         out.append(ArmQuestion(hypotheses(found)))
     return out
 
 
 def _seen(fits: Sequence[ArmFit], numbers: Sequence[int], plan: Plan, warmer: float) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
     """([(n k, p + c) whitened change of a plan's poses with each fit's freedoms and sizes], (n k, h) what each fit's term of a number does,
-    (n,) which of its exposures are measured). Raises RigError as `planned`, and for a cube that is to be turned"""
+    (n,) which of its exposures are measured). Raises RigError as `linearise_planned_poses`, and for a cube that is to be turned"""
     if plan.turned:
         raise RigError("what a cube that is put back turned would show is foretold for platforms")
     first, geometry = fits[0].fit, fits[0].geometry
-    there = planned(first.arms, geometry, plan.commands, plan.t, course(first.arms.context.sensors, plan, warmer))
+    there = linearise_planned_poses(first.arms, geometry, plan.commands, plan.t, predicted_sensor_log(first.arms.context.sensors, plan, warmer))
     W = np.linalg.inv(np.linalg.cholesky(there.own + np.diag(first.scatter**2)))
     tables, shapes = [], []
     for one, number in zip(fits, numbers):

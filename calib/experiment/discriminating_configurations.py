@@ -8,13 +8,13 @@ from calib.experiment.experiment_question import PerFrame, Question
 from rig.planning.configuration_sets import grid, low_discrepancy
 from rig.model.design import Design
 from rig.errors import RigError
-from rig.planning.plan import Plan, build, strokes_of
+from rig.planning.plan import Plan, build_plan, axis_strokes
 
 POOL = 96  # configurations to choose from, beside the corners of what the axes reach
 NAME = "apart"  # of the part of a plan that they become
 
 
-def apart(asked: Sequence[Question], design: Design, count: int, seed: int) -> np.ndarray:
+def discriminating_configurations(asked: Sequence[Question], design: Design, count: int, seed: int) -> np.ndarray:
     """(count, axes) configurations, in the order in which they were chosen: each the one that, with those before it, tells most between each
     question's two likeliest names, what geometry, cameras and their own numbers may do taken out.
 
@@ -24,13 +24,13 @@ def apart(asked: Sequence[Question], design: Design, count: int, seed: int) -> n
     open_ones = [q for q in asked if len(q.named) > 1]
     if not open_ones:
         raise RigError("one name alone is thought of, so there are no two that come apart anywhere")
-    strokes = strokes_of(design)
+    strokes = axis_strokes(design)
     pool = np.concatenate([low_discrepancy(strokes, POOL, seed=seed), grid(strokes, 2)])
-    plan = build(design, "pool", own={"pool": pool})
-    return pool[chosen([q.per_frame(plan) for q in open_ones], count)]
+    plan = build_plan(design, "pool", own={"pool": pool})
+    return pool[choose_exposures([q.per_frame(plan) for q in open_ones], count)]
 
 
-def chosen(questions: Sequence[PerFrame], count: int) -> np.ndarray:
+def choose_exposures(questions: Sequence[PerFrame], count: int) -> np.ndarray:
     """(count,) numbers of the exposures that together tell most, greedily, each one once.
 
     Raises ValueError for more than there are, or no question
@@ -51,7 +51,7 @@ def chosen(questions: Sequence[PerFrame], count: int) -> np.ndarray:
     return np.array(out)
 
 
-def cameras(asked: Sequence[Question], plan: Plan) -> dict[str, float]:
+def camera_shares(asked: Sequence[Question], plan: Plan) -> dict[str, float]:
     """{camera: share of what its images show otherwise under each question's two likeliest names}, the one that sees most first; none where an
     instrument measures."""
     parts: dict[str, float] = {}

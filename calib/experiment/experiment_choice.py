@@ -6,17 +6,17 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.experiment.discriminating_configurations import NAME, apart
+from calib.experiment.discriminating_configurations import NAME, discriminating_configurations
 from calib.experiment.experiment_question import Question
 from calib.experiment.investigation_folder import SETTING_UP
-from calib.experiment.experiment_information import Worth, worth
-from rig.model.cube_quarter_turns import to_do, turned
+from calib.experiment.experiment_information import Information, experiment_information
+from rig.model.cube_quarter_turns import turning_instructions, quarter_turns
 from rig.model.design import Design, Permission
 from rig.errors import RigError
-from rig.planning.plan import Plan, build
+from rig.planning.plan import Plan, build_plan
 
 PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts stand
-CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `apart`
+CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `discriminating_configurations`
 MOVING = ("moving:16", "zigzag:16", "zigzag:40")
 WAITING = ("dwell:20", "sobol:8,wait:20,sobol:8", "sobol:8,wait:60,sobol:8")  # where waiting is allowed
 LOADED = ("payload:6", "payload:14")  # where a payload is allowed
@@ -47,7 +47,7 @@ class Experiment:
         return self.bits / self.minutes
 
 
-def kinds(may: Sequence[str], standing: bool, off: Sequence[str] = ()) -> list[str]:
+def available_plans(may: Sequence[str], standing: bool, off: Sequence[str] = ()) -> list[str]:
     """Plans' texts to choose from. may : what an owner allows ("payload", "wait", "turn cube NAME"); standing : whether the struts must stand to be
     exposed; off : cubes that were turned already"""
     out = [*PARTS, *(f"{NAME}:{count}" for count in CHOSEN), *(() if standing else MOVING)]
@@ -57,7 +57,7 @@ def kinds(may: Sequence[str], standing: bool, off: Sequence[str] = ()) -> list[s
     return out + [text for text in LOADED if "payload" in may and not standing]
 
 
-def choose(asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int, most: float = np.inf,
+def choose_experiment(asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int, most: float = np.inf,
            progress: Callable[[int, int], None] | None = None) -> tuple[list[Experiment], dict[str, str]]:
     """([Experiment], the best first; {plan's text: why it is out of the question}).
 
@@ -67,7 +67,7 @@ def choose(asked: Sequence[Question], design: Design, texts: Sequence[str], seed
     refused: dict[str, str] = {}
     own: dict[str, np.ndarray] = {}
     try:
-        own = configurations(asked, design, texts, seed)
+        own = plan_configurations(asked, design, texts, seed)
     except RigError as error:
         refused = {text: str(error) for text in texts if text.startswith(NAME)}
 
@@ -75,7 +75,7 @@ def choose(asked: Sequence[Question], design: Design, texts: Sequence[str], seed
         if progress:
             progress(len(out) + len(refused), len(texts) + PAIRED)
         try:
-            found = evaluate(asked, design, text, seed, own)
+            found = evaluate_experiment(asked, design, text, seed, own)
         except RigError as error:
             refused[text] = str(error)
             return
@@ -92,28 +92,28 @@ def choose(asked: Sequence[Question], design: Design, texts: Sequence[str], seed
         first, then = (b.text, a.text) if TURN in b.text else (a.text, b.text)  # a cube is turned before all else
         if TURN not in then:
             tried(f"{first},{then}")
-    return ranked(out), refused
+    return rank_experiments(out), refused
 
 
-def ranked(experiments: Sequence[Experiment]) -> list[Experiment]:
+def rank_experiments(experiments: Sequence[Experiment]) -> list[Experiment]:
     """The best first: those that settle all in the least time, made as often as that is expected to take, then by what they tell per minute."""
     return sorted(experiments, key=lambda e: (e.minutes / e.settles if e.settles >= HOPELESS else np.inf, -e.rate))
 
 
-def configurations(asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int) -> dict[str, np.ndarray]:
+def plan_configurations(asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int) -> dict[str, np.ndarray]:
     """{apart:N: configurations (N, axes)} of those plans' texts that ask for them, the first of one choice. Raises RigError where the rig cannot
     visit what is to be chosen from, and where no question has two names to come apart"""
     counts = sorted(int(text.partition(":")[2]) for text in texts if text.startswith(f"{NAME}:"))
     if not counts:
         return {}
-    found = apart(asked, design, counts[-1], seed)
+    found = discriminating_configurations(asked, design, counts[-1], seed)
     return {f"{NAME}:{count}": found[:count] for count in counts}
 
 
-def evaluate(asked: Sequence[Question], design: Design, text: str, seed: int, own: Mapping[str, np.ndarray] | None = None) -> Experiment:
-    """Experiment of one plan. own : {apart:N: (N, axes)} of `configurations`. Raises RigError for one that the rig cannot follow."""
-    plan, stands = build(design, text, seed, own=own), turned(design)
-    todo = to_do(dict(plan.turned), stands)
+def evaluate_experiment(asked: Sequence[Question], design: Design, text: str, seed: int, own: Mapping[str, np.ndarray] | None = None) -> Experiment:
+    """Experiment of one plan. own : {apart:N: (N, axes)} of `plan_configurations`. Raises RigError for one that the rig cannot follow."""
+    plan, stands = build_plan(design, text, seed, own=own), quarter_turns(design)
+    todo = turning_instructions(dict(plan.turned), stands)
     plan = replace(plan, turned=tuple({**stands, **dict(plan.turned)}.items()))
     found = [_worth(question, plan) for question in asked]
     minutes = float(plan.commands.t[-1]) / 60 + SETTING_UP + TURNING * len(todo)
@@ -124,8 +124,8 @@ def evaluate(asked: Sequence[Question], design: Design, text: str, seed: int, ow
     return Experiment(text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
 
 
-def _worth(question: Question, plan: Plan) -> Worth:
-    """Worth of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first recording's and others."""
+def _worth(question: Question, plan: Plan) -> Information:
+    """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first recording's and others."""
     odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "by_data"))
-    found = [worth(odds, question.foretold(plan, warmer), behind) for warmer in (DAYS if question.warm else (0.0,))]
-    return Worth(*(float(np.mean([getattr(one, name) for one in found])) for name in ("bits", "settles", "right")))
+    found = [experiment_information(odds, question.foretold(plan, warmer), behind) for warmer in (DAYS if question.warm else (0.0,))]
+    return Information(*(float(np.mean([getattr(one, name) for one in found])) for name in ("bits", "settles", "right")))

@@ -6,14 +6,14 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from calib.diagnose.engine.selection_policy import PLATFORM
-from calib.experiment.experiment_question import Foretold
+from calib.experiment.experiment_question import Prediction
 
 DRAWS = 400  # outcomes that are looked at
 SEED = 0
 
 
 @dataclass(frozen=True, slots=True)
-class Worth:
+class Information:
     """bits : expected on which hypothesis holds; settles : chance that one is left alone; right : that it is the one that holds."""
 
     bits: float
@@ -21,8 +21,8 @@ class Worth:
     right: float
 
 
-def worth(odds: np.ndarray, expected: Foretold, behind: np.ndarray) -> Worth:
-    """Worth of an experiment whose outcome is drawn many times: from each hypothesis as often as its odds (h,) say.
+def experiment_information(odds: np.ndarray, expected: Prediction, behind: np.ndarray) -> Information:
+    """Information of an experiment whose outcome is drawn many times: from each hypothesis as often as its odds (h,) say.
 
     behind : (h,) how much less likely the data so far make each, as minus twice a logarithm
     One is left alone where all others are less likely by the odds from which a diagnosis tells apart; those that do nearly the same, by what the
@@ -50,7 +50,7 @@ def worth(odds: np.ndarray, expected: Foretold, behind: np.ndarray) -> Worth:
     share /= share.sum(axis=1, keepdims=True)
     left = -(share * np.log2(np.maximum(share, 1e-300))).sum(axis=1)
     bits = float(-(odds * np.log2(odds)).sum() - w @ left)
-    return Worth(max(bits, 0.0), float(w @ alone), float(w @ (alone & (best == np.array(truth)))))
+    return Information(max(bits, 0.0), float(w @ alone), float(w @ (alone & (best == np.array(truth)))))
 
 
 def _log_likelihood(z: np.ndarray, mean: np.ndarray, root: np.ndarray) -> np.ndarray:

@@ -43,7 +43,7 @@ class Hypothesis(Generic[F]):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Foretold:
+class Prediction:
     """Of h hypotheses on r directions. means : (h, r); covariances : (h, r, r), the noise's own 1 included
     cosines : (h, h) between what they do, over all recordings with this one, nuisances taken out"""
 
@@ -90,8 +90,8 @@ class Question(ABC, Generic[F]):
         """Whether one of the names follows a temperature."""
 
     @abstractmethod
-    def foretold(self, plan: Plan, warmer: float = 0.0) -> Foretold:
-        """Foretold of the hypotheses under a plan. warmer : K, than it was in the first recording
+    def foretold(self, plan: Plan, warmer: float = 0.0) -> Prediction:
+        """Prediction of the hypotheses under a plan. warmer : K, than it was in the first recording
         Raises RigError where the machine as found cannot follow it, or nothing would be seen of some of it"""
 
     @abstractmethod
@@ -99,7 +99,7 @@ class Question(ABC, Generic[F]):
         """PerFrame of the two likeliest names. Raises what `foretold` raises, and ValueError for a question of one name"""
 
 
-def with_foreign(question: Question[F], found: Foretold, shapes: np.ndarray) -> Foretold:
+def with_unlisted_hypothesis(question: Question[F], found: Prediction, shapes: np.ndarray) -> Prediction:
     """Foretold with what is in no catalogue, last: as the first name foretells, but for anything as large as what was found, where names differ.
 
     shapes : (r, h) what each name does
@@ -113,7 +113,7 @@ def with_foreign(question: Question[F], found: Foretold, shapes: np.ndarray) -> 
     h = len(means)
     wide = np.zeros((h + 1, h + 1))
     wide[:h, :h] = found.cosines
-    return Foretold(np.concatenate([means, means[:1]]), np.concatenate([covariances, foreign[None]]), wide)
+    return Prediction(np.concatenate([means, means[:1]]), np.concatenate([covariances, foreign[None]]), wide)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,12 +136,12 @@ def hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
     return (*named, Hypothesis(UNKNOWN, rivals[0].place, FOREIGN, rivals[0].fit, rivals[0].number))
 
 
-def told_apart(finding: Finding, alternative: Alternative, size: int) -> bool:
+def is_ruled_out(finding: Finding, alternative: Alternative, size: int) -> bool:
     """Whether an alternative is out of the question: too unlikely, and where it does nearly the same, by the data alone, not by what it costs."""
     same = abs(alternative.cosine) > PLATFORM.cosine
-    return alternative.behind >= PLATFORM.alike and (not same or by_data(finding, alternative, size) >= PLATFORM.alike)
+    return alternative.behind >= PLATFORM.alike and (not same or data_log_odds(finding, alternative, size) >= PLATFORM.alike)
 
 
-def by_data(finding: Finding, alternative: Alternative, size: int) -> float:
+def data_log_odds(finding: Finding, alternative: Alternative, size: int) -> float:
     """How much less likely the data make an alternative than its finding, as minus twice a logarithm, whatever either costs in simplicity."""
     return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import closed
-from calib.models.geometric_parameters import freedoms
-from calib.models.platform.d_optimal_configurations import exchanged, summed
+from calib.correct.correction import filter_closed_commands
+from calib.models.geometric_parameters import geometric_freedoms
+from calib.models.platform.d_optimal_configurations import exchange_configurations, sum_information
 from rig.model import mechanisms
 from rig.planning.approach_balance import balanced_order
 from rig.planning.configuration_sets import low_discrepancy
@@ -37,19 +37,25 @@ class Informative:
     seen: float
 
 
-def choose(mechanism: Arm | Chain | Planar2, count: int, sigmas: tuple[float, float], shown: Callable[[RigidTransform], np.ndarray] | None = None,
-           seed: int = 0, progress: Callable[[int, int], None] | None = None) -> Informative:
+def informative_configurations(
+    mechanism: Arm | Chain | Planar2,
+    count: int,
+    sigmas: tuple[float, float],
+    shown: Callable[[RigidTransform], np.ndarray] | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Informative:
     """Informative configurations, `count` of them. sigmas : (m, rad) standard deviations of a measured pose, per axis
 
     shown : how many markers of what moves are seen at poses (n,), or None where an instrument sees it anywhere; progress : called with (done, of)
     Raises RigError for too few configurations to hold the parameters, or where too few candidates close on a pose or are seen
     """
-    kinematics = mechanisms.of(mechanism)
+    kinematics = mechanisms.kinematics_of(mechanism)
     values = low_discrepancy(kinematics.travel(mechanism), CANDIDATES, FILL, seed)
-    index, T = closed(values, lambda some: kinematics.forward(some, mechanism))
+    index, T = filter_closed_commands(values, lambda some: kinematics.forward(some, mechanism))
     values = values[index]
     seen = np.ones(len(values), bool) if shown is None else shown(T) >= FEWEST
-    asked = freedoms(mechanism)
+    asked = geometric_freedoms(mechanism)
     size = asked.size
     if not seen.any():
         raise RigError(f"in none of {len(values)} configurations all over the limits {FEWEST} markers are seen whole: turn the cameras")
@@ -62,12 +68,14 @@ def choose(mechanism: Arm | Chain | Planar2, count: int, sigmas: tuple[float, fl
         raise RigError(f"in {seen.sum()} of {len(values)} configurations all over the limits {FEWEST} markers are seen whole; choosing {count} takes "
                        "more: narrow the limits, or turn the cameras")
     start = np.eye(len(size)) if asked.alike else np.zeros((len(size), len(size)))
-    picked = exchanged(rows, start, count, "determinant", progress)
+    picked = exchange_configurations(rows, start, count, "determinant", progress)
     even = np.linspace(0, len(rows) - 1, count).astype(int)
-    told_by, vectors = np.linalg.eigh(np.eye(len(size)) + summed(rows, picked))
+    told_by, vectors = np.linalg.eigh(np.eye(len(size)) + sum_information(rows, picked))
     sharp = vectors[:, told_by > TOLD]
-    sigma, plain = (size * np.sqrt(np.einsum("pi,ij,pj->p", sharp, sharp.T @ np.linalg.inv(np.eye(len(size)) + summed(rows, chosen)) @ sharp, sharp))
-                    for chosen in (picked, even))
+    sigma, plain = (
+        size * np.sqrt(np.einsum("pi,ij,pj->p", sharp, sharp.T @ np.linalg.inv(np.eye(len(size)) + sum_information(rows, chosen)) @ sharp, sharp))
+        for chosen in (picked, even)
+    )
     chosen = values[seen][picked]
     order = balanced_order(chosen, np.random.default_rng(seed), kinematics.travel(mechanism).mean(axis=1))
     return Informative(chosen[order], asked.names, asked.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean()))

@@ -63,37 +63,37 @@ class Look:
         return out
 
 
-def plan_of(folder: Path, number: int) -> Path:
+def plan_path(folder: Path, number: int) -> Path:
     """Where the plan of a look stands."""
     return folder / f"plan{number}.csv"
 
 
-def recording_of(folder: Path, number: int) -> Path:
+def recording_path(folder: Path, number: int) -> Path:
     """Where its recording stands."""
     return folder / f"rec{number}"
 
 
-def diagnosis_of(folder: Path, number: int) -> Path:
+def diagnosis_path(folder: Path, number: int) -> Path:
     """Where the diagnosis of all recordings up to it stands."""
     return folder / f"diagnosis{number}"
 
 
-def minutes_of(plan: Path) -> float:
+def plan_minutes(plan: Path) -> float:
     """min that a plan takes. Raises FileError for what is no table in time."""
     t = csv_table.read(plan, ("frame", "t")).numbers("t")
     return float(t.max() - t.min()) / 60 + SETTING_UP
 
 
-def looks(folder: Path) -> list[Look]:
+def read_looks(folder: Path) -> list[Look]:
     """[Look] of all that was diagnosed so far, in order. Raises FileError for a diagnosis that is cut off."""
     out: list[Look] = []
-    while (diagnosis_of(folder, len(out) + 1) / "next.json").exists():
+    while (diagnosis_path(folder, len(out) + 1) / "next.json").exists():
         out.append(_look(folder, len(out) + 1))
     return out
 
 
 def _look(folder: Path, number: int) -> Look:
-    at = diagnosis_of(folder, number)
+    at = diagnosis_path(folder, number)
     found, after = json_file.load(at / "diagnosis.json", "diagnosis", SCHEMA), json_file.load(at / "next.json", "list of experiments", "next/1")
     findings = [f for f in found.tables("findings") if f.text("effect") != UNKNOWN]
     unknown = [f for f in found.tables("findings") if f.text("effect") == UNKNOWN]
@@ -105,7 +105,7 @@ def _look(folder: Path, number: int) -> Look:
     unasked = tuple(text for q in after.tables("questions") for text in q.texts("unasked"))
     verdict = found.table("verdict")
     doubts = () if verdict.text("state") == State.GOOD else verdict.texts("rests_on")
-    return Look(number, recording_of(folder, number).name, minutes_of(plan_of(folder, number)), tuple(map(_title, findings)),
+    return Look(number, recording_path(folder, number).name, plan_minutes(plan_path(folder, number)), tuple(map(_title, findings)),
                 tuple(title for title in map(_title, findings) if title not in doubtful),
                 tuple(f"something at {f.text('place')}" + _of(f) for f in unknown), questions, unasked, proposed, doubts)
 

@@ -5,40 +5,40 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.experiment.laboratory_notebook import chosen, spent
+from calib.experiment.laboratory_notebook import next_experiment, minutes_spent
 from calib.experiment.investigation_folder import Look
-from rig.report.verdict import LOOK, Evidence, Missing, Verdict, judge
-from rig.report.pages.page_template import Page, write
-from rig.report.pages.plots import COLOURS, Series, panel
-from rig.report.pages.html_elements import heading, listed, note, paragraph, table
+from rig.report.verdict import LOOK, Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.page_template import Page, write_page
+from rig.report.pages.plots import COLOURS, Series, plot_panel
+from rig.report.pages.html_elements import heading, list_html, note, paragraph, table
 
 
-def timeline_page(path: Path, rig: str, looks: Sequence[Look], budget: float, ended: str, after: Sequence[str]) -> None:
+def write_investigation_page(path: Path, rig: str, looks: Sequence[Look], budget: float, ended: str, after: Sequence[str]) -> None:
     """Write the page. rig, budget, ended, after : as for the notebook"""
-    parts = [paragraph(f"{spent(looks):.1f} of {budget:.0f} min of the rig's time."), heading("Odds"), odds_figure(looks),
+    parts = [paragraph(f"{minutes_spent(looks):.1f} of {budget:.0f} min of the rig's time."), heading("Odds"), odds_figure(looks),
              note("Shares of what is thought of after each recording, of all recordings so far together; a name that nothing else explains as well "
                   "stands at 1, one that was told apart at 0."), heading("What was tried"),
              table(("recording", "plan", "exposures", "min", "chance to settle, as stated", "settled"),
                    [_row(before, look) for before, look in zip((None, *looks), looks)])]
     if after:
-        parts += [heading("And then"), listed(after)]
-    verdict = judged(looks, ended)
-    write(path, Page("investigate", f"What is the matter with {rig}", verdict, parts, verdict.next))
+        parts += [heading("And then"), list_html(after)]
+    verdict = investigation_verdict(looks, ended)
+    write_page(path, Page("investigate", f"What is the matter with {rig}", verdict, parts, verdict.next))
 
 
-def judged(looks: Sequence[Look], ended: str) -> Verdict:
+def investigation_verdict(looks: Sequence[Look], ended: str) -> Verdict:
     """The verdict: good where nothing is left out, to be looked at where something is, has no name or cannot be told from something else."""
     last = looks[-1]
     named = ", ".join(last.findings) or "; ".join(last.unknown) or "nothing is left out"
     left = list(last.doubts) or [*(f"the geometry alone leaves out {name}" for name in last.findings),
                                  *(f"nothing in the catalogue explains {text}" for text in last.unknown)]
     missing = [*([] if ended else [Missing("it goes on")]), *([Missing("several explanations are alike")] if last.questions else [])]
-    steps = to_do(looks, ended)
-    return judge(Evidence(f"{named}: {ended or 'it goes on'}", tuple(steps), unexplained=tuple(left), missing=tuple(missing),
+    steps = recommended_actions(looks, ended)
+    return judge_evidence(Evidence(f"{named}: {ended or 'it goes on'}", tuple(steps), unexplained=tuple(left), missing=tuple(missing),
                           look=steps[0] if steps else LOOK))
 
 
-def to_do(looks: Sequence[Look], ended: str) -> list[str]:
+def recommended_actions(looks: Sequence[Look], ended: str) -> list[str]:
     """What an owner does next."""
     if not ended:
         return ["Go on with the same command and `--resume`"]
@@ -51,7 +51,7 @@ def to_do(looks: Sequence[Look], ended: str) -> list[str]:
 
 
 def _row(before: Look | None, look: Look) -> tuple[str, ...]:
-    experiment = chosen(before) if before is not None else None
+    experiment = next_experiment(before) if before is not None else None
     if experiment is None:
         return look.recording, "the first plan", "", f"{look.minutes:.1f}", "", ""
     return (look.recording, experiment.plan, str(experiment.exposures), f"{look.minutes:.1f}", f"{experiment.settles:.0%}",
@@ -68,4 +68,4 @@ def odds_figure(looks: Sequence[Look]) -> str:
         series += [Series(at, odds, title, "line", n % COLOURS), Series(at, odds, "", "dots", n % COLOURS)]
     if not series:
         return paragraph("Nothing was ever thought of: recordings and model agree within the noise.")
-    return panel("odds of each hypothesis", ("recording", "share"), series, limits=(0.0, 1.0))
+    return plot_panel("odds of each hypothesis", ("recording", "share"), series, limits=(0.0, 1.0))

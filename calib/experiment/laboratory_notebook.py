@@ -5,9 +5,14 @@ from collections.abc import Sequence
 from calib.experiment.investigation_folder import Look, Proposed
 
 
-def notebook(rig: str, looks: Sequence[Look], budget: float, ended: str, after: Sequence[str]) -> str:
+def notebook_text(rig: str, looks: Sequence[Look], budget: float, ended: str, after: Sequence[str]) -> str:
     """Markdown of an investigation. rig : its name; budget : min; ended : why it ended, "" while it goes on; after : what was done at the end"""
-    out = [f"# What is the matter with {rig}", "", f"A budget of {budget:.0f} min of the rig's time; {spent(looks):.1f} min were taken so far.", ""]
+    out = [
+        f"# What is the matter with {rig}",
+        "",
+        f"A budget of {budget:.0f} min of the rig's time; {minutes_spent(looks):.1f} min were taken so far.",
+        "",
+    ]
     for before, look in zip((None, *looks), looks):
         out += [*_tried(before, look), *_seen(before, look), ""]
     if ended:
@@ -15,19 +20,19 @@ def notebook(rig: str, looks: Sequence[Look], budget: float, ended: str, after: 
     return "\n".join(out + [f"- {line}" for line in after]).rstrip() + "\n"
 
 
-def spent(looks: Sequence[Look]) -> float:
+def minutes_spent(looks: Sequence[Look]) -> float:
     """min that all recordings so far took."""
     return sum(look.minutes for look in looks)
 
 
-def chosen(look: Look) -> Proposed | None:
+def next_experiment(look: Look) -> Proposed | None:
     """The experiment that follows a look, None where none would tell."""
     return look.proposed[0] if look.proposed else None
 
 
 def _tried(before: Look | None, look: Look) -> list[str]:
     out = [f"## {look.number}. {look.recording}, {look.minutes:.1f} min", ""]
-    experiment = chosen(before) if before is not None else None
+    experiment = next_experiment(before) if before is not None else None
     if experiment is None:
         return [*out, "Tried: the first plan, to see what there is.", ""]
     out += [f"Tried: {experiment.plan}, {experiment.exposures} exposures; it was to settle the question with a chance of {experiment.settles:.0%} "

@@ -10,17 +10,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.engine.linear_model import Column, joined
-from calib.diagnose.problems.platform.parameter_directions import tangents
+from calib.diagnose.engine.linear_model import Column, join_columns
+from calib.diagnose.problems.platform.parameter_directions import parameter_directions
 from calib.diagnose.problems.platform.linearised_corners import seat_freedoms
 from calib.diagnose.problems.platform.held_out_validation import change
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel, linearise
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, seats_of
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, cube_seats
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.temperature_alternatives import WARM
-from calib.experiment.experiment_question import Foretold, Hypothesis, PerFrame, Question, with_foreign
-from calib.experiment.predicted_recording import as_found, course, latest, poses, standing, there
+from calib.experiment.experiment_question import Prediction, Hypothesis, PerFrame, Question, with_unlisted_hypothesis
+from calib.experiment.predicted_recording import (
+    fitted_design,
+    predicted_sensor_log,
+    point_of_last_recording,
+    predicted_poses,
+    point_with_turned_cubes,
+    predicted_recording,
+)
 from rig.model import mechanisms
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.fit_coordinates import Coordinate
@@ -52,21 +59,21 @@ class PlatformQuestion(Question[Refined]):
     def warm(self) -> bool:
         return any(type(h.fitted.point.effects[h.number]) in WARM for h in self.named)
 
-    def foretold(self, plan: Plan, warmer: float = 0.0) -> Foretold:
+    def foretold(self, plan: Plan, warmer: float = 0.0) -> Prediction:
         return foretold(self, plan, warmer)
 
     def per_frame(self, plan: Plan) -> PerFrame:
         return per_frame(self, plan)
 
 
-def foretold(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> Foretold:
-    """Foretold of a question's hypotheses under a plan. warmer : K, than it was in the first recording
+def predict_outcomes(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> Prediction:
+    """Prediction of a question's hypotheses under a plan. warmer : K, than it was in the first recording
     Raises RigError where the rig as found cannot follow it, or no camera sees some of it
     """
     named, seen = question.named, _seen(question, plan, warmer)
     fits, model = seen.fits, seen.model
     counts = [c.count for c in seen.columns]
-    everything = joined([Column(c.parts) for c in (*seen.columns, *seen.moved, *seen.shapes)])
+    everything = join_columns([Column(c.parts) for c in (*seen.columns, *seen.moved, *seen.shapes)])
     found = model.linear.project(everything)
     values, vectors = np.linalg.eigh(found.gram)
     kept = values > WEAK * values[-1]
@@ -79,11 +86,11 @@ def foretold(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> For
         known = _known(fit, model)
         covariances.append(spread @ known @ spread.T + np.eye(len(spread)))
     cosines = _cosines(named, fits, model, parts[-1], nuisances)
-    return with_foreign(question, Foretold(means, np.array(covariances), cosines), parts[-1])
+    return with_unlisted_hypothesis(question, Prediction(means, np.array(covariances), cosines), parts[-1])
 
 
-def per_frame(question: PlatformQuestion, plan: Plan) -> PerFrame:
-    """PerFrame of a question's two likeliest names. Raises what `foretold` raises, and ValueError for a question of one name"""
+def predict_outcomes_by_frame(question: PlatformQuestion, plan: Plan) -> PerFrame:
+    """PerFrame of a question's two likeliest names. Raises what `predict_outcomes` raises, and ValueError for a question of one name"""
     seen = _seen(replace(question, hypotheses=question.likeliest), plan)
     model, F = seen.model, len(plan.t)
     P = np.linalg.pinv(model.nuisances.solve)
@@ -114,10 +121,10 @@ def _by_camera(model: LinearisedModel, other: OperatingPoint) -> dict[str, np.nd
 def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
     named = question.named
     fits = [h.fitted for h in named]
-    point = standing(latest(fits[0].point), plan)
-    sensors = course(point.sensors, plan, warmer)
-    runs = [poses(fit, point.design, plan, sensors) for fit in fits]
-    here = there(point, fits[0], plan, sensors, runs[0])
+    point = point_with_turned_cubes(point_of_last_recording(fits[0].point), plan)
+    sensors = predicted_sensor_log(point.sensors, plan, warmer)
+    runs = [predicted_poses(fit, point.design, plan, sensors) for fit in fits]
+    here = predicted_recording(point, fits[0], plan, sensors, runs[0])
     model = linearise(here)
     sensitivities = Sensitivities(here)
     columns: list[Column] = []
@@ -126,8 +133,10 @@ def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
     other = here
     for h, fit, T in zip(named, fits, runs):
         at = replace(model, point=here.with_effects(fit.point.effects))
-        columns.append(tangents(at, sensitivities)[1] or _none(model))
-        other = replace(here, T=T, design=as_found(fit, here.design), seats=seats_of(here.design, fit.point.seats)).with_effects(fit.point.effects)
+        columns.append(parameter_directions(at, sensitivities)[1] or _none(model))
+        other = replace(here, T=T, design=fitted_design(fit, here.design), seats=cube_seats(here.design, fit.point.seats)).with_effects(
+            fit.point.effects
+        )
         moved.append(_between(model, here, other))
         shapes.append(change(at, _without(fit.point.effects, h.number)))
     return _Seen(fits, model, other, columns, moved, shapes)
@@ -142,7 +151,7 @@ def _between(model: LinearisedModel, here: OperatingPoint, other: OperatingPoint
 
 def _lengths(point: OperatingPoint, by: OperatingPoint) -> np.ndarray:
     """(F, axes) m of a point's poses, by another's geometry."""
-    return mechanisms.of(by.design.mechanism).inverse(point.T, by.design.mechanism)
+    return mechanisms.kinematics_of(by.design.mechanism).inverse(point.T, by.design.mechanism)
 
 
 def _none(model: LinearisedModel) -> Column:
@@ -174,7 +183,7 @@ def _known(fit: Refined, new: LinearisedModel) -> np.ndarray:
     information = np.zeros((n + count, n + count))
     information[:n, :n] = own
     if fit.column is not None and count:
-        found, wide = fit.model.linear.project(fit.column), beforehand(fit.coordinates, fit.point.effects)
+        found, wide = fit.model.linear.project(fit.column), prior_standard_deviations(fit.coordinates, fit.point.effects)
         cross = np.linalg.pinv(fit.model.nuisances.solve).T @ found.onto
         information[: len(cross), n:] = cross
         information[n:, : len(cross)] = cross.T
@@ -188,7 +197,7 @@ def _cosines(named: Sequence[Hypothesis[Refined]], fits: Sequence[Refined], new:
              nuisances: np.ndarray) -> np.ndarray:
     """(h, h) cosines between what the hypotheses do in all recordings so far and the new one, cameras and geometry taken out of all together."""
     model = fits[0].model
-    own = joined([Column(change(replace(model, point=model.point.with_effects(fit.point.effects)), _without(fit.point.effects, h.number)).parts)
+    own = join_columns([Column(change(replace(model, point=model.point.with_effects(fit.point.effects)), _without(fit.point.effects, h.number)).parts)
                   for h, fit in zip(named, fits)])
     found = model.linear.project(own)
     P, (names, N) = np.linalg.pinv(model.nuisances.solve), _nuisances(model, new)
@@ -208,7 +217,7 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale
 
 
-def beforehand(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
+def prior_standard_deviations(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
     """(c,) standard deviations of coordinates by what rigs show, so that what no data hold stays within reason."""
     out = []
     for c in coordinates:

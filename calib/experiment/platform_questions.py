@@ -4,7 +4,7 @@ from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosi
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
 from calib.experiment.platform_prediction import PlatformQuestion
-from calib.experiment.experiment_question import Rival, by_data, hypotheses, told_apart
+from calib.experiment.experiment_question import Rival, data_log_odds, hypotheses, is_ruled_out
 from rig.errors import RigError
 
 
@@ -12,7 +12,7 @@ def questions(diagnosis: PlatformDiagnosis) -> list[PlatformQuestion]:
     """[PlatformQuestion] of what a diagnosis cannot tell apart, none where it can. Raises RigError for a rig of which no plan can be foretold."""
     d, fit = diagnosis, diagnosis.selection.fit
     size = fit.refined.model.size
-    open_ones = [f for f in d.selection.findings if any(not told_apart(f, a, size) for a in f.alternatives)]
+    open_ones = [f for f in d.selection.findings if any(not is_ruled_out(f, a, size) for a in f.alternatives)]
     if not open_ones:
         return []
     point = d.selection.before.refined.point
@@ -24,13 +24,13 @@ def questions(diagnosis: PlatformDiagnosis) -> list[PlatformQuestion]:
         own = fit.terms[finding.number]
         found: list[Rival[Refined]] = [Rival(own.name, own.place, 0.0, fit.refined, finding.number)]
         bare, unasked = problem.remove_term(fit, finding.number), []
-        for a in (a for a in finding.alternatives if not told_apart(finding, a, size)):
+        for a in (a for a in finding.alternatives if not is_ruled_out(finding, a, size)):
             candidate = a.score.candidate
             try:
                 refined = problem.add_term(bare, a.score).refined
             except RigError as error:
                 unasked.append(f"{candidate.name.replace('_', ' ')} at {candidate.place}: {error}")
                 continue
-            found.append(Rival(candidate.name, candidate.place, a.behind, refined, len(bare.terms), by_data(finding, a, size)))
+            found.append(Rival(candidate.name, candidate.place, a.behind, refined, len(bare.terms), data_log_odds(finding, a, size)))
         out.append(PlatformQuestion(hypotheses(found), tuple(unasked)))
     return out

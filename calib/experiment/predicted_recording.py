@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, seats_of, seen_of
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, cube_seats, group_sightings
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.errors import RigError
 from rig.recording.corner_and_pose_tables import Corners
-from rig.planning.plan import Plan, logged
+from rig.planning.plan import Plan, add_payload_channel
 from rig.model.pose import exp
 from rig.recording.recording_folder import PAYLOAD, Sensors
-from vision.corner_observations import from_corners
-from vision.predict import State, facing, inside, see
+from vision.corner_observations import observations_from_corners
+from vision.predict import State, facing, is_inside_image, predict_sightings
 from vision.targets import marker_map
 
 SEED = 0  # of the noise by which a recording that is not there yet is weighed
@@ -23,14 +23,14 @@ TEMPERATURE = "_temperature_C"  # how channels of temperatures end
 PUT_BACK = "@next"  # after the name of a cube as a plan puts it back
 
 
-def latest(point: OperatingPoint) -> OperatingPoint:
+def point_of_last_recording(point: OperatingPoint) -> OperatingPoint:
     """The OperatingPoint with each camera, and each cube, where it stood in the last recording, by its own name."""
     last = {c.name.partition("@")[0]: c for c in point.design.cameras}
     cubes = {t.name.partition("@")[0]: t for t in point.design.targets}
     return replace(point, design=replace(point.design, cameras=tuple(last.values()), targets=tuple(cubes.values())))
 
 
-def standing(point: OperatingPoint, plan: Plan) -> OperatingPoint:
+def point_with_turned_cubes(point: OperatingPoint, plan: Plan) -> OperatingPoint:
     """The OperatingPoint with the cubes put back that a plan turns: each as one that nobody has seen."""
     quarters, targets = dict(plan.turned), []
     for target in point.design.targets:
@@ -40,36 +40,36 @@ def standing(point: OperatingPoint, plan: Plan) -> OperatingPoint:
     return replace(point, design=replace(point.design, targets=tuple(targets)))
 
 
-def course(log: Sensors | None, plan: Plan, warmer: float) -> Sensors | None:
+def predicted_sensor_log(log: Sensors | None, plan: Plan, warmer: float) -> Sensors | None:
     """The log of a recording that is not there yet: temperatures run as in the first one's log, so many K warmer, the payload as the plan has it."""
     if log is None:
-        return logged(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {})) if (plan.payload[:, 1] > 0).any() else None
+        return add_payload_channel(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {})) if (plan.payload[:, 1] > 0).any() else None
     end = np.searchsorted(log.t, log.starts[0]) if len(log.starts) else len(log.t)
     first = {name: values[:end] + warmer * name.endswith(TEMPERATURE) for name, values in log.channels.items() if name != PAYLOAD}
-    return logged(plan, Sensors(log.t[:end], first))
+    return add_payload_channel(plan, Sensors(log.t[:end], first))
 
 
-def as_found(fit: Refined, design: Design) -> Design:
+def fitted_design(fit: Refined, design: Design) -> Design:
     """A Design with the geometry, and the cameras of its names, as fitted."""
     cameras = {c.name: c for c in fit.point.design.cameras}
     return replace(design, mechanism=fit.point.design.mechanism, cameras=tuple(cameras[c.name] for c in design.cameras))
 
 
-def poses(fit: Refined, design: Design, plan: Plan, sensors: Sensors | None) -> RigidTransform:
+def predicted_poses(fit: Refined, design: Design, plan: Plan, sensors: Sensors | None) -> RigidTransform:
     """T_base_platform (F,) at a plan's exposures, as a fit has the machine."""
     moving = [e for e in fit.point.effects if e.stage != "view"]
-    return motion_simulation.run(as_found(fit, design), plan.commands, plan.t, moving, sensors).T_base_platform
+    return motion_simulation.run_machine(fitted_design(fit, design), plan.commands, plan.t, moving, sensors).T_base_platform
 
 
-def there(point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | None, T: RigidTransform) -> OperatingPoint:
+def predicted_recording(point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | None, T: RigidTransform) -> OperatingPoint:
     """The OperatingPoint of a plan's recording as one fit foretells it, with noise that is as large as before.
 
     Raises RigError where no camera sees a marker in some of its exposures
     """
-    rng, design, F = np.random.default_rng(SEED), as_found(fit, point.design), len(plan.t)
+    rng, design, F = np.random.default_rng(SEED), fitted_design(fit, point.design), len(plan.t)
     stated = replace(point.stated, cameras=design.cameras, targets=design.targets)
     here = OperatingPoint(design, stated, np.arange(F), plan.t, T, {}, None, plan.commands, sensors, None, fit.point.effects,
-                          standing=point.standing, seats=seats_of(design, fit.point.seats))
+                          standing=point.standing, seats=cube_seats(design, fit.point.seats))
     if point.seen is None:
         own = point.own if point.own is not None else np.zeros((1, 6, 6))
         typical = np.median(own, axis=0)
@@ -77,8 +77,8 @@ def there(point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | No
         return replace(here, T=T * exp(noise), own=np.broadcast_to(typical, (F, 6, 6)).copy())
     markers, state = marker_map(here.stated), State(design.cameras, T, {})
     sightings = facing(state, markers)
-    uv = see(sightings, state, markers, plan.t, [*fit.point.effects, *here.seats], sensors, here.run(fit.point.effects))
-    whole = inside(sightings, uv, design.cameras)
+    uv = predict_sightings(sightings, state, markers, plan.t, [*fit.point.effects, *here.seats], sensors, here.run(fit.point.effects))
+    whole = is_inside_image(sightings, uv, design.cameras)
     sightings, uv = sightings.take(whole), uv[whole].reshape(-1, 2)
     if len(np.unique(sightings.frame)) < F:
         raise RigError(f"in {F - len(np.unique(sightings.frame))} of the plan's {F} exposures no camera would see a marker")
@@ -86,4 +86,4 @@ def there(point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | No
     corners = Corners(np.repeat(sightings.frame, 4), [design.cameras[i].name for i in np.repeat(sightings.camera, 4)],
                       np.repeat(markers.key[sightings.marker], 4), np.tile(np.arange(4), len(sightings.frame)),
                       uv + sigma * rng.normal(size=uv.shape), np.broadcast_to(sigma**2 * np.eye(2), (len(uv), 2, 2)).copy())
-    return replace(here, seen=seen_of(from_corners(corners, here.frames, here.stated, markers), markers))
+    return replace(here, seen=group_sightings(observations_from_corners(corners, here.frames, here.stated, markers), markers))

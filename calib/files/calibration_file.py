@@ -20,15 +20,15 @@ from calib.certify.calibration import Calibration
 from calib.certify.workspace_claim import Claim
 from calib.certify.held_out_errors import Figures, HeldOut
 from calib.models.chain import error_model as chains
-from calib.samples.confounded_conditions import confounds_in
+from calib.samples.confounded_conditions import confounds_from_entries
 from calib.correct.correction import Correction
 from calib.correct.interpolation import interpolation_methods as kinds
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.correct.physics_json import physics_in, physics_out
-from calib.correct.pose_space_map_json import map_in, map_out
+from calib.correct.physics_json import physics_from_entries, physics_dict
+from calib.correct.pose_space_map_json import pose_map_from_entries, pose_map_dict
 from calib.models.platform.identification import parameters
-from calib.workspace.workspace_file import workspace_in, workspace_out
-from calib.files.mechanism_json import mechanism_in, mechanism_out
+from calib.workspace.workspace_file import workspace_from_entries, workspace_dict
+from calib.files.mechanism_json import mechanism_from_entries, mechanism_dict
 from calib.files.calibration_file_checks import require_contents, require_same_ranges, require_text
 from rig.formats import json_file, remote_folders
 from rig.model.design import Arm, Chain
@@ -39,7 +39,7 @@ from rig.recording.exposures import LARGEST_IMAGE_FILE
 from rig.formats.output_files import write_text
 from rig.model.mechanism_kinds import Struts, struts_of
 from rig.formats.input_files import read_bytes
-from rig.recording.data_provenance import flat, marks, shared
+from rig.recording.data_provenance import marks_of_frames, content_marks, frames_with_known_data
 from rig.recording.recording_folder import Recording
 
 SCHEMA = "calibration/1"
@@ -62,7 +62,7 @@ _NONE = Figures(0, (math.nan,) * 3, (math.nan,) * 3, (math.nan,) * 6, (math.nan,
 NOT_HELD_OUT = HeldOut(_NONE, _NONE, (math.nan,) * 2, (math.nan,) * 3, 0)  # keeps the file's shape where nothing was held out
 
 
-def provenance(recording: Recording, arguments: Sequence[str], seed: int, used_images: bool, beside: Iterable[Path] = (),
+def calibration_provenance(recording: Recording, arguments: Sequence[str], seed: int, used_images: bool, beside: Iterable[Path] = (),
                data: Iterable[str] = ()) -> dict[str, Any]:
     """dict of the inputs' SHA-256, the marks of their data (see rig.recording.data_provenance), versions, arguments and seed.
 
@@ -70,30 +70,30 @@ def provenance(recording: Recording, arguments: Sequence[str], seed: int, used_i
     """
     files: dict[str, str] = {}
     for k, part in enumerate(recording.apart):
-        own = inputs(part.recording, used_images)
+        own = input_digests(part.recording, used_images)
         files |= {f"{k + 1} {part.recording.name}/{name}": digest for name, digest in own.items()} if recording.parts else own
     files.update({Path(path).name: _hash([path]) for path in beside})
-    return {"recording": recording.name, "inputs_sha256": files, "data": sorted({*flat(marks(recording)), *data}),
-            "arguments": list(arguments), "seed": seed, "versions": versions(),
+    return {"recording": recording.name, "inputs_sha256": files, "data": sorted({*marks_of_frames(content_marks(recording)), *data}),
+            "arguments": list(arguments), "seed": seed, "versions": package_versions(),
             "created": datetime.now(UTC).isoformat(timespec="seconds")}
 
 
-def inputs(recording: Recording, used_images: bool) -> dict[str, str]:
+def input_digests(recording: Recording, used_images: bool) -> dict[str, str]:
     """{file: SHA-256} of a recording's files, its images together. used_images : whether they were read"""
     folder = recording.folder
-    files = {name: _hash([folder / name]) for name in remote_folders.names(folder) if name.endswith((".toml", ".csv"))}
+    files = {name: _hash([folder / name]) for name in remote_folders.list_folder(folder) if name.endswith((".toml", ".csv"))}
     if used_images:
         names = sorted(name for name in recording.exposures.image if name)
         files[f"images ({len(names)})"] = _hash([folder / name for name in names])
     return files
 
 
-def versions() -> dict[str, str]:
+def package_versions() -> dict[str, str]:
     """{name: version} of what figures depend on."""
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
-def after(own: dict[str, Any], before: Calibration, asked: dict[str, Any]) -> dict[str, Any]:
+def pass_provenance(own: dict[str, Any], before: Calibration, asked: dict[str, Any]) -> dict[str, Any]:
     """The provenance of a pass: its own and what it is, the passes before it in their order, and the marks of the data of all."""
     kept = ("recording", "inputs_sha256", "arguments", "created", "pass")
     first = {name: before.provenance[name] for name in kept if name in before.provenance}
@@ -101,9 +101,9 @@ def after(own: dict[str, Any], before: Calibration, asked: dict[str, Any]) -> di
     return {**own, "pass": asked, "data": [*before.provenance.get("data", []), *own["data"]], "passes": passes}
 
 
-def seen_before(calibration: Calibration, recording: Recording) -> list[int]:
+def frames_used_in_calibration(calibration: Calibration, recording: Recording) -> list[int]:
     """The frames of a recording that a calibration was made from, be it by way of what was measured from it, or it from them."""
-    return shared(marks(recording), calibration.provenance.get("data", ()))
+    return frames_with_known_data(content_marks(recording), calibration.provenance.get("data", ()))
 
 
 def _hash(paths: Iterable[Path]) -> str:
@@ -120,17 +120,17 @@ def save(path: Path | str, calibration: Calibration) -> None:
     tree = {
         "schema": WITH_POSE_MAPS if correction.posed else SCHEMA if calibration.physics is None else WITH_PHYSICS,
         "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
-        "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted), "parameter_order": _order(correction),
+        "nominal": mechanism_dict(correction.nominal), "fitted": mechanism_dict(correction.fitted), "parameter_order": _order(correction),
         "parameter_covariance": calibration.covariance.tolist(), _scatter_key(correction.nominal): calibration.scatter.tolist(),
         **({} if calibration.strut_covariance is None else {"strut_covariance": calibration.strut_covariance.tolist()}),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
-        **({"extension": kinds.as_dict(correction.extension)} if correction.extension is not None else {}),
-        **({"pose_maps": [map_out(one) for one in correction.posed]} if correction.posed else {}),
+        **({"extension": kinds.field_to_dict(correction.extension)} if correction.extension is not None else {}),
+        **({"pose_maps": [pose_map_dict(one) for one in correction.posed]} if correction.posed else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
-        "held_out": json_file.nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
-        **({} if calibration.physics is None else {"physics": physics_out(calibration.physics)}),
-        **({} if calibration.workspace is None else {"workspace": workspace_out(calibration.workspace)}),
+        "held_out": json_file.nan_to_null(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
+        **({} if calibration.physics is None else {"physics": physics_dict(calibration.physics)}),
+        **({} if calibration.workspace is None else {"workspace": workspace_dict(calibration.workspace)}),
         **({} if calibration.confounds is None else {"confounds": calibration.confounds.tree()}), "provenance": calibration.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
@@ -140,7 +140,7 @@ def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
     """Calibration of a calibration.json, in which no effects stand but those known (kinds). Raises FileError for a file that is missing, cut off,
     of another schema, or that holds an array of another shape or a number that cannot be."""
     tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
-    nominal, fitted = mechanism_in(tree.table("nominal"), True), mechanism_in(tree.table("fitted"))
+    nominal, fitted = mechanism_from_entries(tree.table("nominal"), True), mechanism_from_entries(tree.table("fitted"))
     require_same_ranges(tree, nominal, fitted)
     schema = tree.text("schema")
     require_contents(tree, *CONTENTS[schema])
@@ -154,18 +154,18 @@ def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
     return Calibration(correction, covariance_in(tree, count), _spread_in(tree, _scatter_key(nominal), len(nominal.axes)),
                        fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
-                       physics_in(tree.table("physics"), nominal, count, kinds) if "physics" in tree.tree else None,
-                       workspace_in(tree.table("workspace")) if tree.get("workspace", None) is not None else None,
-                       confounds_in(tree.table("confounds")) if tree.get("confounds", None) is not None else None,
+                       physics_from_entries(tree.table("physics"), nominal, count, kinds) if "physics" in tree.tree else None,
+                       workspace_from_entries(tree.table("workspace")) if tree.get("workspace", None) is not None else None,
+                       confounds_from_entries(tree.table("confounds")) if tree.get("confounds", None) is not None else None,
                        _strut_covariance_in(tree) if "strut_covariance" in tree.tree else None)
 
 
 def _correction_in(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts | Arm | Chain) -> Correction[Any, Any]:
     axes = len(nominal.axes)
-    extension = kinds.from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
+    extension = kinds.field_from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
     if isinstance(nominal, Arm) and isinstance(fitted, Arm):
         return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)), extension=extension)
-    posed = tuple(map_in(one, struts_of(nominal)) for one in tree.tables("pose_maps"))
+    posed = tuple(pose_map_from_entries(one, struts_of(nominal)) for one in tree.tables("pose_maps"))
     return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension, posed=posed)
 
 
@@ -192,7 +192,7 @@ def _parts_in(tree: Entries, axes: int, arm: bool) -> tuple[Any, ...]:
     if not isinstance(listed, list) or len(listed) != axes or not all(part is None or isinstance(part, dict) for part in listed):
         tree.fail(f"remainder must list {axes} parts, each a table or null", "remainder")
     tables = [None if part is None else Entries(part, ("remainder", i), tree.file, tree.places) for i, part in enumerate(listed)]
-    return tuple(None if table is None else (_profile_in if arm else kinds.radial_from)(table, axes) for table in tables)
+    return tuple(None if table is None else (_profile_in if arm else kinds.gaussian_process_from_entries)(table, axes) for table in tables)
 
 
 def _profile_in(table: Entries, axes: int) -> Profile:
@@ -257,7 +257,7 @@ def _figures_in(table: Entries) -> Figures:
 
 
 def _provenance_in(tree: Entries) -> dict[str, Any]:
-    """The dict that `provenance` made: what is read from it again is checked."""
+    """The dict that `calibration_provenance` made: what is read from it again is checked."""
     table = tree.table("provenance")
     if "data" in table.tree:
         table.texts("data")

@@ -8,7 +8,7 @@ from rig.model import mechanisms
 from rig.model.design import Arm, Chain, Hexapod, Planar2
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.model.mechanism_kinds import Struts
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 
 
 def require_text(tree: Entries, key: str, known: Sequence[str]) -> None:
@@ -17,7 +17,7 @@ def require_text(tree: Entries, key: str, known: Sequence[str]) -> None:
     if found not in known:
         differs = next((i for i, (a, b) in enumerate(zip(found, known[0])) if a != b), min(len(found), len(known[0])))
         start = max(differs - 20, 0)
-        tree.fail(f"{key} is {shown(found[start : differs + 40])} where this rig reads {shown(known[0][start : differs + 40])} "
+        tree.fail(f"{key} is {value_text(found[start : differs + 40])} where this rig reads {value_text(known[0][start : differs + 40])} "
                   f"(character {differs + 1}); nothing is converted", key, value=found)
 
 
@@ -26,10 +26,12 @@ def require_contents(tree: Entries, needed: Sequence[str], refused: Sequence[str
     schema = tree.text("schema")
     for key in needed:
         if tree.get(key, None) is None:
-            tree.fail(f"{key} is missing, and a file of schema {shown(schema)} has it", "schema")
+            tree.fail(f"{key} is missing, and a file of schema {value_text(schema)} has it", "schema")
     for key in refused:
         if key in tree.tree:
-            tree.fail(f"{key} is there, and a file of schema {shown(schema)} has none: a reader of that schema would leave it out in silence", key)
+            tree.fail(
+                f"{key} is there, and a file of schema {value_text(schema)} has none: a reader of that schema would leave it out in silence", key
+            )
 
 
 def require_plausible(table: Entries, mechanism: Struts | Arm, stated: bool) -> None:
@@ -45,7 +47,7 @@ def require_plausible(table: Entries, mechanism: Struts | Arm, stated: bool) -> 
             table.fail(f"{table.name('strut_zeros')}[{i + 1}] = {mechanism.strut_zeros[i]:g} m is more than the strut's greatest length, {high:g} m",
                        "strut_zeros", i, value=float(mechanism.strut_zeros[i]))
     if stated and isinstance(mechanism, Hexapod):
-        lengths = mechanisms.of(mechanism).home(mechanism)
+        lengths = mechanisms.kinematics_of(mechanism).home(mechanism)
         for i, (length, (low, high)) in enumerate(zip(lengths, mechanism.strut_range)):
             if not low <= length <= high:
                 table.fail(f"{table.name('home')} needs strut {i + 1} at {length:.6f} m, outside its strut_range {low:g} .. {high:g} m", "home")

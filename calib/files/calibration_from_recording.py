@@ -10,17 +10,17 @@ from calib.models.arm.certification import Certified as ArmCertified
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import Certified
 from calib.certify.workspace_claim import Claim
-from calib.samples.confounded_conditions import confounds
+from calib.samples.confounded_conditions import confounds_of_samples
 from calib.models.chain.certification import Certified as ChainCertified
 from calib.correct.physics import Physics
 from calib.samples.recording_samples import Sampled
-from calib.models.corrected_pose_covariance import with_workspace
+from calib.models.corrected_pose_covariance import add_workspace
 from rig.recording.recording_folder import Recording
 
 SEED = 0  # of draws; results are the same from run to run
 
 
-def kept(recording: Recording, sampled: Sampled, done: Certified | ArmCertified | ChainCertified, claim: Claim,
+def calibration_with_provenance(recording: Recording, sampled: Sampled, done: Certified | ArmCertified | ChainCertified, claim: Claim,
          arguments: Sequence[str] = (), known: tuple[Physics, np.ndarray] | None = None,
          before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
     """Calibration of what was found, with where it came from and what it does to the workspace.
@@ -33,10 +33,10 @@ def kept(recording: Recording, sampled: Sampled, done: Certified | ArmCertified 
         covariance, together = done.covariance, done.strut_covariance  # with all that these samples leave unknown
         scatter = np.sqrt(np.diag(together))
     physics, covariance = (None, covariance) if known is None else known
-    source = calibration_file.provenance(recording, arguments, SEED, sampled.source == "images", sampled.files, sampled.data)
+    source = calibration_file.calibration_provenance(recording, arguments, SEED, sampled.source == "images", sampled.files, sampled.data)
     if before is not None:
-        source = calibration_file.after(source, *before)
-    return with_workspace(Calibration(
+        source = calibration_file.pass_provenance(source, *before)
+    return add_workspace(Calibration(
         done.correction, covariance, scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
-        done.held_out, source, claim, physics, confounds=confounds(sampled.samples, recording.design.mechanism),
+        done.held_out, source, claim, physics, confounds=confounds_of_samples(sampled.samples, recording.design.mechanism),
         strut_covariance=together))

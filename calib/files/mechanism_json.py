@@ -8,26 +8,26 @@ from calib.files.calibration_file_checks import require_plausible
 from rig.model.design import Arm, Chain, Hexapod, Planar2
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.model.mechanism_kinds import Struts
-from rig.model.pose import as_entry
+from rig.model.pose import pose_entry_text
 
 MOST_JOINTS = 64
 
 
-def mechanism_out(mechanism: Struts | Arm | Chain) -> dict[str, Any]:
+def mechanism_dict(mechanism: Struts | Arm | Chain) -> dict[str, Any]:
     """dict of a mechanism, as JSON holds it."""
     if isinstance(mechanism, Chain):
-        return {"kind": "chain", "stages": [mechanism_out(stage) for stage in mechanism.stages]}
+        return {"kind": "chain", "stages": [mechanism_dict(stage) for stage in mechanism.stages]}
     if isinstance(mechanism, Arm):
-        return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": as_entry(mechanism.base),
-                "tool": as_entry(mechanism.tool), **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {})}
+        return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": pose_entry_text(mechanism.base),
+                "tool": pose_entry_text(mechanism.tool), **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {})}
     if isinstance(mechanism, Planar2):
         return {"kind": "planar2", **{name: getattr(mechanism, name).tolist() for name in ("base_joints", "strut_range", "strut_zeros")}}
     return {"kind": mechanism.kind, "base_joints": mechanism.base_joints.tolist(), "platform_joints": mechanism.platform_joints.tolist(),
-            "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": as_entry(mechanism.home)}
+            "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": pose_entry_text(mechanism.home)}
 
 
-def mechanism_in(table: Entries, stated: bool = False) -> Struts | Arm | Chain:
-    """The mechanism of what `mechanism_out` gave, as Entries; stated : whether it is the owner's. Raises FileError for anything else."""
+def mechanism_from_entries(table: Entries, stated: bool = False) -> Struts | Arm | Chain:
+    """The mechanism of what `mechanism_dict` gave, as Entries; stated : whether it is the owner's. Raises FileError for anything else."""
     if table.text("kind", ("hexapod", "planar2", "arm", "chain")) == "chain":
         stages = table.tables("stages")
         if len(stages) < 2:

@@ -62,7 +62,7 @@ def _left(residual: np.ndarray, columns: np.ndarray, weight: np.ndarray) -> np.n
     return residual - (flat @ np.linalg.solve(gram, weighted.T @ y)).reshape(residual.shape)
 
 
-def wild_rows(relative: np.ndarray, t: np.ndarray, q: np.ndarray, gate: float) -> np.ndarray:
+def outlier_rows(relative: np.ndarray, t: np.ndarray, q: np.ndarray, gate: float) -> np.ndarray:
     """(n,) bool, rows with a residual beyond the gate that no neighbour shares.
 
     relative : (n, k) residuals over their scatter; t : (n,) s; q : (n, axes) where rows stand
@@ -93,7 +93,7 @@ def tail(relative: np.ndarray, gate: float) -> float:
     return max(1.0, float(np.quantile(near, TAIL) / usual)) if len(near) else 1.0
 
 
-def several(relative: np.ndarray, gate: float) -> np.ndarray:
+def many_deviations(relative: np.ndarray, gate: float) -> np.ndarray:
     """(n,) bool, rows of which more than one number is far off: a wrong pose moves all struts, what one strut does by itself shows in that one;
     and rows of which one is GROSS times farther off than it takes, as where a neighbour on a ladder of one strut took its place.
 

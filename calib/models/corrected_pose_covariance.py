@@ -9,7 +9,7 @@ from calib.models.arm import certification as arms
 from calib.models.chain import certification as chains
 from calib.certify import platform_certification
 from calib.certify.calibration import Calibration
-from calib.workspace.workspace_cells import workspace
+from calib.workspace.workspace_cells import map_workspace
 from rig.model.design import Arm, Chain
 
 
@@ -22,11 +22,11 @@ def pose_covariance(calibration: Calibration, T_base_platform: RigidTransform, c
     return platform_certification.model_covariance(calibration, T_base_platform)
 
 
-def with_workspace(calibration: Calibration) -> Calibration:
+def add_workspace(calibration: Calibration) -> Calibration:
     """The Calibration with its workspace worked out; a chain reaches most poses in many ways, and has none.
 
     Raises NotConverged where no configuration closes on a pose
     """
     if isinstance(calibration.correction.nominal, Chain):
         return calibration
-    return replace(calibration, workspace=workspace(calibration.correction, lambda T, commands: pose_covariance(calibration, T, commands)))
+    return replace(calibration, workspace=map_workspace(calibration.correction, lambda T, commands: pose_covariance(calibration, T, commands)))

@@ -27,7 +27,7 @@ class Freedoms:
     alike: bool
 
 
-def freedoms(mechanism: Mechanism) -> Freedoms:
+def geometric_freedoms(mechanism: Mechanism) -> Freedoms:
     """Freedoms of a mechanism. Raises RigError for what nobody commands."""
     if isinstance(mechanism, Arm):
         free = identification.parameters(mechanism, "pose")
@@ -43,7 +43,7 @@ def freedoms(mechanism: Mechanism) -> Freedoms:
 
 
 def _of_struts(struts: Hexapod | Planar2, values: np.ndarray) -> np.ndarray:
-    return pose_jacobian(mechanisms.of(struts).forward(values, struts), struts)
+    return pose_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts)
 
 
 def _asked(free: np.ndarray, names: tuple[str, ...], units: tuple[str, ...], size: np.ndarray,

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.correct.correction import Responses, reachable
+from calib.correct.correction import Responses, require_reachable
 from calib.correct.physics import Physics
-from calib.correct.physics_compensation import Machine, held, memory, unremembered
-from calib.correct.pose_route import Pace, Route, timed, untimed
+from calib.correct.physics_compensation import Machine, commands_at_poses, path_memory_length, unknown_history_uncertainty
+from calib.correct.pose_route import Pace, Route, timed_route, untimed_route
 from calib.models.corrected_pose_covariance import pose_covariance
 from rig.model import mechanisms
 from rig.effects.framework.effect import Effect
@@ -50,60 +50,62 @@ def commanded(calibration: Calibration, wanted: RigidTransform, t: np.ndarray | 
     """Commanded for wanted poses T_base_platform (n,), or one (), in their order: what `rig correct` writes, all that the calibration knows undone.
 
     t : (n,) s, when each is held, None for each until all has come to rest; sensors : Sensors over that time, None for as when calibrated
-    start : (axes,) m or rad where the axes stand at first, home by default; approach : as of `command`
+    start : (axes,) m or rad where the axes stand at first, home by default; approach : as of `commands_along_route`
     Raises Unreachable listing the poses that leave the axes' ranges or come too soon, NotConverged where no commands are found
     """
     nominal = calibration.correction.nominal
     T = RigidTransform.from_matrix(wanted.as_matrix().reshape(-1, 4, 4))
-    begin = mechanisms.of(nominal).home(nominal) if start is None else np.asarray(start, float)
-    done = command(calibration, T, begin, None if t is None else pace_of(calibration, np.asarray(t, float), sensors), sensors, approach)
-    reachable(done.values, nominal, [f"pose {i}" for i in range(len(done.values))])
+    begin = mechanisms.kinematics_of(nominal).home(nominal) if start is None else np.asarray(start, float)
+    done = commands_along_route(
+        calibration, T, begin, None if t is None else route_pace(calibration, np.asarray(t, float), sensors), sensors, approach
+    )
+    require_reachable(done.values, nominal, [f"pose {i}" for i in range(len(done.values))])
     return done
 
 
-def pace_of(calibration: Calibration, t: np.ndarray, sensors: Sensors | None) -> Pace:
+def route_pace(calibration: Calibration, t: np.ndarray, sensors: Sensors | None) -> Pace:
     """Pace of poses held at times t (n,) s: half the axes' top speed, where that is known, as plans go; the axes stand at the start from where
     the sensors' log begins, so that a warm-up counts from there."""
     top = calibration.physics.actuator.max_speed if calibration.physics is not None else None
-    unstated = min(UNSTATED_SPEED[unit] for unit in mechanisms.units(calibration.correction.nominal))
+    unstated = min(UNSTATED_SPEED[unit] for unit in mechanisms.axis_units(calibration.correction.nominal))
     begin = float(sensors.t[0]) if sensors is not None and len(sensors.t) > 1 else None
     return Pace(t, begin, SPEED * top if top else unstated, top)
 
 
-def command(calibration: Calibration, T: RigidTransform, start: np.ndarray, pace: Pace | None = None, sensors: Sensors | None = None,
+def commands_along_route(calibration: Calibration, T: RigidTransform, start: np.ndarray, pace: Pace | None = None, sensors: Sensors | None = None,
             approach: str = "auto", given: np.ndarray | None = None) -> Commanded:
     """Commanded for wanted poses T (n,), in their order.
 
     start : (axes,) m or rad, where the axes stand; pace : Pace, when the poses are held, or None: each until all has come to rest
     sensors : Sensors over that time, or None; approach : "auto" where it makes a pose surer, "always" or "never"; without a pace there is none
     given : (n, axes) m or rad to command at the poses as they are, for comparison, or None
-    Raises Unreachable for poses that come too soon, NotConverged where no commands are found; limits are for `reachable` to check
+    Raises Unreachable for poses that come too soon, NotConverged where no commands are found; limits are for `require_reachable` to check
     """
     of = Machine(calibration.correction, calibration.physics, sensors)
     plain = calibration.correction.inverse_without_physics(T) if given is None else given
     T = calibration.correction.taken(T, plain)
-    route = untimed(plain, start) if pace is None else timed(pace, plain, start)
+    route = untimed_route(plain, start) if pace is None else timed_route(pace, plain, start)
     if given is not None:
         return Commanded(given, route, T, None, ())
-    values = held(of, T, route, plain) if of.effects else plain
+    values = commands_at_poses(of, T, route, plain) if of.effects else plain
     if calibration.physics is None:
         return Commanded(values, route, T, pose_covariance(calibration, T, values), ())
     base = _covariance(calibration, calibration.physics, of, T, (route, values))
-    if pace is not None and approach != "never" and memory(of).any():
+    if pace is not None and approach != "never" and path_memory_length(of).any():
         sure = _axes(base.covariance, base.responses.back) if approach == "auto" else None
         found = _approached(of, T, route, values, pace, sure)
         if found is not route:
-            route, values = found, held(of, T, found, values)
+            route, values = found, commands_at_poses(of, T, found, values)
             base = _covariance(calibration, calibration.physics, of, T, (route, values))
-    doubt = unremembered(of, T, route, values) ** 2 / 3  # anywhere between the two, as likely here as there
+    doubt = unknown_history_uncertainty(of, T, route, values) ** 2 / 3  # anywhere between the two, as likely here as there
     forgotten = np.einsum("nij,nj,nkj->nik", base.responses.axes, doubt, base.responses.axes)
     return Commanded(values, route, T, base.covariance + forgotten, base.missing)
 
 
 def _approached(of: Machine, T: RigidTransform, route: Route, values: np.ndarray, pace: Pace, sure: np.ndarray | None) -> Route:
     """The Route with approaches. sure : (n, axes) m^2, variances that forgotten ways must exceed to be worth one; None: to every pose"""
-    n, (low, high) = len(values), mechanisms.of(of.correction.nominal).travel(of.correction.nominal).T
-    wanted, room = BEYOND * memory(of), values - BEYOND * memory(of) >= low
+    n, (low, high) = len(values), mechanisms.kinematics_of(of.correction.nominal).travel(of.correction.nominal).T
+    wanted, room = BEYOND * path_memory_length(of), values - BEYOND * path_memory_length(of) >= low
     side = np.where(room, -wanted, np.where(values + wanted <= high, wanted, 0.0))
     possible = _exists(of, T, values + side)
     reach, refused = np.zeros_like(values), ~possible
@@ -111,14 +113,14 @@ def _approached(of: Machine, T: RigidTransform, route: Route, values: np.ndarray
         if sure is None:
             due = ~refused & ~reach.any(axis=1)
         else:
-            unsure = unremembered(of, T, route, values) ** 2 / 3 > sure
+            unsure = unknown_history_uncertainty(of, T, route, values) ** 2 / 3 > sure
             due = (unsure & (side != 0) & (reach == 0)).any(axis=1) & ~refused
             due &= np.arange(n) == (np.argmax(due) if due.any() else -1)  # what one forgets, those after it need not
         if not due.any():
             break
         asked = np.where(due[:, None], side if sure is None else np.where(unsure, side, 0.0), reach)
         try:
-            route, reach = timed(pace, values, route.start, asked), asked
+            route, reach = timed_route(pace, values, route.start, asked), asked
         except Unreachable as error:
             refused[np.intersect1d(error.index, np.flatnonzero(due))] = True
     return route

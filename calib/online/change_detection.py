@@ -20,20 +20,20 @@ CLEARLY = 9.0  # likelihood ratio that every pose must give a knocked joint
 COUNTS = 4.0  # standard errors from which one strut of several counts as having jumped
 
 
-def jump_beyond(false_alarm: float, onsets: int = WINDOW) -> float:
+def jump_threshold(false_alarm: float, onsets: int = WINDOW) -> float:
     """Standard errors beyond which the greatest jump of a strut since one of `onsets` poses lies with the chance `false_alarm` at the most."""
     return float(-ndtri(false_alarm / (2 * STRUTS * onsets)))
 
 
-def moved_beyond(false_alarm: float, onsets: int = WINDOW) -> dict[int, float]:
+def likelihood_ratio_thresholds(false_alarm: float, onsets: int = WINDOW) -> dict[int, float]:
     """{k: likelihood ratio} that the greatest of hypotheses with k numbers exceeds with the chance `false_alarm` at the most, over all of them: a
     joint of each strut, all struts, and the frame, since all onsets but the last."""
     looks = (STRUTS + 2) * (onsets - 1)
     return {k: float(chdtri(k, false_alarm / looks)) for k in range(1, STRUTS + 1)}
 
 
-JUMP = jump_beyond(FALSE_ALARM)
-MOVED = moved_beyond(FALSE_OTHER)
+JUMP = jump_threshold(FALSE_ALARM)
+MOVED = likelihood_ratio_thresholds(FALSE_OTHER)
 MISFIT = {k: float(chdtri(k, LEFT)) for k in range(1, 19)}
 SUSPECT = MOVED[6]  # innovation squared beyond which a pose is held until the next one
 
@@ -72,7 +72,7 @@ class Evidence:
     single: np.ndarray
 
 
-def changes(evidence: list[Evidence]) -> tuple[Change, ...]:
+def detect_changes(evidence: list[Evidence]) -> tuple[Change, ...]:
     """Changes that the last poses bear out, none where nothing changed. evidence : Evidence of the last 1, 2, .. poses."""
     for hypothesis in (_strut, _joint, _several):
         found = hypothesis(evidence)

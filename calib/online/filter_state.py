@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.models.platform.identification import parameters, with_parameters
-from calib.models.platform.parameter_observability import gauge
+from calib.models.platform.parameter_observability import frame_motion_columns
 from calib.online.change_detection import Change, Evidence
 from calib.online.square_root_kernels import ALARM, KINDS, REFUSED, SUMS, WINDOW, Estimate, Machine, Pose, follow, learn
 from rig.model.design import Hexapod
@@ -55,7 +55,7 @@ class State(NamedTuple):
         return float(self.innovation @ self.innovation)
 
 
-def begun(p: np.ndarray, root: np.ndarray, shared: int) -> Estimate:
+def initial_estimate(p: np.ndarray, root: np.ndarray, shared: int) -> Estimate:
     """Estimate of parameters p (42,) m with the square root (42, 42) 1/m of their information, before any pose; `shared` draws, unknown."""
     k = shared + 42
     S = np.zeros((k, k + 1 + KINDS * WINDOW))
@@ -63,18 +63,18 @@ def begun(p: np.ndarray, root: np.ndarray, shared: int) -> Estimate:
     return Estimate(p.copy(), np.zeros(shared), S, np.zeros((WINDOW, SUMS)))
 
 
-def fresh(start: Start, shared: int) -> State:
+def initial_state(start: Start, shared: int) -> State:
     """State before any pose."""
-    return State(begun(parameters(start.nominal), start.root, shared), 0, (), (), np.zeros(6), False)
+    return State(initial_estimate(parameters(start.nominal), start.root, shared), 0, (), (), np.zeros(6), False)
 
 
-def other_session(state: State, shared: int) -> State:
+def state_of_new_session(state: State, shared: int) -> State:
     """State from which on the poses share other errors: `shared` new draws; what was known of the old ones is marginalised."""
     c, estimate = len(state.estimate.s), state.estimate
-    return State(begun(estimate.p, estimate.S[c:, c : c + 42], shared), state.learnt, (), None, state.innovation, False)
+    return State(initial_estimate(estimate.p, estimate.S[c:, c : c + 42], shared), state.learnt, (), None, state.innovation, False)
 
 
-def learnt(state: State, pose: Pose, start: Start, move: bool = True) -> State:
+def state_with_pose(state: State, pose: Pose, start: Start, move: bool = True) -> State:
     """State with a pose. move : whether the estimate follows at once.
 
     Raises RigError for a command that closes on no pose or a covariance that is none
@@ -94,24 +94,24 @@ def learnt(state: State, pose: Pose, start: Start, move: bool = True) -> State:
     return State(after, state.learnt + 1, recent, first, innovation, said == ALARM)
 
 
-def linearised_again(state: State, start: Start) -> State:
+def relinearised_state(state: State, start: Start) -> State:
     """State with all poses so far, which `first` holds, once more from the start, linearised about the present estimate.
 
     So the filter ends where the batch does, docs/mathematics.md (7)
     """
     assert state.first is not None
     p, s = state.estimate.p, state.estimate.s
-    begins, k = begun(p, start.root, len(s)), len(s) + 42
+    begins, k = initial_estimate(p, start.root, len(s)), len(s) + 42
     begins.s[:] = s
     begins.S[:, k] = np.r_[-s, start.root @ (parameters(start.nominal) - p)]
     again = State(begins, state.learnt, (), (), state.innovation, False)
     for pose in state.first:
-        again = learnt(again, pose, start, move=False)
+        again = state_with_pose(again, pose, start, move=False)
     follow(again.estimate.p, again.estimate.s, again.estimate.S)  # in place: nothing else holds this estimate yet
     return again
 
 
-def evidence(state: State) -> list[Evidence]:
+def change_evidence(state: State) -> list[Evidence]:
     """Evidence of the last 1, 2, .. poses; none where no hypothesis can hold."""
     found: list[Evidence] = []
     if not state.alarm:
@@ -126,7 +126,7 @@ def evidence(state: State) -> list[Evidence]:
     return found
 
 
-def reopened(state: State, changes: tuple[Change, ...], start: Start) -> State:
+def state_with_freed_changes(state: State, changes: tuple[Change, ...], start: Start) -> State:
     """State that goes back to before changes, lets what changed move, and has learnt the poses since anew."""
     at = next(k for k in range(1, WINDOW + 1) if state.recent[-k].pose.number == changes[0].onset)
     before = state.recent[-at].before
@@ -135,7 +135,7 @@ def reopened(state: State, changes: tuple[Change, ...], start: Start) -> State:
         _loosen(estimate, change, start.nominal)
     again = State(estimate, state.learnt - at, (), None, state.innovation, False)
     for each in state.recent[-at:]:
-        again = learnt(again, each.pose, start)
+        again = state_with_pose(again, each.pose, start)
     return again
 
 
@@ -149,7 +149,7 @@ def _loosen(estimate: Estimate, change: Change, nominal: Hexapod) -> None:
         for k0, joint in enumerate((c + 3 * i, c + 18 + 3 * i)):
             g[joint + np.arange(3), 1 + 3 * k0 + np.arange(3)] = (LARGER if change.kind == "joint" else ASIDE) * size
     else:
-        moves = gauge(with_parameters(nominal, estimate.p))[:, :6]
+        moves = frame_motion_columns(with_parameters(nominal, estimate.p))[:, :6]
         g = np.concatenate([np.zeros((c, 6)), moves * LARGER * np.abs(change.size)])
     R, r = estimate.S[:, :k], g.shape[1]
     both = np.asarray(np.linalg.qr(np.block([[np.eye(r), np.zeros((r, k))], [-R @ g, R]]), mode="r"))

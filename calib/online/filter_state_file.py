@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from calib.online.square_root_kernels import WINDOW, Machine, Pose
-from calib.online.filter_state import AGAIN, Start, State, begun, learnt
+from calib.online.filter_state import AGAIN, Start, State, initial_estimate, state_with_pose
 from rig.formats import json_file
 from rig.model.design import Hexapod
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.errors import FileError, RigError
 from rig.formats.output_files import write_text
 from rig.model.pose import pose as pose_of
-from rig.model.pose import vector
+from rig.model.pose import pose_to_vector
 
 SCHEMA = "online/1"
 MOST_SHARED = 1000  # draws that all poses' errors have in common: six for a camera
@@ -39,7 +39,7 @@ def save(path: Path | str, saved: Saved) -> None:
     nominal, recent = saved.start.nominal, saved.state.recent
     estimate, first = (recent[0].before, recent[0].first) if recent else (saved.state.estimate, saved.state.first)
     tree = {"schema": SCHEMA, "nominal": {"base_joints": nominal.base_joints.tolist(), "strut_zeros": nominal.strut_zeros.tolist(),
-                                          "platform_joints": nominal.platform_joints.tolist(), "home": vector(nominal.home).tolist(),
+                                          "platform_joints": nominal.platform_joints.tolist(), "home": pose_to_vector(nominal.home).tolist(),
                                           "strut_range": nominal.strut_range.tolist()},
             "root": saved.start.root.tolist(), "scatter": saved.scatter.tolist(), "p": estimate.p.tolist(), "s": estimate.s.tolist(),
             "S": estimate.S[:, : len(estimate.S) + 1].tolist(), "number": saved.number, "data": sorted(saved.data),
@@ -58,7 +58,7 @@ def load(path: Path | str) -> Saved:
     scatter = tree.array("scatter", (6,))
     root, p = tree.array("root", (42, 42)), tree.array("p", (42,), length_limit=LARGEST_RIG)
     start = Start(nominal, root, Machine(np.ascontiguousarray(nominal.home.as_matrix()), scatter**2))
-    estimate = begun(p, root, len(s))
+    estimate = initial_estimate(p, root, len(s))
     k = len(estimate.S)
     estimate.s[:], estimate.S[:, : k + 1] = s, tree.array("S", (k, k + 1))
     for key, R in (("root", root), ("S", estimate.S[:, :k])):
@@ -70,7 +70,7 @@ def load(path: Path | str) -> Saved:
     state = State(estimate, 0, (), first, np.zeros(6), False)
     try:
         for pose in recent:
-            state = learnt(state, pose, start)
+            state = state_with_pose(state, pose, start)
     except RigError as error:
         raise FileError(path, f"is no state of on-line learning: its last poses cannot be learnt again: {error}") from None
     return Saved(start, scatter, state, held, number, frozenset(tree.texts("data") if "data" in tree.tree else ()))

@@ -15,9 +15,19 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.platform.identification import PRIOR, with_parameters
 from calib.online import filter_state_file
-from calib.online.change_detection import SUSPECT, Change, changes
+from calib.online.change_detection import SUSPECT, Change, detect_changes
 from calib.online.square_root_kernels import WINDOW, Machine, Pose
-from calib.online.filter_state import AGAIN, Start, State, evidence, fresh, learnt, linearised_again, other_session, reopened
+from calib.online.filter_state import (
+    AGAIN,
+    Start,
+    State,
+    change_evidence,
+    initial_state,
+    state_with_pose,
+    relinearised_state,
+    state_of_new_session,
+    state_with_freed_changes,
+)
 from rig.model.design import Hexapod
 from rig.errors import RigError
 
@@ -53,7 +63,7 @@ class Online:
         root = np.eye(42) / PRIOR if covariance is None else np.asarray(np.linalg.qr(np.linalg.inv(np.linalg.cholesky(covariance)), mode="r"))
         self.scatter = np.zeros(6) if scatter is None else np.asarray(scatter, float)
         self.start = Start(nominal, root, Machine(np.ascontiguousarray(nominal.home.as_matrix()), self.scatter**2))
-        self.state = fresh(self.start, shared)
+        self.state = initial_state(self.start, shared)
         self.held: tuple[Pose, ...] = ()
         self.number, self.data = 0, set[str]()
 
@@ -84,7 +94,7 @@ class Online:
 
         Poses that were held are given up.
         """
-        self.state, self.held = other_session(self.state, shared), ()
+        self.state, self.held = state_of_new_session(self.state, shared), ()
 
     def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray, common: np.ndarray | None = None) -> Update:
         """One pose. x : (6,) m commanded; T_base_platform : RigidTransform measured; covariance : (6, 6) tangent on the right
@@ -134,11 +144,11 @@ def _taken(before: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -
     """What a pose makes of a state with poses that wait."""
     state = before
     for each in (*waiting, pose):
-        state = learnt(state, each, start)
+        state = state_with_pose(state, each, start)
     state, found = _examined(state, start)
     dropped, innovation = tuple[int, ...](), state.innovation
     if waiting and not found:
-        alone = learnt(before, pose, start)
+        alone = state_with_pose(before, pose, start)
         innovation = alone.innovation
         if min(state.square, alone.square) < SUSPECT:  # those held were wrong, each alone
             dropped, waiting = tuple(each.number for each in waiting), ()
@@ -147,18 +157,18 @@ def _taken(before: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -
     told: tuple[Change, ...] = ()
     while found and len(told) < LARGEST:
         try:
-            state = reopened(state, found, start)
+            state = state_with_freed_changes(state, found, start)
         except RigError:  # with these changes the machine closes on no pose: they explain nothing, and the pose waits
             break
         told += found
-        found, innovation = changes(evidence(state)), state.innovation
+        found, innovation = detect_changes(change_evidence(state)), state.innovation
     if not told and (waiting or state.square > SUSPECT):
         held = (*waiting, pose)
         if len(held) == WINDOW:  # nothing explains them: the oldest is given up
             dropped, held = (*dropped, held[0].number), held[1:]
         return _Taken(before, held, innovation, told, dropped)
     if state.first is not None and len(state.first) in AGAIN:
-        state = linearised_again(state, start)
+        state = relinearised_state(state, start)
         innovation = state.innovation
     return _Taken(state, (), innovation, told, dropped)
 
@@ -168,16 +178,16 @@ def _unexpected(state: State, waiting: tuple[Pose, ...], pose: Pose, start: Star
 
     Raises RigError where the geometry that the filter started from reaches it nowhere either, or its covariance is none
     """
-    alone = learnt(fresh(start, len(state.estimate.s)), pose, start)
+    alone = state_with_pose(initial_state(start, len(state.estimate.s)), pose, start)
     return _Taken(state, waiting, alone.innovation, (), (pose.number,))
 
 
 def _examined(state: State, start: Start) -> tuple[State, tuple[Change, ...]]:
     """(State, Changes that its last poses bear out); early on, when a pose may still move the estimate far, only once linearised there."""
-    found = changes(evidence(state))
+    found = detect_changes(change_evidence(state))
     for _ in range(EARLY):
         if state.first is None or not (found or state.square > SUSPECT):
             break
-        state = linearised_again(state, start)
-        found = changes(evidence(state))
+        state = relinearised_state(state, start)
+        found = detect_changes(change_evidence(state))
     return state, found

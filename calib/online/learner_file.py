@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from calib.online.learners import LEARNERS, Learner
-from calib.files.mechanism_json import mechanism_in, mechanism_out
+from calib.files.mechanism_json import mechanism_from_entries, mechanism_dict
 from rig.formats import json_file
 from rig.model.design import Hexapod
 from rig.formats.checked_entries import LARGEST_RIG
@@ -16,7 +16,7 @@ SCHEMA = "learner/1"
 def save(path: Path | str, learner: Learner) -> None:
     """Write a Learner, whole or not at all."""
     name = next(name for name, kind in LEARNERS.items() if type(learner) is kind)
-    tree = {"schema": SCHEMA, "learner": name, learner.SETTING: learner.setting, "nominal": mechanism_out(learner.nominal), "p": learner.p.tolist(),
+    tree = {"schema": SCHEMA, "learner": name, learner.SETTING: learner.setting, "nominal": mechanism_dict(learner.nominal), "p": learner.p.tolist(),
             "memory": learner.memory.tolist(), "number": learner.number, "data": sorted(learner.data)}
     write_text(path, json.dumps(tree) + "\n")
 
@@ -25,7 +25,7 @@ def load(path: Path | str) -> Learner:
     """The Learner as saved. Raises FileError for a file that is missing, cut off, of another kind, or that holds what cannot be."""
     tree = json_file.load(Path(path), "state of a learner", SCHEMA)
     kind = LEARNERS[tree.text("learner", tuple(LEARNERS))]
-    nominal = mechanism_in(tree.table("nominal"))
+    nominal = mechanism_from_entries(tree.table("nominal"))
     if not isinstance(nominal, Hexapod):
         tree.fail("nominal is no hexapod", "nominal")
     try:

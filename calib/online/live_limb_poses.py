@@ -28,7 +28,7 @@ class LimbLive:
     def closes(self, lengths: np.ndarray) -> Disagreement | None:
         """What limbs beyond six say of readings (limbs,) m and those before; where they disagree, limbs are out of force. Raises as `pose`"""
         self._last = [*self._last[1 - redundant_limb_checks.IN_A_ROW :], lengths]
-        open_ = redundant_limb_checks.first(self.accepted.limbs, np.array(self._last))
+        open_ = redundant_limb_checks.first_unclosed_limb(self.accepted.limbs, np.array(self._last))
         self.in_force = open_ is None
         return None if open_ is None else Disagreement(str(open_), open_.limb, redundant_limb_checks.WHO)
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.measuring_limbs import Agreement, measuring, stated
+from calib.certify.measuring_limbs import Agreement, stated_limbs, limb_hexapod
 from calib.certify.fitted_limbs import Checks, Limbs
-from calib.files.mechanism_json import mechanism_in, mechanism_out
+from calib.files.mechanism_json import mechanism_from_entries, mechanism_dict
 from calib.files.calibration_file import covariance_in
 from rig.formats import json_file
 from rig.model.design import Design, Hexapod
@@ -55,7 +55,7 @@ def save(path: Path | str, found: Accepted) -> None:
     """Write a limbs.json, whole or not at all."""
     a, w = found.agreement, found.withdrawn
     tree = {"schema": SCHEMA, "units": UNITS, "verdict": found.verdict, "tolerance": a.tolerance.tolist(),
-            "stated": mechanism_out(found.nominal), "limbs": mechanism_out(found.limbs.hexapod), "covariance": found.limbs.covariance.tolist(),
+            "stated": mechanism_dict(found.nominal), "limbs": mechanism_dict(found.limbs.hexapod), "covariance": found.limbs.covariance.tolist(),
             "reading_sigma": found.limbs.sigma.tolist(), "chosen": (found.limbs.chosen + 1).tolist(), "checks": _checks_out(found.limbs.checks),
             "agreement": {"n": a.n, "bias": a.bias.tolist(), "scatter": a.scatter.tolist(), "limits": a.limits.tolist(), "surely": a.surely.tolist(),
                           "expected": a.expected.tolist(), "moved": a.moved.tolist()},
@@ -89,15 +89,15 @@ def load(path: Path | str) -> Accepted:
     return found
 
 
-def in_force(path: Path | str, design: Design) -> Accepted:
+def accepted_limbs(path: Path | str, design: Design) -> Accepted:
     """Accepted of a limbs.json whose limbs may stand for vision on a rig. Raises RigError where they were refused, where their acceptance was
     withdrawn, and where rig.toml states other limbs."""
     found = load(path)
-    limbs, six = measuring(design), found.limbs.chosen
+    limbs, six = stated_limbs(design), found.limbs.chosen
     spare = 0 if found.limbs.checks is None else len(found.limbs.checks.limbs)
     if len(limbs.channels) != len(six) + spare:
         raise RigError(f"{path} is of other limbs than rig.toml states in [insitu]: of {len(six) + spare}, not of {len(limbs.channels)}")
-    other = stated(design, six)
+    other = limb_hexapod(design, six)
     if found.verdict == "refused":
         raise RigError(f"{path}: these limbs did not pass when they were held against vision; `rig insitu` says by how much")
     if found.withdrawn is not None:
@@ -113,12 +113,12 @@ def in_force(path: Path | str, design: Design) -> Accepted:
     return found
 
 
-def withdrawn(found: Accepted, recording: str, frame: int, reason: str) -> Accepted:
+def withdraw_acceptance(found: Accepted, recording: str, frame: int, reason: str) -> Accepted:
     """The same with its acceptance withdrawn from now on. recording, frame : where it was found; reason : in words"""
     return replace(found, withdrawn=Withdrawal(recording, frame, reason, datetime.now(UTC).isoformat(timespec="seconds")))
 
 
-def ours(path: Path) -> bool:
+def is_limbs_file(path: Path) -> bool:
     """Whether a file is there that `save` wrote. Raises FileError for any other file that is there."""
     if not path.exists():
         return False
@@ -130,7 +130,7 @@ def ours(path: Path) -> bool:
 
 
 def _hexapod(tree: Entries, key: str) -> Hexapod:
-    found = mechanism_in(tree.table(key))
+    found = mechanism_from_entries(tree.table(key))
     if not isinstance(found, Hexapod):
         tree.fail(f"{key} is a mechanism of kind {found.kind!r}; limbs that tell poses are six, as those of a hexapod", key)
     return found

@@ -15,10 +15,10 @@ from calib.online.information_filter import Online
 from calib.online.limb_vision_agreement import Disagreement, LimbCheck
 from calib.online.measuring_limbs_file import Accepted
 from calib.samples.recording_samples import Sampled
-from calib.samples.pose_samples import Samples, samples
+from calib.samples.pose_samples import Samples, pair_samples
 from rig.model.design import Hexapod
 from rig.model.mechanism_kinds import hexapod_of
-from rig.recording.frame_mask import only
+from rig.recording.frame_mask import select_frames
 from rig.recording.recording_folder import Recording
 from vision.recording_measurement import measure_recording
 
@@ -53,22 +53,22 @@ class Checked:
     disagreement: Disagreement | None
 
 
-def read(recording: Recording, accepted: Accepted) -> LimbPoses:
-    """LimbPoses of the frames whose exposures have readings, by the limbs that tell poses, the others left to `check`.
+def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
+    """LimbPoses of the frames whose exposures have readings, by the limbs that tell poses, the others left to `check_limb_poses`.
 
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
-    frames, lengths = measuring_limbs.readings(recording)
+    frames, lengths = measuring_limbs.limb_readings(recording)
     T = accepted.limbs.pose(lengths)
     return LimbPoses(frames, lengths, T, *accepted.limbs.uncertainty(T))
 
 
-def sampled(recording: Recording, poses: LimbPoses) -> Sampled:
+def samples_of_limb_poses(recording: Recording, poses: LimbPoses) -> Sampled:
     """Sampled of what was commanded and what the limbs told. Raises RigError without commands."""
-    return Sampled(samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common), SOURCE, None, None)
+    return Sampled(pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common), SOURCE, None, None)
 
 
-def looked_at(found: Samples, nominal: Hexapod, every: int) -> np.ndarray:
+def is_checked_by_vision(found: Samples, nominal: Hexapod, every: int) -> np.ndarray:
     """(n,) bool: the poses of Samples by limbs at which vision looks, every so many and those after struts told otherwise."""
     look, witness, left = np.arange(len(found)) % every == 0, Online(nominal, found.common.shape[2]), 0
     for k, pose in enumerate(zip(found.commanded, found.T_base_platform, found.covariance, found.common)):
@@ -81,23 +81,23 @@ def looked_at(found: Samples, nominal: Hexapod, every: int) -> np.ndarray:
     return look
 
 
-def check(recording: Recording, accepted: Accepted, poses: LimbPoses, every: int,
+def check_limb_poses(recording: Recording, accepted: Accepted, poses: LimbPoses, every: int,
           progress: Callable[[str, int, int], None] | None = None) -> Checked:
     """Checked by limbs beyond six at every pose, and by vision, every so many poses at least, up to the first disagreement; only the images of
     those frames are read.
 
     Raises what measuring raises
     """
-    open_ = redundant_limb_checks.first(accepted.limbs, poses.lengths)
+    open_ = redundant_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)
     if open_ is not None:
         return Checked(0, int(poses.frames[open_.at]), Disagreement(str(open_), open_.limb, redundant_limb_checks.WHO))
     if recording.corners is None and not recording.has_images:
         return Checked(0, None, None)
     look = np.arange(len(poses.frames)) % every == 0
     if recording.commands is not None:
-        look = looked_at(samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common),
+        look = is_checked_by_vision(pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common),
                          hexapod_of(recording.design.mechanism), every)
-    measured, _ = measure_recording(only(recording, poses.frames[look]), progress=progress)
+    measured, _ = measure_recording(select_frames(recording, poses.frames[look]), progress=progress)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     checks = LimbCheck(accepted.limbs, measured.common.shape[2])
     for frame, T, C, B in zip(measured.frames.tolist(), measured.T_base_platform, own, measured.common):

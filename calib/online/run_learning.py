@@ -14,7 +14,7 @@ from calib.samples.pose_samples import Samples
 from calib.certify.calibration import Calibration
 from rig.model import mechanisms
 from rig.model.design import Design, Hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 LATEST = 5  # poses whose median error must exceed the tolerance: one is a bad measurement, five are a drift
 
@@ -55,7 +55,7 @@ class Learner:
 
     def expected(self, commanded: np.ndarray) -> RigidTransform:
         """T_base_platform that commanded lengths (6,) m should give, by what is known so far."""
-        return mechanisms.of(self._nominal).forward(commanded - self._correction.rho(commanded), self._online.hexapod)
+        return mechanisms.kinematics_of(self._nominal).forward(commanded - self._correction.rho(commanded), self._online.hexapod)
 
     def keep(self) -> None:
         """Remember what is known now."""
@@ -72,10 +72,10 @@ class Learner:
         Raises RigError as `Online.update` does.
         """
         expected = self.expected(commanded)
-        error = difference(expected, T_base_platform)
-        struts = commanded - mechanisms.of(self._nominal).inverse(T_base_platform, self._nominal)
+        error = pose_difference(expected, T_base_platform)
+        struts = commanded - mechanisms.kinematics_of(self._nominal).inverse(T_base_platform, self._nominal)
         update = self._online.update(commanded - self._correction.rho(commanded), T_base_platform, covariance, common)
-        fresh = self._drift(difference(self._correction.predict(commanded), T_base_platform)) if self._calibrated else None
+        fresh = self._drift(pose_difference(self._correction.predict(commanded), T_base_platform)) if self._calibrated else None
         return Learnt(error, struts, float(np.sqrt(update.innovation @ update.innovation / 6)), update.changes, update.held, fresh)
 
     def _drift(self, error: np.ndarray) -> tuple[float, float] | None:
@@ -93,8 +93,8 @@ class LimbWatch:
     """Measuring limbs read as a run goes: once they are known from enough poses, every further one must agree with vision."""
 
     def __init__(self, design: Design) -> None:
-        self._design, self._stated = design, measuring_limbs.measuring(design)
-        self._home = measuring_limbs.stated(design).home
+        self._design, self._stated = design, measuring_limbs.stated_limbs(design)
+        self._home = measuring_limbs.limb_hexapod(design).home
         self.channels = self._stated.channels
         self._read: list[tuple[np.ndarray, RigidTransform, np.ndarray]] = []
         self._limbs: measuring_limbs.Limbs | None = None
@@ -108,12 +108,12 @@ class LimbWatch:
                 n = np.arange(measuring_limbs.FEWEST)
                 read, poses, covariances = zip(*self._read)
                 T = RigidTransform.concatenate(poses)
-                chosen = redundant_limb_checks.best(self._stated, self._home, T)
+                chosen = redundant_limb_checks.best_six_limbs(self._stated, self._home, T)
                 samples = Samples(n, n.astype(float), np.array(read)[:, chosen], T, np.array(covariances), np.zeros((measuring_limbs.FEWEST, 6, 0)))
-                limbs, _ = measuring_limbs.calibrated(samples, measuring_limbs.stated(self._design, chosen), self._stated.length_sigma)
+                limbs, _ = measuring_limbs.calibrate_limbs(samples, measuring_limbs.limb_hexapod(self._design, chosen), self._stated.length_sigma)
                 self._limbs = replace(limbs, chosen=chosen)
             return False
         T = self._limbs.pose(lengths)
         own, common = self._limbs.uncertainty(T)
-        before, self._agreed = self._agreed, measuring_limbs.still_agrees(T_base_platform, covariance, T, own, common)
+        before, self._agreed = self._agreed, measuring_limbs.vision_agrees_with_limbs(T_base_platform, covariance, T, own, common)
         return before and not self._agreed

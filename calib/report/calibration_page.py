@@ -7,25 +7,25 @@ from typing import Any
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.held_out_errors import Figures, HeldOut, errors_of
-from calib.certify.calibration_evidence import judgement
-from calib.models.platform.parameter_observability import combinations
-from calib.certify.calibration_verdict import verdict
+from calib.certify.held_out_errors import Figures, HeldOut, errors_before_and_after
+from calib.certify.calibration_evidence import calibration_verdict
+from calib.models.platform.parameter_observability import parameter_combinations
+from calib.certify.calibration_verdict import claim_lines
 from calib.correct.correction import Correction
 from calib.correct.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import Identified
-from calib.report.pose_figures import before_after, coverage
+from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
-from calib.report.scene_3d import stage
-from calib.workspace.workspace_figures import section
+from calib.report.scene_3d import rig_stage
+from calib.workspace.workspace_figures import workspace_section_html
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
 from rig.formats.machine_json import GEOMETRY
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.plots import Series, panel, panels
-from rig.report.pages.html_elements import folded, heading, listed, note, paragraph, table
-from rig.model.pose import vector
-from rig.report.pages.view_3d import scripts, view
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, plot_panel, panel_row
+from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
+from rig.model.pose import pose_to_vector
+from rig.report.pages.view_3d import view_scripts, view_3d_html as view
 from rig.recording.recording_folder import Recording
 
 
@@ -33,32 +33,32 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
                      links: Sequence[Link] = ()) -> None:
     """Write the page of a calibration: what it is worth, before and after on held-out poses, strut corrections, coverage, parameters."""
     correction = calibration.correction
-    parts = [*rests_on(calibration), *_held(calibration.held_out),
+    parts = [*evidence_html(calibration), *_held(calibration.held_out),
              heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
-             before_after(*errors_of(correction, samples), samples.frame), *in_space(recording, calibration, samples),
+             correction_error_figures(*errors_before_and_after(correction, samples), samples.frame), *view_3d_html(recording, calibration, samples),
              heading("What each strut is corrected by"), note("Dots: x - IK(GDK(x)) at the visited configurations. Squares: the correction at the "
                                                               "same configurations."), _corrections(correction, samples),
              heading("What the correction leaves"), _left(samples, found), heading("Where the platform went"),
-             coverage(vector(samples.T_base_platform)), *section(calibration.workspace, "m"),
-             heading("Parameters"), _combinations(calibration, found), folded("Every parameter's change", _parameters(calibration)),
-             heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
-    judged = judgement(calibration)
-    write(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, scripts(parts)))
+             pose_coverage_figures(pose_to_vector(samples.T_base_platform)), *workspace_section_html(calibration.workspace, "m"),
+             heading("Parameters"), _combinations(calibration, found), folding_section("Every parameter's change", _parameters(calibration)),
+             heading("Where this came from"), folding_section("Recording, versions, arguments", provenance_html(calibration))]
+    judged = calibration_verdict(calibration)
+    write_page(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)))
 
 
-def in_space(recording: Recording, calibration: Calibration, samples: Samples) -> list[str]:
+def view_3d_html(recording: Recording, calibration: Calibration, samples: Samples) -> list[str]:
     """HTML of the rig in three dimensions, errors before and after; nothing where positions were not measured."""
     if not samples.measured.startswith("pos"):
         return []
-    before, after = errors_of(calibration.correction, samples)
-    shown = stage(recording.design, samples.frame, samples.T_base_platform, samples.commanded, {"owner's model": -before, "corrected": -after})
+    before, after = errors_before_and_after(calibration.correction, samples)
+    shown = rig_stage(recording.design, samples.frame, samples.T_base_platform, samples.commanded, {"owner's model": -before, "corrected": -after})
     return [heading("In three dimensions"), *view(shown)]
 
 
-def rests_on(calibration: Calibration) -> list[str]:
+def evidence_html(calibration: Calibration) -> list[str]:
     """HTML of what the judgement of a Calibration and its claim rest on; nothing of a calibration that claims nothing."""
     claim = calibration.claim
-    return [] if claim is None else [listed([*judgement(calibration).rests_on, *verdict(claim)[1:]])]
+    return [] if claim is None else [list_html([*calibration_verdict(calibration).rests_on, *claim_lines(claim)[1:]])]
 
 
 def _held(held: HeldOut | None) -> list[str]:
@@ -74,9 +74,9 @@ def _held(held: HeldOut | None) -> list[str]:
 
 def _combinations(calibration: Calibration, found: Identified) -> str:
     """Every combination of the parameters with how well the poses tell it, folded."""
-    parts, seen = combinations(found.root, calibration.correction.fitted)
+    parts, seen = parameter_combinations(found.root, calibration.correction.fitted)
     rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not told") for part in parts]
-    return folded(f"The {len(parts)} combinations that the poses tell, the worst first (condition number {seen.condition:.0f})",
+    return folding_section(f"The {len(parts)} combinations that the poses tell, the worst first (condition number {seen.condition:.0f})",
                   table(("combination", "standard error by the poses alone, um"), rows))
 
 
@@ -85,9 +85,9 @@ def _figures(f: Figures) -> list[str]:
 
 
 def _corrections(correction: Correction[Struts, Radial], samples: Samples) -> str:
-    seen = samples.effective - mechanisms.of(correction.nominal).inverse(samples.T_base_platform, correction.nominal)
+    seen = samples.effective - mechanisms.kinematics_of(correction.nominal).inverse(samples.T_base_platform, correction.nominal)
     modelled, commanded = correction.summand(samples.effective) * 1e3, samples.commanded * 1e3
-    return panels(*(panel(f"strut {i + 1}", ("commanded, mm", "correction, mm"), [
+    return panel_row(*(plot_panel(f"strut {i + 1}", ("commanded, mm", "correction, mm"), [
         Series(commanded[:, i], modelled[:, i], "correction", "crosses", 1), Series(commanded[:, i], seen[:, i] * 1e3, "measured")])
         for i in range(seen.shape[1])))
 
@@ -96,8 +96,8 @@ def _left(samples: Samples, found: Identified) -> str:
     sigma = float(np.sqrt(np.einsum("nii->ni", found.residual_covariance).mean())) * 1e6
     struts = found.residuals * 1e6
     top = 1.05 * max(float(np.nanmax(np.abs(struts))), 2 * sigma)
-    return paragraph(f"Two standard deviations of a pose are {2 * sigma:.1f} um in a strut.") + panels(*(
-        panel(f"strut {i + 1}", ("frame", "left, um"), [Series(samples.frame, struts[:, i])], limits=(-top, top), level=0.0)
+    return paragraph(f"Two standard deviations of a pose are {2 * sigma:.1f} um in a strut.") + panel_row(*(
+        plot_panel(f"strut {i + 1}", ("frame", "left, um"), [Series(samples.frame, struts[:, i])], limits=(-top, top), level=0.0)
         for i in range(struts.shape[1])))
 
 
@@ -114,18 +114,22 @@ def _parameters(calibration: Calibration) -> str:
     return table(("change from nominal, mm (k = 2)", "x or zero", "y", "z"), rows)
 
 
-def origin(calibration: Calibration) -> str:
+def provenance_html(calibration: Calibration) -> str:
     """HTML of where a calibration came from; the marks of its data are for programs."""
     rows = {name: part for name, part in calibration.provenance.items() if name not in ("data", "passes")}
     before = {f"pass {k + 1}": {name: one[name] for name in ("recording", "created", "pass") if name in one}
               for k, one in enumerate(calibration.provenance.get("passes", ()))}
-    return table(("what", "value"), flat(before | rows))
+    return table(("what", "value"), flattened_rows(before | rows))
 
 
-def flat(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+def flattened_rows(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
     """Rows (name, value) of a nested dict, for a table."""
     rows: list[tuple[str, Any]] = []
     for key, value in tree.items():
         name = f"{prefix}{key}"
-        rows += flat(value, name + " / ") if isinstance(value, dict) else [(name, " ".join(map(str, value)) if isinstance(value, list) else value)]
+        rows += (
+            flattened_rows(value, name + " / ")
+            if isinstance(value, dict)
+            else [(name, " ".join(map(str, value)) if isinstance(value, list) else value)]
+        )
     return rows

@@ -13,9 +13,9 @@ from vision.recording_adjustment import Measurement
 ENLARGED = 200.0
 
 
-def frame_pictures(recording: Recording, m: Measurement, frame: int) -> list[str]:
+def frame_pictures_html(recording: Recording, m: Measurement, frame: int) -> list[str]:
     """HTML of the images of a frame; nothing where the recording has corners alone."""
-    images = jpeg_pictures.of_frame(recording, frame)
+    images = jpeg_pictures.frame_jpegs(recording, frame)
     if not images:
         return []
     figures = [_figure(m, i, frame, images[camera.name]) for i, camera in enumerate(m.design.cameras) if camera.name in images]
@@ -23,13 +23,13 @@ def frame_pictures(recording: Recording, m: Measurement, frame: int) -> list[str
                  "long as they are. A marker says its number when it is pointed at."), '<div class="panels">' + "".join(figures) + "</div>"]
 
 
-def typical(m: Measurement) -> int:
+def frame_of_median_residual(m: Measurement) -> int:
     """The solved frame whose residual is the middle one of all."""
     rms = _by_frame(m)
     return int(m.frames[np.argsort(rms)[len(rms) // 2]])
 
 
-def worst(m: Measurement) -> int:
+def frame_of_greatest_residual(m: Measurement) -> int:
     """The solved frame with the greatest residual."""
     return int(m.frames[int(np.argmax(_by_frame(m)))])
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.report.verdict import Evidence, Missing, Verdict, judge
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.plots import Series, panel, panels
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, plot_panel, panel_row
 from rig.report.pages.html_elements import heading, note, paragraph, table
 from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane
 from vision.lenses.board_photographs import Calibrated
@@ -31,23 +31,23 @@ def lens_page(path: Path | str, found: Calibrated, links: Sequence[Link] = ()) -
              heading("What the lens leaves over, and how well it is known"),
              note("Uncertainty: the standard one of where a direction is seen, px, less what a small turn of the camera would undo. Dots are "
                   "corners; few of them, or none, near an edge make it grow there."),
-             panels(_residuals(found), _uncertainty(found), _held(found)), heading("Parameters"),
+             panel_row(_residuals(found), _uncertainty(found), _held(found)), heading("Parameters"),
              table(("term", "value", "± (k = 2)"), terms)]
     if found.left_out:
         parts += [heading("Photographs left out"), table(("photograph", "reason"), [(p.name, reason) for p, reason in found.left_out])]
-    write(path, Page("lens", f"Lens of {fit.camera.name}", judged(found), parts, to_do(found), links))
+    write_page(path, Page("lens", f"Lens of {fit.camera.name}", lens_verdict(found), parts, recommended_actions(found), links))
 
 
-def judged(found: Calibrated) -> Verdict:
+def lens_verdict(found: Calibrated) -> Verdict:
     """The verdict on a lens."""
     why = f"a direction is projected to {found.middle:.3f} px in the middle of the frame and {found.worst:.3f} px at worst (standard uncertainty)"
     missing = [Missing("no photograph could be held out")] if found.models[found.fit.terms].held is None else []
     missing += [Missing(f"it rests on {len(found.used)} photographs alone")] if len(found.used) < FEW else []
     missing += [Missing(f"that is more than {UNSURE:g} px")] if found.worst > UNSURE else []
-    return judge(Evidence(why, missing=tuple(missing)))
+    return judge_evidence(Evidence(why, missing=tuple(missing)))
 
 
-def to_do(found: Calibrated) -> list[str]:
+def recommended_actions(found: Calibrated) -> list[str]:
     """What an owner does next with a lens."""
     more = "Take more photographs with the board near the edges that are bluest in the map of uncertainty, tilted this way and that"
     steps = [more] if len(found.used) < FEW or found.worst > UNSURE else []
@@ -61,7 +61,7 @@ def _models(found: Calibrated) -> list[tuple[str, ...]]:
 
 def _held(found: Calibrated) -> str:
     known = [(terms, model.held) for terms, model in found.models.items() if model.held]
-    return panel("photograph by photograph", ("photograph", "held out, px RMS"),
+    return plot_panel("photograph by photograph", ("photograph", "held out, px RMS"),
                  [Series(np.arange(len(held.by_image)), np.asarray(held.by_image), f"{terms} terms" if terms else "no distortion", colour=k)
                   for k, (terms, held) in enumerate(known)], log=True)
 

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.report.frame_pictures import frame_pictures, typical, worst
-from calib.report.pose_figures import coverage
-from calib.samples.pose_samples import uncertainty
-from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.plots import Series, panel, panels
-from rig.report.pages.html_elements import folded, heading, listed, note, paragraph, table
-from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane, patches
-from rig.model.pose import vector
+from calib.report.frame_pictures import frame_pictures_html, frame_of_median_residual, frame_of_greatest_residual
+from calib.report.pose_figures import pose_coverage_figures
+from calib.samples.pose_samples import rms_uncertainty
+from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, plot_panel, panel_row
+from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
+from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane, patch_means
+from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from vision.bundle.held_out_frames import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
@@ -28,7 +28,7 @@ CELLS = 16  # of a residual map, across the image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class MeasurementResult:
     """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out; places : vision Places where
     markers' places were adjusted, else None; statement : lines on what the recording determines; suspects : markers that are not what rig.toml
     says"""
@@ -42,7 +42,7 @@ class Measured:
     suspects: Sequence[Suspect] = ()
 
 
-def measurement_page(path: Path | str, told: Measured, links: Sequence[Link] = ()) -> None:
+def measurement_page(path: Path | str, told: MeasurementResult, links: Sequence[Link] = ()) -> None:
     """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames."""
     m, collected = told.measurement, told.collected
     rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
@@ -51,11 +51,11 @@ def measurement_page(path: Path | str, told: Measured, links: Sequence[Link] = (
                        f"scatters by {m.noise:.4f} px per axis. {_held(told.held)}"), *_suspects(told.suspects), *_pictures(told),
              heading("What the cameras leave over"), note("Mean residual over patches of the image, drawn enlarged, on the RMS there; a pattern here "
                                                           "is a lens that the model lacks."), _residual_maps(m),
-             heading("Where the platform went"), coverage(vector(m.T_base_platform)),
+             heading("Where the platform went"), pose_coverage_figures(pose_to_vector(m.T_base_platform)),
              heading("How well each pose is known"), note("Standard uncertainty of its length, cameras' own included."),
              _uncertainty(m, position, rotation), heading("Cameras"), _cameras(told.recording, m)]
     if told.statement:
-        parts += [heading("What this recording determines"), listed(told.statement)]
+        parts += [heading("What this recording determines"), list_html(told.statement)]
     if told.places is not None:
         parts += [heading("Where the markers really are"),
                   note("From their stated places, along their own x (right), y (up), z (out), with 95 % intervals. The stated places, taken "
@@ -68,15 +68,18 @@ def measurement_page(path: Path | str, told: Measured, links: Sequence[Link] = (
         parts += [heading("Frames without a pose"), table(("frame", "reason"), sorted(m.unsolved.items()))]
     if collected is not None and collected.left_out:
         rows = [row[:4] for row in collected.left_out]
-        parts += [heading("Markers read but not placed"), folded(f"{len(rows)} of them", table(("frame", "camera", "marker", "reason"), rows))]
-    title, verdict = f"Measurement of {told.recording.name}", judged(told)
-    write(path, Page("measure", title, verdict, parts, list(dict.fromkeys([*to_do(told), *verdict.next])), links))
+        parts += [
+            heading("Markers read but not placed"),
+            folding_section(f"{len(rows)} of them", table(("frame", "camera", "marker", "reason"), rows)),
+        ]
+    title, verdict = f"Measurement of {told.recording.name}", measurement_verdict(told)
+    write_page(path, Page("measure", title, verdict, parts, list(dict.fromkeys([*recommended_actions(told), *verdict.next])), links))
 
 
-def judged(told: Measured) -> Verdict:
+def measurement_verdict(told: MeasurementResult) -> Verdict:
     """The verdict on a measurement."""
     m, total = told.measurement, len(told.recording.exposures.times()[0])
-    position, rotation = uncertainty(m.covariance)
+    position, rotation = rms_uncertainty(m.covariance)
     size = f"poses to {position * 1e6:.1f} µm and {rotation * 1e6:.1f} µrad (standard uncertainty, RMS)"
     why = f"{len(m.frames)} of {total} frames solved, {size}"
     missing, unexplained = [], []
@@ -96,10 +99,10 @@ def judged(told: Measured) -> Verdict:
     refuted = [*unexplained] if beyond else []
     if len(m.frames) < SOLVED * total:
         refuted.append("fewer than half of the frames have a pose")
-    return judge(Evidence(why, unexplained=() if beyond else tuple(unexplained), missing=tuple(missing), refuted=tuple(refuted)))
+    return judge_evidence(Evidence(why, unexplained=() if beyond else tuple(unexplained), missing=tuple(missing), refuted=tuple(refuted)))
 
 
-def to_do(told: Measured) -> list[str]:
+def recommended_actions(told: MeasurementResult) -> list[str]:
     """What an owner does next with a measurement."""
     steps = ["Correct what rig.toml says of the markers named below, or their print, and measure again"] if told.suspects else []
     if told.measurement.unsolved:
@@ -119,21 +122,21 @@ def _held(held: HeldOut | NotHeldOut) -> str:
 def _suspects(suspects: Sequence[Suspect]) -> list[str]:
     if not suspects:
         return []
-    return [heading("Markers that are not what rig.toml says"), note("What disagrees is left out of the poses."), listed(map(str, suspects))]
+    return [heading("Markers that are not what rig.toml says"), note("What disagrees is left out of the poses."), list_html(map(str, suspects))]
 
 
-def _pictures(told: Measured) -> list[str]:
+def _pictures(told: MeasurementResult) -> list[str]:
     m = told.measurement
-    usual, bad = typical(m), worst(m)
-    shown = frame_pictures(told.recording, m, usual)
+    usual, bad = frame_of_median_residual(m), frame_of_greatest_residual(m)
+    shown = frame_pictures_html(told.recording, m, usual)
     if not shown:
         return []
-    rest = [folded(f"The frame with the greatest residuals, {bad}", *frame_pictures(told.recording, m, bad))] if bad != usual else []
+    rest = [folding_section(f"The frame with the greatest residuals, {bad}", *frame_pictures_html(told.recording, m, bad))] if bad != usual else []
     return [heading(f"A frame as it was read: {usual}"), *shown, *rest]
 
 
 def _residual_maps(m: Measurement) -> str:
-    return panels(*(_residual_map(m, i) for i in range(len(m.design.cameras))))
+    return panel_row(*(_residual_map(m, i) for i in range(len(m.design.cameras))))
 
 
 def _residual_map(m: Measurement, i: int) -> str:
@@ -143,7 +146,7 @@ def _residual_map(m: Measurement, i: int) -> str:
         return image_plane(camera.name, "no corners", size, ())
     uv, r = m.observations.uv[rows], m.residuals[rows]
     cell = camera.width / CELLS
-    centre, means = patches(uv, np.column_stack([r, (r**2).sum(axis=1) / 2]), cell)
+    centre, means = patch_means(uv, np.column_stack([r, (r**2).sum(axis=1) / 2]), cell)
     mean, rms = means[:, :2], np.sqrt(means[:, 2])
     longest = max(float(np.linalg.norm(mean, axis=1).max(initial=0)), 1e-6)
     return image_plane(f"{camera.name}: {rows.sum()} corners", f"longest arrow {longest:.3f} px", size,
@@ -151,7 +154,7 @@ def _residual_map(m: Measurement, i: int) -> str:
 
 
 def _uncertainty(m: Measurement, position: np.ndarray, rotation: np.ndarray) -> str:
-    return panels(*(panel(name, ("frame", unit), [Series(m.frames, values * 1e6)], limits=(0.0, 1.1e6 * float(values.max()) or 1.0))
+    return panel_row(*(plot_panel(name, ("frame", unit), [Series(m.frames, values * 1e6)], limits=(0.0, 1.1e6 * float(values.max()) or 1.0))
                     for name, unit, values in (("position", "µm", position), ("rotation", "µrad", rotation))))
 
 
@@ -159,7 +162,7 @@ def _cameras(recording: Recording, m: Measurement) -> str:
     sigma = dict(zip(m.adjustment.shared_names, np.sqrt(np.diag(m.adjustment.shared_covariance))))
     rows = []
     for stated, found in zip(recording.design.cameras, m.design.cameras):
-        moved = vector(stated.pose.inv() * found.pose)
+        moved = pose_to_vector(stated.pose.inv() * found.pose)
         rows.append((found.name, f"{np.linalg.norm(moved[:3]) * 1e3:.3f}", f"{np.linalg.norm(moved[3:]) * 1e3:.3f}",
                      *(f"{value:.3f} ± {2 * sigma.get((found.name, term), 0):.3f}" for term, value in
                        (("fx", found.matrix[0, 0]), ("fy", found.matrix[1, 1]), ("cx", found.matrix[0, 2]), ("cy", found.matrix[1, 2])))))
@@ -173,7 +176,7 @@ def _moves(places: Places) -> str:
 
 
 def _residuals(places: Places) -> str:
-    return panel("residuals frame by frame", ("frame", "platform's corners, RMS px"),
+    return plot_panel("residuals frame by frame", ("frame", "platform's corners, RMS px"),
                  [Series(places.frames, places.before, "places as stated", colour=1), Series(places.frames, places.after, "as adjusted")], log=True)
 
 

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.certify.measuring_limbs import AXES, MOVES, Agreement
-from rig.report.verdict import Evidence, Missing, Verdict, judge
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.plots import bars, panels
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import bar_chart, panel_row
 from rig.report.pages.html_elements import heading, note, table
 
 
@@ -17,28 +17,28 @@ def limbs_page(path: Path | str, name: str, found: Agreement, source: str, withd
             for i, axis in enumerate(AXES)]
     failing = [axis for i, axis in enumerate(AXES) if not found.passed[i]]
     surely, tolerance = found.surely * 1e6, found.tolerance * 1e6
-    halves = [bars(title, AXES[part], [("surely within", surely[part].tolist(), 0), ("tolerance", tolerance[part].tolist(), -1)], unit, failing)
+    halves = [bar_chart(title, AXES[part], [("surely within", surely[part].tolist(), 0), ("tolerance", tolerance[part].tolist(), -1)], unit, failing)
               for title, part, unit in (("position", slice(0, 3), "µm"), ("rotation", slice(3, 6), "µrad"))]
     parts = [heading("Each axis against its tolerance"), note("Of differences, limbs less vision, 95 % lie within; in bold: axes that do not pass."),
-             panels(*halves), heading("In figures"),
+             panel_row(*halves), heading("In figures"),
              note(f"{found.n} poses, vision's from {source}, each by limbs fitted to other stretches; µm and µrad."),
              table(("axis", "bias", "scatter", "expected", "lower limit", "upper limit", "surely within", "tolerance", "moved over", "so it"), rows)]
     steps = ["Let the limbs stand for vision: `--limbs FILE` of measure, calibrate, online and run"]
     if withdrawn is not None or not found.passed.all():
         steps = ["Look at the joints of limbs that slipped, or move farther along the axes that are not shown, and hold them against vision again"]
-    write(path, Page("insitu", f"Measuring limbs against vision, {name}", judged(found, withdrawn), parts, steps, links))
+    write_page(path, Page("insitu", f"Measuring limbs against vision, {name}", limbs_verdict(found, withdrawn), parts, steps, links))
 
 
-def judged(found: Agreement, withdrawn: str | None) -> Verdict:
+def limbs_verdict(found: Agreement, withdrawn: str | None) -> Verdict:
     """The verdict on limbs. withdrawn : as for the page"""
     if withdrawn is not None:
-        return judge(Evidence(f"{found.n} poses", refuted=(f"the measuring limbs cannot stand for vision: {withdrawn}",)))
+        return judge_evidence(Evidence(f"{found.n} poses", refuted=(f"the measuring limbs cannot stand for vision: {withdrawn}",)))
     if found.passed.all():
-        return judge(Evidence(f"the measuring limbs pass on all six axes, over {found.n} poses: they may stand for vision"))
+        return judge_evidence(Evidence(f"the measuring limbs pass on all six axes, over {found.n} poses: they may stand for vision"))
     failing = ", ".join(axis for i, axis in enumerate(AXES) if not found.passed[i])
     surely = [axis for i, axis in enumerate(AXES) if found.surely[i] > found.tolerance[i]]
     said = f"the measuring limbs do not pass: {failing}"
-    return judge(Evidence(said, refuted=(f"{', '.join(surely)} surely beyond the tolerance",) if surely else (),
+    return judge_evidence(Evidence(said, refuted=(f"{', '.join(surely)} surely beyond the tolerance",) if surely else (),
                           missing=() if surely else (Missing("that they agree is not shown"),)))
 
 

@@ -6,19 +6,19 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certify.calibration_evidence import ALONE, OfCalibrations, separable
+from calib.certify.calibration_evidence import ALONE, OfCalibrations, confound_sentences
 from calib.samples.confounded_conditions import Confounds
-from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.plots import Series, panel
-from rig.report.pages.html_elements import heading, listed, note, paragraph
+from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, plot_panel
+from rig.report.pages.html_elements import heading, list_html, note, paragraph
 
 MANY = 6  # changes beyond which they are not believed to be steps
 ASK = "Determine what acts on the struts or the measurement: `rig diagnose REC --out found`"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Learnt:
+class OnlineResult:
     """What poses taught. frames : (n,) their numbers; innovations : (n, 6) whitened, N(0, I) where nothing is wrong; source : of the poses
     said : a line for each change; dropped : numbers of frames left out; known : m RMS of joints and zeros, or None; moved : m RMS from rig.toml
     returning : struts that go back and forth, a sentence each; confounds : of the recording, or None
@@ -36,23 +36,23 @@ class Learnt:
     calibrations: OfCalibrations = ALONE
 
 
-def learnt_page(path: Path | str, name: str, learnt: Learnt, links: Sequence[Link] = ()) -> None:
+def write_online_page(path: Path | str, name: str, learnt: OnlineResult, links: Sequence[Link] = ()) -> None:
     """Write the page of what a recording of a name taught."""
     sizes = np.sqrt((learnt.innovations**2).mean(axis=1))
     parts = [paragraph(f"{len(learnt.frames)} poses from {learnt.source}, learnt one at a time. Joints and zeros moved by "
                        f"{learnt.moved * 1e3:.4f} mm RMS from rig.toml.")]
     if learnt.said:
-        parts += [heading("What jumped"), listed(learnt.said)]
+        parts += [heading("What jumped"), list_html(learnt.said)]
     parts += [heading("How well each pose was expected"),
               note("Off what the poses before it let expect, in standard deviations, RMS over the six axes: 1 where nothing is left to learn."),
-              panel("innovation", ("frame", "standard deviations"), [Series(learnt.frames, sizes)], log=True, level=1.0)]
+              plot_panel("innovation", ("frame", "standard deviations"), [Series(learnt.frames, sizes)], log=True, level=1.0)]
     if learnt.dropped:
         parts += [heading("Left out"), paragraph(f"Frames {', '.join(map(str, learnt.dropped))}: their poses agree with no other.")]
-    verdict = judged(learnt)
-    write(path, Page("online", f"Learning from {name}", verdict, parts, verdict.next, links))
+    verdict = online_verdict(learnt)
+    write_page(path, Page("online", f"Learning from {name}", verdict, parts, verdict.next, links))
 
 
-def judged(learnt: Learnt) -> Verdict:
+def online_verdict(learnt: OnlineResult) -> Verdict:
     """The verdict on what was learnt."""
     last = learnt.innovations[-max(len(learnt.innovations) // 4, 1) :]
     off = float(np.sqrt(np.mean(last**2)))
@@ -64,13 +64,22 @@ def judged(learnt: Learnt) -> Verdict:
         unexplained.append("these are no few steps, something acts that the geometry lacks")
     if off > AGREES:
         unexplained.append(f"the last poses are {off:.3g} times as far off as expected")
-    missing = [Missing("something jumped", to_do(learnt)[0])] if learnt.said else []
+    missing = [Missing("something jumped", recommended_actions(learnt)[0])] if learnt.said else []
     missing += [Missing("poses were left out")] if learnt.dropped else []
-    return judge(Evidence(why, tuple(to_do(learnt)), unexplained=tuple(unexplained), confounds=separable(learnt.confounds), missing=tuple(missing),
-                          refuted=learnt.calibrations.refuted, look=ASK))
+    return judge_evidence(
+        Evidence(
+            why,
+            tuple(recommended_actions(learnt)),
+            unexplained=tuple(unexplained),
+            confounds=confound_sentences(learnt.confounds),
+            missing=tuple(missing),
+            refuted=learnt.calibrations.refuted,
+            look=ASK,
+        )
+    )
 
 
-def to_do(learnt: Learnt) -> list[str]:
+def recommended_actions(learnt: OnlineResult) -> list[str]:
     """What an owner does next with what was learnt."""
     if len(learnt.said) > MANY or learnt.returning:
         return [ASK]

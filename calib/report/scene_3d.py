@@ -8,7 +8,7 @@ from rig.model.design import Design
 from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms import arm as arms
 from rig.report.pages.view_3d import Effect, Stage
-from rig.model.pose import vector
+from rig.model.pose import pose_to_vector
 from vision.targets import MarkerMap, marker_map
 
 SIGHT = 0.12  # of a camera's distance: how long its lines are drawn
@@ -16,18 +16,18 @@ SHARE = 0.65  # of the cameras' distance, that the view shows across
 REACH = 0.15  # m, of the cross at an arm's hand
 
 
-def stage(design: Design, frames: np.ndarray, T: RigidTransform, values: np.ndarray | None = None, errors: dict[str, np.ndarray] | None = None,
+def rig_stage(design: Design, frames: np.ndarray, T: RigidTransform, values: np.ndarray | None = None, errors: dict[str, np.ndarray] | None = None,
           effects: tuple[Effect, ...] = ()) -> Stage:
     """Stage of a rig. frames : (n,) numbers; T : T_base_platform (n,); values : (n, axes) commanded, by which an arm's links are drawn, or None
     errors : {name: (n, 6) tangent on the right}, NaN where not known"""
     m, markers = design.mechanism, marker_map(design.without_stages()) if design.targets else None
     base = platform = np.zeros((0, 3))
     moved = [] if markers is None else [_face(markers, int(k)) for k in np.flatnonzero(markers.on_platform)]
-    fixed, links = fixed_parts(design, markers), None
+    fixed, links = fixed_rig_lines(design, markers), None
     if isinstance(m, Hexapod):
         base, platform = m.base_joints, m.platform_joints
-        fixed.append({"kind": "plate", "points": ring(base)})
-        moved.append({"kind": "plate", "points": ring(platform)})
+        fixed.append({"kind": "plate", "points": closed_outline(base)})
+        moved.append({"kind": "plate", "points": closed_outline(platform)})
     elif isinstance(m, Planar2):
         base = np.column_stack([m.base_joints, np.zeros(len(m.base_joints))])
         platform = np.zeros_like(base)
@@ -35,17 +35,17 @@ def stage(design: Design, frames: np.ndarray, T: RigidTransform, values: np.ndar
         links = arms.frames(values, m)[..., :3, 3]
     if not len(platform):
         moved += _cross()
-    return Stage(frames, vector(T), fixed, moved, _middle(T, base, links), _size(design, T, links), base, platform, links,
+    return Stage(frames, pose_to_vector(T), fixed, moved, _middle(T, base, links), _size(design, T, links), base, platform, links,
                  platform if isinstance(m, Hexapod) else np.zeros((1, 3)), errors or {}, effects)
 
 
-def stage_alone(mechanism: Arm | Chain, frames: np.ndarray, values: np.ndarray, effects: tuple[Effect, ...] = ()) -> Stage:
+def mechanism_stage(mechanism: Arm | Chain, frames: np.ndarray, values: np.ndarray, effects: tuple[Effect, ...] = ()) -> Stage:
     """Stage of a mechanism without cameras and targets. frames : (n,) numbers; values : (n, axes) rad or m. Raises as its forward kinematics"""
     links = arms.frames(values, mechanism)[..., :3, 3] if isinstance(mechanism, Arm) else None
-    T = mechanisms.of(mechanism).forward(values, mechanism)
+    T = mechanisms.kinematics_of(mechanism).forward(values, mechanism)
     base = np.zeros((1, 3))
     size = float(np.ptp(np.concatenate([base, T.translation] if links is None else [links.reshape(-1, 3)]), axis=0).max())
-    return Stage(frames, vector(T), (), _cross(), _middle(T, base, links), size, links=links, effects=effects)
+    return Stage(frames, pose_to_vector(T), (), _cross(), _middle(T, base, links), size, links=links, effects=effects)
 
 
 def _cross() -> list[dict]:
@@ -53,7 +53,7 @@ def _cross() -> list[dict]:
     return [{"kind": "plate", "points": np.outer([-REACH / 2, REACH / 2], axis)} for axis in np.eye(3)]
 
 
-def fixed_parts(design: Design, markers: MarkerMap | None) -> list[dict]:
+def fixed_rig_lines(design: Design, markers: MarkerMap | None) -> list[dict]:
     """What of the rig does not move, as lines: the base's targets, the cameras' sights."""
     parts = []
     for camera in design.cameras:
@@ -70,7 +70,7 @@ def fixed_parts(design: Design, markers: MarkerMap | None) -> list[dict]:
     return parts
 
 
-def ring(joints: np.ndarray) -> list:
+def closed_outline(joints: np.ndarray) -> list:
     """[(x, y, z) ..] m around joints (n, 3) m and back to the first."""
     around = np.argsort(np.arctan2(*(joints - joints.mean(axis=0))[:, 1::-1].T))
     return joints[np.r_[around, around[0]]].tolist()

@@ -8,21 +8,21 @@ from pathlib import Path
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.calibration_evidence import evidence, held_against, with_design
+from calib.certify.calibration_evidence import calibration_evidence, evidence_with_verification, with_design
 from calib.certify.held_out_errors import Figures, HeldOut
-from calib.certify.calibration_verdict import verified
+from calib.certify.calibration_verdict import verification_line
 from calib.certify.claim_verification import Verification
 from calib.samples.confounded_conditions import Confounds
-from calib.report.pose_figures import before_after, coverage
+from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
-from calib.report.scene_3d import stage
+from calib.report.scene_3d import rig_stage
 from rig.model.design import Design
-from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.plots import Series, panel, panels
+from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, plot_panel, panel_row
 from rig.report.pages.html_elements import heading, paragraph, table
-from rig.report.pages.view_3d import scripts, view
-from rig.model.pose import vector
+from rig.report.pages.view_3d import view_scripts, view_3d_html
+from rig.model.pose import pose_to_vector
 from rig.report.refutations import Refutation
 
 FAR = 3.0  # times the stated uncertainty, which errors that all poses share may reach by chance: beyond it is refuted
@@ -53,34 +53,40 @@ class Verified:
     confounds: Confounds | None = None
 
 
-def verified_page(path: Path | str, name: str, v: Verified, links: Sequence[Link] = ()) -> None:
+def write_verification_page(path: Path | str, name: str, v: Verified, links: Sequence[Link] = ()) -> None:
     """Write the page. name : of the recording"""
     floor = f"The measured poses themselves are uncertain by {v.held.floor[0] * 1e3:.4f} mm and {v.held.floor[1] * 1e3:.4f} mrad."
     errors = {"owner's model": -v.before, "corrected": -v.after}
     parts = [paragraph(floor)] if np.isfinite(v.held.floor).all() else []
     if v.driven is not None:
         parts += [heading("Wanted poses against measured ones"), _driven(v.samples.frame, *v.driven)]
-    parts += [heading("Before and after, pose by pose"), before_after(v.before, v.after, v.samples.frame), _figures(v.held),
-              heading("In three dimensions"), *view(stage(v.design, v.samples.frame, v.samples.T_base_platform, v.samples.commanded, errors)),
-              heading("Where it went"), coverage(vector(v.samples.T_base_platform))]
+    parts += [
+        heading("Before and after, pose by pose"),
+        correction_error_figures(v.before, v.after, v.samples.frame),
+        _figures(v.held),
+        heading("In three dimensions"),
+        *view_3d_html(rig_stage(v.design, v.samples.frame, v.samples.T_base_platform, v.samples.commanded, errors)),
+        heading("Where it went"),
+        pose_coverage_figures(pose_to_vector(v.samples.T_base_platform)),
+    ]
     if v.unsolved:
         parts += [heading("Frames without a pose"), table(("frame", "reason"), sorted(v.unsolved.items()))]
-    verdict = judged(v)
-    write(path, Page("verify", f"Verification by {name}", verdict, parts, verdict.next, links, scripts(parts)))
+    verdict = verification_verdict(v)
+    write_page(path, Page("verify", f"Verification by {name}", verdict, parts, verdict.next, links, view_scripts(parts)))
 
 
-def judged(v: Verified) -> Verdict:
+def verification_verdict(v: Verified) -> Verdict:
     """The verdict on a verification."""
     if v.driven is not None:
-        return judge(_of_driven(v))
+        return judge_evidence(_of_driven(v))
     if v.same:
-        return judge(Evidence("no verdict", missing=(Missing(f"the calibration was made from {len(v.same)} of these frames", ANOTHER),)))
-    known = evidence(v.calibration, v.refutations, verified(v.held, v.calibration.claim, v.found), (CERTIFY,))
+        return judge_evidence(Evidence("no verdict", missing=(Missing(f"the calibration was made from {len(v.same)} of these frames", ANOTHER),)))
+    known = calibration_evidence(v.calibration, v.refutations, verification_line(v.held, v.calibration.claim, v.found), (CERTIFY,))
     known = with_design(known, v.calibration, (v.confounds,), "this recording")
-    return judge(held_against(known, v.found, look=CHANGED))
+    return judge_evidence(evidence_with_verification(known, v.found, look=CHANGED))
 
 
-def refutes(v: Verified) -> bool:
+def refutes_claim(v: Verified) -> bool:
     """Whether these poses, which nothing was fitted to, refute the calibration's claim."""
     return v.driven is None and not v.same and v.found is not None and v.found.refutes
 
@@ -93,7 +99,7 @@ def _of_driven(v: Verified) -> Evidence:
     times = max((size / sigma for size, sigma in pairs), default=math.nan)
     line = (f"{figures.n} poses came within {figures.position[0] * 1e3:.4f} mm RMS of those wanted, {times:.2f} times the stated standard "
             "uncertainty")
-    known = evidence(v.calibration, v.refutations, line, (CERTIFY,))
+    known = calibration_evidence(v.calibration, v.refutations, line, (CERTIFY,))
     beyond = f"poses are {times:.3g} times the stated standard uncertainty off those wanted"
     if times > FAR:
         return replace(known, refuted=(beyond, *known.refuted), held_out=None)
@@ -104,8 +110,8 @@ def _driven(frames: np.ndarray, figures: Figures, stated: tuple[float, float], e
     rows = [("position", *(f"{value * 1e3:.4f} mm" for value in (*figures.position, stated[0]))),
             ("rotation", *(f"{value * 1e3:.4f} mrad" for value in (*figures.rotation, stated[1])))]
     seen = [(part, label) for part, label in ((slice(0, 3), "off, mm"), (slice(3, 6), "off, mrad")) if np.isfinite(errors[:, part]).all()]
-    drawn = (panel(label, ("frame", label), [Series(frames, np.linalg.norm(errors[:, part], axis=1) * 1e3)]) for part, label in seen)
-    return table(("off the wanted pose", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]) + panels(*drawn)
+    drawn = (plot_panel(label, ("frame", label), [Series(frames, np.linalg.norm(errors[:, part], axis=1) * 1e3)]) for part, label in seen)
+    return table(("off the wanted pose", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]) + panel_row(*drawn)
 
 
 def _figures(held: HeldOut) -> str:

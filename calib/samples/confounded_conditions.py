@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betainc
 
-from calib.samples.measuring_conditions import conditions
+from calib.samples.measuring_conditions import conditions_of_exposures
 from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain, Free
@@ -81,23 +81,23 @@ class Confounds:
                 "rows": [asdict(row) for row in self.rows], "constant": list(self.constant), "unjudged": list(self.unjudged)}
 
 
-def confounds(samples: Samples, mechanism: Struts | Arm | Chain | Free) -> Confounds | None:
+def confounds_of_samples(samples: Samples, mechanism: Struts | Arm | Chain | Free) -> Confounds | None:
     """Confounds of the samples of a mechanism; None where no recording states their conditions."""
     known = samples.conditions
     if known is None:
         return None
-    return of_design(samples.commanded, known.direction, known.t, known.channels, mechanisms.places(mechanism))
+    return confounds_of_design(samples.commanded, known.direction, known.t, known.channels, mechanisms.axis_places(mechanism))
 
 
-def of_configurations(values: np.ndarray, start: np.ndarray, mechanism: Struts | Arm | Chain | Free) -> Confounds:
+def confounds_of_configurations(values: np.ndarray, start: np.ndarray, mechanism: Struts | Arm | Chain | Free) -> Confounds:
     """Confounds of configurations (n, axes) m or rad visited straight from one to the next, at even times, from start (axes,) on."""
     way = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
     latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)
     direction = np.where(latest < 0, 0.0, np.take_along_axis(way, np.maximum(latest, 0), axis=0))
-    return of_design(values, direction, EVEN * np.arange(len(values)), {}, mechanisms.places(mechanism))
+    return confounds_of_design(values, direction, EVEN * np.arange(len(values)), {}, mechanisms.axis_places(mechanism))
 
 
-def of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
+def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
     """Confounds of the exposures of recordings of one machine, one after the other in time; None where one has no commands.
 
     A channel counts where every recording has it.
@@ -105,16 +105,16 @@ def of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
     if any(recording.commands is None for recording in recordings):
         return None
     frames = [recording.commanded() for recording in recordings]
-    known = [conditions(recording, t) for recording, (_, t, _) in zip(recordings, frames)]
+    known = [conditions_of_exposures(recording, t) for recording, (_, t, _) in zip(recordings, frames)]
     names = [name for name in known[0].channels if all(name in one.channels for one in known)]
     begins = np.cumsum([0.0, *(float(one.t.max()) for one in known[:-1])])
-    return of_design(np.concatenate([values for _, _, values in frames]), np.concatenate([one.direction for one in known]),
+    return confounds_of_design(np.concatenate([values for _, _, values in frames]), np.concatenate([one.direction for one in known]),
                      np.concatenate([one.t + begin for one, begin in zip(known, begins)]),
                      {name: np.concatenate([one.channels[name] for one in known]) for name in names},
-                     mechanisms.places(recordings[0].design.mechanism))
+                     mechanisms.axis_places(recordings[0].design.mechanism))
 
 
-def confounds_in(table: Entries) -> Confounds:
+def confounds_from_entries(table: Entries) -> Confounds:
     """The Confounds of the tree that `Confounds.tree` gave. Raises FileError for anything else."""
     return Confounds(table.whole("n", 0), tuple(_row_in(row) for row in table.tables("rows")), table.texts("constant"), table.texts("unjudged"))
 
@@ -124,7 +124,7 @@ def _row_in(row: Entries) -> Confound:
     return Confound(row.text("axis"), row.text("cause"), *shares)
 
 
-def of_design(values: np.ndarray, direction: np.ndarray, t: np.ndarray, channels: dict[str, np.ndarray], axes: Sequence[str]) -> Confounds:
+def confounds_of_design(values: np.ndarray, direction: np.ndarray, t: np.ndarray, channels: dict[str, np.ndarray], axes: Sequence[str]) -> Confounds:
     """Confounds of a plan or recording.
 
     values : (n, axes) m or rad, configurations; direction : (n, axes) -1, 0, 1; t : (n,) s; channels : {name: (n,)}; axes : their places in words

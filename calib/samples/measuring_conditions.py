@@ -46,7 +46,7 @@ class Conditions:
         return Conditions(self.direction[index], self.t[index], {name: values[index] for name, values in self.channels.items()}, self.weight)
 
 
-def conditions(recording: Recording, t: np.ndarray) -> Conditions:
+def conditions_of_exposures(recording: Recording, t: np.ndarray) -> Conditions:
     """Conditions of a recording's exposures at times t (n,) s. Raises RigError without commands."""
     recording.commanded()
     assert recording.commands is not None

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.samples.measuring_conditions import Conditions, conditions
+from calib.samples.measuring_conditions import Conditions, conditions_of_exposures
 from rig.errors import NotEnoughData
 from rig.recording.recording_folder import Recording
 
@@ -84,7 +84,7 @@ class Samples:
         return self.covariance + self.common @ np.swapaxes(self.common, 1, 2)
 
 
-def samples(recording: Recording, frames: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray,
+def pair_samples(recording: Recording, frames: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray,
             common: np.ndarray | None = None) -> Samples:
     """Samples of a recording's commands and poses measured at some of its frames.
 
@@ -94,10 +94,10 @@ def samples(recording: Recording, frames: np.ndarray, T_base_platform: RigidTran
     known, t, values = recording.commanded()
     at = np.searchsorted(known, frames)
     common = np.zeros((len(frames), 6, 0)) if common is None else common
-    return Samples(np.asarray(frames), t[at], values[at], T_base_platform, covariance, common, conditions=conditions(recording, t[at]))
+    return Samples(np.asarray(frames), t[at], values[at], T_base_platform, covariance, common, conditions=conditions_of_exposures(recording, t[at]))
 
 
-def with_stage(samples: Samples, stage: int, frames: np.ndarray, T_base_stage: RigidTransform, covariance: np.ndarray,
+def add_stage_measurements(samples: Samples, stage: int, frames: np.ndarray, T_base_stage: RigidTransform, covariance: np.ndarray,
                common: np.ndarray | None = None) -> Samples:
     """Samples with what was measured of a chain's stage (from 1) at some frames (f,); what has no pose of the platform beside it is left aside.
 
@@ -112,7 +112,7 @@ def with_stage(samples: Samples, stage: int, frames: np.ndarray, T_base_stage: R
     return replace(samples, below=(*samples.below, Below(stage, T_base_stage[row], covariance[row], common[row], seen)))
 
 
-def in_plane(samples: Samples) -> Samples:
+def planar_samples(samples: Samples) -> Samples:
     """The samples of a hinge that moves in the plane z = 0: where it was measured in that plane, and nothing across it or of how it is turned.
 
     There poses and their covariance are 0: no strut moves the hinge so, and what is seen of it says how the plate sits on the hinge.
@@ -125,18 +125,18 @@ def in_plane(samples: Samples) -> Samples:
     return replace(samples, T_base_platform=RigidTransform.from_translation(place), covariance=covariance, common=common)
 
 
-def precision(covariance: np.ndarray) -> np.ndarray:
-    """(n, 6, 6) inverses of covariances (n, 6, 6), 0 in the directions in which a machine has no freedom (see `in_plane`)."""
+def inverse_covariance(covariance: np.ndarray) -> np.ndarray:
+    """(n, 6, 6) inverses of covariances (n, 6, 6), 0 in the directions in which a machine has no freedom (see `planar_samples`)."""
     none = np.diag(1.0 * ~covariance.any(axis=(0, 1)))
     return np.linalg.inv(covariance + none) - none
 
 
-def blocks(count: int, folds: int) -> np.ndarray:
+def time_block_folds(count: int, folds: int) -> np.ndarray:
     """(count,) fold number of each sample: whole stretches in time, as equal as can be, never single rows."""
     return np.minimum(np.arange(count) * folds // max(count, 1), folds - 1)
 
 
-def uncertainty(covariance: np.ndarray) -> tuple[float, float]:
+def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
     """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6), of what was measured; else infinite."""
     variances = np.einsum("nii->ni", covariance)
     known = np.where(np.isinf(variances), 0.0, variances)

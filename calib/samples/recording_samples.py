@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.samples.pose_samples import Samples, in_plane, samples, with_stage
+from calib.samples.pose_samples import Samples, planar_samples, pair_samples, add_stage_measurements
 from rig.model.design import Instrument
 from rig.errors import NotEnoughData, RigError
 from rig.recording.corner_and_pose_tables import Corners, Poses
@@ -48,24 +48,24 @@ def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "le
     poses = recording.poses
     if poses is not None and (recording.design.instrument is not None or (recording.corners is None and not recording.has_images)):
         stated = poses.covariance is not None or recording.design.instrument is not None
-        return Sampled(freed(recording, _from_poses(recording, poses)), "poses.csv", None, None, instrument=recording.design.instrument,
+        return Sampled(freedom_conditions(recording, _from_poses(recording, poses)), "poses.csv", None, None, instrument=recording.design.instrument,
                        assumed=not stated)
     if recording.corners is None and not recording.has_images:
         raise NotEnoughData(f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured")
     measured, collected = measure_recording(recording, free, progress=progress, look=look)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     source = "images" if collected is not None else "corners.csv"
-    found = samples(recording, measured.frames, measured.T_base_platform, own, measured.common)
+    found = pair_samples(recording, measured.frames, measured.T_base_platform, own, measured.common)
     for stage, below in measured.stages.items():
         alone = below.covariance - below.common @ np.swapaxes(below.common, 1, 2)
-        found = with_stage(found, stage, below.frames, below.T_base_platform, alone, below.common)
-    return Sampled(freed(recording, found), source, measured, collected,
+        found = add_stage_measurements(found, stage, below.frames, below.T_base_platform, alone, below.common)
+    return Sampled(freedom_conditions(recording, found), source, measured, collected,
                    instrument=CAMERAS if recording.design.mechanism.kind == "arm" else None)
 
 
-def freed(recording: Recording, found: Samples) -> Samples:
+def freedom_conditions(recording: Recording, found: Samples) -> Samples:
     """What measured poses say of the freedoms that a recording's machine has."""
-    return in_plane(found) if recording.design.mechanism.kind == "planar2" else found
+    return planar_samples(found) if recording.design.mechanism.kind == "planar2" else found
 
 
 def _from_poses(recording: Recording, poses: Poses) -> Samples:
@@ -79,9 +79,9 @@ def _from_poses(recording: Recording, poses: Poses) -> Samples:
     if instrument is not None and instrument.rotation_sigma is None and kind != "arm":
         raise RigError(f"{recording.folder}: [instrument] states no rotation_sigma, and positions alone calibrate arms, not a mechanism of "
                        f"kind {kind!r}")
-    found = samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument))
+    found = pair_samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument))
     for stage, below in recording.stages.items():
-        found = with_stage(found, stage, below.frame, below.T_base_platform, _covariance(below, instrument))
+        found = add_stage_measurements(found, stage, below.frame, below.T_base_platform, _covariance(below, instrument))
     return found
 
 

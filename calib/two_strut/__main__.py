@@ -3,12 +3,12 @@
 import sys
 from pathlib import Path
 
-from calib.two_strut.example_figures import figures
+from calib.two_strut.example_figures import example_figures
 from rig.formats.output_files import write_text
 
 if len(sys.argv) != 2:
     sys.exit("usage: python -m calib.two_strut FOLDER")
 folder = Path(sys.argv[1])
 folder.mkdir(parents=True, exist_ok=True)
-for name, text in figures().items():
+for name, text in example_figures().items():
     write_text(folder / f"{name}.svg", text)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rig.report.pages.svg_elements import text
-from calib.two_strut.worked_example import L1, L2, NOMINAL, REAL, Worked, driven, grid, workspace, worked
+from calib.two_strut.worked_example import L1, L2, NOMINAL, REAL, Worked, corrected_hinge_positions, grid, workspace, worked_example
 
 WIDTH, HEIGHT = 480, 400
 SCALE, LEFT, FLOOR = 560.0, 240.0, 350.0  # px/m; px of the plane's origin
@@ -18,9 +18,9 @@ STYLE = ("svg{font:13px system-ui,sans-serif}.base{stroke:#888;fill:none}.strut{
          ".after{stroke:#2a78c2;stroke-width:1.5}.radius{stroke:#bbb;fill:none}")
 
 
-def figures() -> dict[str, str]:
+def example_figures() -> dict[str, str]:
     """{name: SVG} of the figures 1 to 7 of the source, and the workspace once corrected."""
-    w = worked()
+    w = worked_example()
     names = ("L1, L1", "L1, L2", "L2, L1", "L2, L2")
     found = {"fig1": _workspace(w)}
     found |= {f"fig{2 + i}": _sample(w, i, name) for i, name in enumerate(names)}
@@ -118,7 +118,7 @@ def _between(w: Worked, x: np.ndarray) -> np.ndarray:
 
 def _corrected(w: Worked) -> str:
     wanted = grid()
-    before, after = driven(None, wanted), driven(w.correction, wanted)
+    before, after = corrected_hinge_positions(None, wanted), corrected_hinge_positions(w.correction, wanted)
     middle = workspace(NOMINAL).mean(axis=0)
 
     def at(p: np.ndarray) -> tuple[float, float]:

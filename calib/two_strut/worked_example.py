@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correct.correction import Correction
-from calib.correct.summand_extension import extend, summands
+from calib.correct.summand_extension import fit_summand_field, summands
 from calib.samples.pose_samples import Samples
-from rig.planning.configuration_sets import FILL, division
+from rig.planning.configuration_sets import FILL, grid_division
 from rig.model.design import Planar2
 from rig.model.mechanisms import two_strut_plane
 
@@ -34,18 +34,18 @@ class Worked:
     correction: Correction
 
 
-def worked() -> Worked:
+def worked_example() -> Worked:
     """The example, worked."""
-    x = division(NOMINAL.strut_range, "1@1")
+    x = grid_division(NOMINAL.strut_range, "1@1")
     x = x[np.lexsort((x[:, 1], x[:, 0]))]
     measured = two_strut_plane.forward(x, REAL)
     samples = Samples(np.arange(4), np.arange(4.0), x, measured, np.zeros((4, 6, 6)), np.zeros((4, 6, 0)))
     known = summands(samples, NOMINAL)
-    correction: Correction = Correction(NOMINAL, NOMINAL, (None, None), extension=extend(known, "linear"))
+    correction: Correction = Correction(NOMINAL, NOMINAL, (None, None), extension=fit_summand_field(known, "linear"))
     return Worked(x, two_strut_plane.forward(x, NOMINAL), measured, two_strut_plane.inverse(measured, NOMINAL), known.values, correction)
 
 
-def driven(correction: Correction | None, wanted: np.ndarray) -> np.ndarray:
+def corrected_hinge_positions(correction: Correction | None, wanted: np.ndarray) -> np.ndarray:
     """(n, 2) m where the real hinge comes to lie when it is sent to places wanted (n, 2) m: by the owner's model, or in the source's one step
     X + KSF(X), [0090], [0091]."""
     T = RigidTransform.from_translation(np.pad(wanted, ((0, 0), (0, 1))))

@@ -6,7 +6,7 @@ from calib.workspace.workspace_cells import Workspace
 from rig.formats.checked_entries import Entries
 
 
-def certified(w: Workspace, certificate: Entries) -> np.ndarray:
+def certified_cell_promises(w: Workspace, certificate: Entries) -> np.ndarray:
     """(c, 2) m and rad: the promise of the smallest box of a certificate's volume that a cell's middle lies in, NaN in none; rotation NaN where none
     was measured. certificate : Entries of certificate.json. Raises FileError for one that holds no boxes
     """

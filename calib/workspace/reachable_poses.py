@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import Correction, closed, closing
+from calib.correct.correction import Correction, filter_closed_commands, commands_with_pose
 from rig.model import mechanisms
 from rig.errors import NotConverged
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 SAME = 1e-6  # m and rad, within which a command gives the pose that it was found for
 
@@ -29,19 +29,19 @@ class Side:
     out: np.ndarray
 
 
-def owners(correction: Correction[Any, Any]) -> Correction[Any, Any]:
+def uncorrected_machine(correction: Correction[Any, Any]) -> Correction[Any, Any]:
     """The machine as its owner believes it, as a Correction that corrects nothing."""
     return replace(correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None, posed=())
 
 
-def side(machine: Correction[Any, Any], other: Correction[Any, Any], commands: np.ndarray) -> Side:
+def reachable_side(machine: Correction[Any, Any], other: Correction[Any, Any], commands: np.ndarray) -> Side:
     """Side of a machine at commands (m, axes) m or rad, held against another. Raises NotConverged where none of them closes on a pose."""
-    commands, T = closing(commands, machine)
+    commands, T = commands_with_pose(commands, machine)
     needed = other.near(T, commands)
     return Side(commands, T, needed, ~_reached(needed, T, other))
 
 
-def lost(correction: Correction[Any, Any], configurations: np.ndarray) -> np.ndarray:
+def is_pose_lost(correction: Correction[Any, Any], configurations: np.ndarray) -> np.ndarray:
     """(n,) bool: whether the pose that the owner's model gives for configurations (n, axes) m or rad is out of the corrected machine's reach.
 
     True as well for those that close on no pose
@@ -49,7 +49,7 @@ def lost(correction: Correction[Any, Any], configurations: np.ndarray) -> np.nda
     configurations = np.asarray(configurations, float)
     out = np.ones(len(configurations), bool)
     try:
-        index, T = closed(configurations, owners(correction).predict)
+        index, T = filter_closed_commands(configurations, uncorrected_machine(correction).predict)
     except NotConverged:
         return out
     out[index] = ~_reached(correction.near(T, configurations[index]), T, correction)
@@ -59,14 +59,14 @@ def lost(correction: Correction[Any, Any], configurations: np.ndarray) -> np.nda
 def _reached(needed: np.ndarray, T: RigidTransform, machine: Correction[Any, Any]) -> np.ndarray:
     """(n,) bool: whether commands (n, axes) are within the strokes and give the poses (n,), in the assembly in which the machine stands."""
     known = np.isfinite(needed).all(axis=1)
-    known[known] = (mechanisms.of(machine.nominal).limits(needed[known], machine.nominal) == 0).all(axis=1)
+    known[known] = (mechanisms.kinematics_of(machine.nominal).limits(needed[known], machine.nominal) == 0).all(axis=1)
     inside, reached = np.flatnonzero(known), np.zeros(len(needed), bool)
     if not len(inside):
         return reached
     try:
-        index, given = closed(needed[inside], machine.predict)
+        index, given = filter_closed_commands(needed[inside], machine.predict)
     except NotConverged:
         return reached
     there = inside[index]
-    reached[there] = np.abs(difference(given, T[there])).max(axis=1) < SAME
+    reached[there] = np.abs(pose_difference(given, T[there])).max(axis=1) < SAME
     return reached

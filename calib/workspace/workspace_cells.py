@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correct.correction import Correction
-from calib.correct.summand_extension import home_of
-from calib.workspace.reachable_poses import Side, owners, side
+from calib.correct.summand_extension import home_pose
+from calib.workspace.reachable_poses import Side, uncorrected_machine, reachable_side
 from rig.model import mechanisms
 from rig.planning.configuration_sets import low_discrepancy
 from rig.model.design import Arm
-from rig.model.pose import vector
+from rig.model.pose import pose_to_vector
 
 DRAWN, FEWER = 8192, 4096  # configurations of either machine; of an arm, whose commands are sought step by step
 ALONG = {2: 16, 3: 10}  # cells along the longest side of a workspace that is flat, and of one that is not
@@ -69,7 +69,7 @@ class Workspace:
         return bool((self.index[:, 2] == self.index[0, 2]).all())
 
 
-def workspace(correction: Correction[Any, Any], covariance: Covariance, count: int | None = None) -> Workspace:
+def map_workspace(correction: Correction[Any, Any], covariance: Covariance, count: int | None = None) -> Workspace:
     """Workspace of a Correction. covariance : of its poses, by poses (n,) and commands (n, axes)
     count : configurations drawn of either machine, DRAWN or FEWER by default
 
@@ -77,9 +77,9 @@ def workspace(correction: Correction[Any, Any], covariance: Covariance, count: i
     """
     nominal = correction.nominal
     count = count or (FEWER if isinstance(nominal, Arm) else DRAWN)
-    drawn = low_discrepancy(mechanisms.of(nominal).travel(nominal), count, 1.0)
-    owner = owners(correction)
-    believed, real = side(owner, correction, drawn), side(correction, owner, drawn)
+    drawn = low_discrepancy(mechanisms.kinematics_of(nominal).travel(nominal), count, 1.0)
+    owner = uncorrected_machine(correction)
+    believed, real = reachable_side(owner, correction, drawn), reachable_side(correction, owner, drawn)
     short = isinstance(nominal, Arm) and len(nominal.axes) < 6
     lost, gained = (np.zeros(len(one.out), bool) if short else one.out for one in (believed, real))
     positions = np.concatenate([believed.T_base_platform.translation, real.T_base_platform.translation])
@@ -114,20 +114,20 @@ def _corner(positions: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _room(correction: Correction[Any, Any], commands: np.ndarray) -> np.ndarray:
     """(n,) m or rad from commands (n, axes) to the nearest limit, negative beyond it; NaN of NaN."""
-    low, high = mechanisms.of(correction.nominal).travel(correction.nominal).T
+    low, high = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal).T
     return np.asarray(np.minimum(commands - low, high - commands).min(axis=1))
 
 
 def _at_home(correction: Correction[Any, Any], positions: np.ndarray) -> np.ndarray:
     """(n,) room of poses at positions (n, 3) m that are turned like home."""
-    home = mechanisms.of(correction.nominal).home(correction.nominal)
-    T = RigidTransform.from_components(positions, home_of(correction.nominal).rotation)
+    home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
+    T = RigidTransform.from_components(positions, home_pose(correction.nominal).rotation)
     return _room(correction, correction.near(T, np.broadcast_to(home, (len(positions), len(home)))))
 
 
 def _singular(correction: Correction[Any, Any], real: Side) -> np.ndarray:
     """(n,) least over greatest singular value of the corrected machine's Jacobian, turns weighed so that they count like moves on the whole."""
-    fitted, kinematics = correction.fitted, mechanisms.of(correction.fitted)
+    fitted, kinematics = correction.fitted, mechanisms.kinematics_of(correction.fitted)
     if isinstance(fitted, Arm):
         J = np.swapaxes(kinematics.jacobian(real.commands - correction.rho(real.commands), fitted), 1, 2)  # type: ignore[attr-defined]
     else:
@@ -139,9 +139,9 @@ def _singular(correction: Correction[Any, Any], real: Side) -> np.ndarray:
     return np.asarray(values[:, -1] / values[:, 0])
 
 
-def turned_home(correction: Correction[Any, Any]) -> str:
+def margin_description(correction: Correction[Any, Any]) -> str:
     """What the map's room is of, in words."""
     if isinstance(correction.nominal, Arm):
         return "the most that a pose drawn there leaves"
-    degrees = np.degrees(vector(home_of(correction.nominal))[3:])
+    degrees = np.degrees(pose_to_vector(home_pose(correction.nominal))[3:])
     return "the pose in its middle, turned like home (" + " ".join(f"{angle:.3g}" for angle in degrees) + " degrees)"

@@ -8,9 +8,9 @@ import numpy as np
 from calib.workspace import workspace_sentences
 from calib.workspace.workspace_cells import Workspace
 from rig.effects.framework.covariate import DRAWN
-from rig.report.pages.plots import panels
+from rig.report.pages.plots import panel_row
 from rig.report.pages.html_elements import heading, note, paragraph
-from rig.report.pages.svg_elements import hover, svg, text, text_within
+from rig.report.pages.svg_elements import tooltip, svg, text, text_within
 
 LEFT, WIDE, TALL = 6.0, 388.0, 300.0  # of a view
 
@@ -56,18 +56,18 @@ SINGULAR = Quantity("singular", "least singular value of the Jacobian, of the gr
                     _end("singular", np.min, 100.0), [("%", 1.0)])
 
 
-def room(unit: str) -> Quantity:
+def axis_margin_quantity(unit: str) -> Quantity:
     """The Quantity of the room to the axes' limits. unit : of an axis, m or rad."""
     scale, shown = DRAWN.get(unit, (1.0, unit))
     return Quantity("room", "room to the nearest limit of an axis, the greatest there", "gained", _end("room", np.max, scale), [(shown, 1.0)])
 
 
-def written(value: float) -> str:
+def cell_number_text(value: float) -> str:
     """A number as it stands in a cell: to whole ones, below ten to tenths."""
     return f"{value:.0f}" if abs(value) >= 9.95 or value == 0 else f"{value:.1f}"
 
 
-def views(w: Workspace, q: Quantity) -> tuple[str, str]:
+def cell_views(w: Workspace, q: Quantity) -> tuple[str, str]:
     """(The unit, SVG) of a Quantity over the cells, from above (x, y) and, where they are not in one layer, from the side (x, z)."""
     parts, height = [], 0.0
     span = w.index.max(axis=0) + 1
@@ -81,9 +81,9 @@ def views(w: Workspace, q: Quantity) -> tuple[str, str]:
         for (i, j), value in zip(columns.tolist(), found.tolist()):
             box = (LEFT + scale * i, base - scale * (j + 1), scale, scale)
             opacity = 0.0 if value != value else 0.75 * max(value, 0.0) / top
-            told = written(value / per) if value == value else ""
+            told = cell_number_text(value / per) if value == value else ""
             parts.append(f'<rect class="cell {q.style}" fill-opacity="{opacity:.2f}" x="{box[0]:.1f}" y="{box[1]:.1f}" width="{scale:.1f}" '
-                         f'height="{scale:.1f}">{hover(f"{told} {unit}") if told else ""}</rect>')
+                         f'height="{scale:.1f}">{tooltip(f"{told} {unit}") if told else ""}</rect>')
             parts.append(text_within(box, told, "small"))
         corner = [(w.origin[axis] * 1e3, (w.origin[axis] + span[axis] * w.size) * 1e3) for axis in (across, up)]
         parts += [text(LEFT, height + 14, f"{'xyz'[up]} up, {corner[1][0]:.0f} to {corner[1][1]:.0f} mm"),
@@ -98,16 +98,16 @@ def _columns(w: Workspace, q: Quantity, across: int, up: int) -> tuple[np.ndarra
     return columns, np.array([q.value(w, np.flatnonzero(at.ravel() == k)) for k in range(len(columns))])
 
 
-def titled(w: Workspace, q: Quantity) -> list[str]:
+def titled_cells_html(w: Workspace, q: Quantity) -> list[str]:
     """HTML of a Quantity over the cells, with its name and what it is."""
-    unit, drawn = views(w, q)
+    unit, drawn = cell_views(w, q)
     return [heading(q.name.capitalize(), 3), note(f"{q.title[0].upper()}{q.title[1:]}, {unit}"), drawn]
 
 
-def section(w: Workspace | None, unit: str) -> list[str]:
+def workspace_section_html(w: Workspace | None, unit: str) -> list[str]:
     """HTML of what a calibration's page shows of its workspace; nothing of a calibration without. unit : of an axis, m or rad."""
     if w is None:
         return []
     quantities = (LOST, GAINED, POSITION) if w.lost is not None else (POSITION,)
-    maps = ("<div>" + "".join(titled(w, q)) + "</div>" for q in quantities)
-    return [heading("The workspace"), *(paragraph(f"{line}.") for line in workspace_sentences.lines(w, unit)), panels(*maps)]
+    maps = ("<div>" + "".join(titled_cells_html(w, q)) + "</div>" for q in quantities)
+    return [heading("The workspace"), *(paragraph(f"{line}.") for line in workspace_sentences.workspace_lines(w, unit)), panel_row(*maps)]

@@ -14,7 +14,7 @@ COLUMNS = ("x", "y", "z", "size", "believed", "lost", "reached", "gained", "room
 COUNTED = ("believed", "lost_in", "reached", "gained_in")
 
 
-def workspace_out(w: Workspace) -> dict[str, Any]:
+def workspace_dict(w: Workspace) -> dict[str, Any]:
     """dict of a Workspace, as JSON holds it; what is not known is null."""
     tree = {part.name: getattr(w, part.name) for part in fields(w)}
     return {"schema": SCHEMA} | {name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in tree.items()}
@@ -26,8 +26,8 @@ def _plain(values: np.ndarray) -> list[Any]:
     return list(known.tolist())
 
 
-def workspace_in(table: Entries) -> Workspace:
-    """Workspace of what `workspace_out` gave, as Entries. Raises FileError for anything else."""
+def workspace_from_entries(table: Entries) -> Workspace:
+    """Workspace of what `workspace_dict` gave, as Entries. Raises FileError for anything else."""
     table.text("schema", (SCHEMA,))
     index = _whole(table, "index", (None, 3))
     cells = len(index)

@@ -4,10 +4,10 @@ import numpy as np
 
 from calib.workspace.workspace_cells import SHORT, Workspace
 from rig.effects.framework.covariate import DRAWN
-from rig.formats.number_rounding import rounded
+from rig.formats.number_rounding import round_to_digits
 
 
-def lines(w: Workspace, unit: str) -> list[str]:
+def workspace_lines(w: Workspace, unit: str) -> list[str]:
     """Lines on a Workspace: lost and gained, the room, singularities, the bound. unit : of the axes, m, rad or rad or m."""
     first = SHORT if w.lost is None or w.gained is None else (
         f"{w.lost * 100:.2f} % of the poses that the owner's model reaches are lost, {w.gained * 100:.2f} % of those that the corrected machine "
@@ -23,7 +23,7 @@ def lines(w: Workspace, unit: str) -> list[str]:
 
 
 def _span(values: np.ndarray) -> str:
-    low, high = rounded(values.min()), rounded(values.max())
+    low, high = round_to_digits(values.min()), round_to_digits(values.max())
     return low if low == high else f"{low} to {high}"
 
 

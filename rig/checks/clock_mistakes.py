@@ -16,7 +16,7 @@ USUAL = {"m": (1e-4, 3.0), "rad": (2e-4, 30.0)}  # per s: fastest moves of machi
 RATE = (1e-4, 5000.0)  # frames per s
 
 
-def between(times: dict[str, np.ndarray]) -> Iterator[Mistake]:
+def time_range_mistakes(times: dict[str, np.ndarray]) -> Iterator[Mistake]:
     """Files whose times lie apart. times : {file name: (n,) s as written}, "frames.csv" among them.
 
     A file whose span is a unit's multiple of the others' is in that unit; one that does not overlap has another origin.
@@ -67,7 +67,7 @@ def _zone(shift: float) -> str:
     return ""
 
 
-def pace(t: np.ndarray, values: np.ndarray, frames: np.ndarray, unit: str, top: float | None) -> Iterator[Mistake]:
+def speed_mistakes(t: np.ndarray, values: np.ndarray, frames: np.ndarray, unit: str, top: float | None) -> Iterator[Mistake]:
     """Speeds and frame rates that no machine has: all times in another unit.
 
     t : (n,) s and values : (n, axes) m or rad of the commands; frames : (F,) s; unit : "m" or "rad"; top : m/s stated, or None
@@ -93,7 +93,7 @@ def pace(t: np.ndarray, values: np.ndarray, frames: np.ndarray, unit: str, top: 
             yield Mistake(f"frames.csv: {rate:.3g} frames per second is implausible, they are {unit_said}", "State t in seconds", False, 0.5)
 
 
-def repeated(t: np.ndarray) -> Iterator[Mistake]:
+def repeated_time_mistakes(t: np.ndarray) -> Iterator[Mistake]:
     """Frames that all claim one time, or most. t : (F,) s of the distinct frames."""
     if len(t) > 3:
         same = int((np.diff(t) == 0).sum())

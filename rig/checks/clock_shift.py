@@ -45,7 +45,7 @@ def standing_shift(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> Sta
     return Standing(float(low + high) / 2, float(high - low) / 2, int(count[best]))
 
 
-def offset(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> Iterator[Mistake]:
+def clock_offset_mistake(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> Iterator[Mistake]:
     """The Mistake of clocks that differ though they overlap: frames taken while axes moved, which another offset puts where they stand.
 
     frames : (m,) s; t : (n,) s of the commands; values : (n, axes) m or rad

@@ -14,14 +14,14 @@ FEW = 1 / 3  # of the axes, beyond whose ranges alone no unit and no origin of a
 MUCH = 0.1  # share of commands beyond the range by more than a tenth of it, that is no slip of a limit
 
 
-def commands(commands: Commands, design: Design) -> Iterator[Mistake]:
+def command_unit_mistakes(commands: Commands, design: Design) -> Iterator[Mistake]:
     """How commanded values (n, axes) lie to what the machine can do."""
     m = design.mechanism
     if m.kind == "arm":
         yield from _angles(commands.values[:, ~m.slides], m.limits[~m.slides])
         yield from _slides(commands.values[:, m.slides], m.limits[m.slides])
     elif m.kind in ("hexapod", "planar2"):
-        home = mechanisms.of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
+        home = mechanisms.kinematics_of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
         yield from _lengths(commands.values, m.strut_range, home)
 
 

@@ -18,7 +18,7 @@ STEPS = 0.02  # share of a channel's rows at which a load changes; a temperature
 COLDER = 0.4  # K by which exchanged channels differ from where they ought to be
 
 
-def sensors(log: Sensors, design: Design) -> Iterator[Mistake]:
+def sensor_mistakes(log: Sensors, design: Design) -> Iterator[Mistake]:
     """Channels of sensors.csv in another unit or under another's name."""
     warm = {name: values for name, values in log.channels.items() if name.endswith("_temperature_C")}
     for name, values in warm.items():
@@ -70,7 +70,7 @@ def _load(load: np.ndarray, room: np.ndarray | None, design: Design) -> Iterator
                       + (f" of {design.platform.mass:g} kg" if design.platform.mass else ""), "Divide payload_mass_kg by 1000", False, 0.8)
 
 
-def surroundings(design: Design) -> Iterator[Mistake]:
+def environment_mistakes(design: Design) -> Iterator[Mistake]:
     """Gravity of a wrong size or sign, and a platform's mass in grams."""
     g = np.asarray(design.gravity)
     size = float(np.linalg.norm(g))

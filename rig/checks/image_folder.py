@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rig.formats import remote_folders
-from rig.formats.output_files.folder_manifest import digest
+from rig.formats.output_files.folder_manifest import file_digest
 from rig.checks.user_mistake import Mistake
 from rig.recording.recording_folder import Recording
 
@@ -14,7 +14,7 @@ OUTSIDE = 0.02  # share of corners beyond their images, from which it is no outl
 STILL = 1e-6  # m or rad; commands that differ by less leave the same picture
 
 
-def unused(recording: Recording) -> Iterator[Mistake]:
+def unused_cameras(recording: Recording) -> Iterator[Mistake]:
     """Cameras of rig.toml that see nothing."""
     e, c = recording.exposures, recording.corners
     for camera in recording.design.cameras:
@@ -26,16 +26,16 @@ def unused(recording: Recording) -> Iterator[Mistake]:
                           "Look whether its corners have another name, or take the camera out of rig.toml", False, 0.5)
 
 
-def images(recording: Recording) -> Iterator[Mistake]:
+def duplicate_images(recording: Recording) -> Iterator[Mistake]:
     """Images that are another frame's once more, byte for byte, though the machine had moved."""
     e, sizes = recording.exposures, defaultdict(list)
     for i, name in enumerate(e.image):
         if name:
-            sizes[remote_folders.size(recording.folder / name)].append(i)
+            sizes[remote_folders.file_size(recording.folder / name)].append(i)
     alike = defaultdict(list)
     for rows in sizes.values():
         for i in rows if len(rows) > 1 else ():
-            alike[digest(recording.folder / e.image[i])].append(i)
+            alike[file_digest(recording.folder / e.image[i])].append(i)
     twice = [rows for rows in alike.values() if len(rows) > 1 and _moved(recording, rows)]
     if twice:
         a, b = twice[0][:2]
@@ -54,7 +54,7 @@ def _moved(recording: Recording, rows: list[int]) -> bool:
     return bool(np.ptp(q, axis=0).max() > STILL)
 
 
-def pixels(recording: Recording) -> Iterator[Mistake]:
+def corners_outside_images(recording: Recording) -> Iterator[Mistake]:
     """Corners that lie beyond their camera's image: u and v exchanged, another size of image, no pixels."""
     c = recording.corners
     if c is None or not len(c.frame):

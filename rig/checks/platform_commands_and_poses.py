@@ -69,7 +69,7 @@ class Moves:
         return float(np.sqrt((self.left() ** 2).mean()))
 
 
-def of(recording: Recording, frames: np.ndarray, T: RigidTransform, vector: np.ndarray | None = None) -> Moves:
+def moves_of_recording(recording: Recording, frames: np.ndarray, T: RigidTransform, vector: np.ndarray | None = None) -> Moves:
     """Moves of a recording's commands and poses measured in some of its frames; vector : (n, 6) as poses.csv has them, or None.
 
     Raises RigError without commands, and for what is no hexapod.
@@ -82,12 +82,12 @@ def of(recording: Recording, frames: np.ndarray, T: RigidTransform, vector: np.n
     return Moves(hexapod_of(recording.design.mechanism), frames, np.searchsorted(known, frames), times, q, T, c, vector)
 
 
-def written(recording: Recording) -> np.ndarray:
+def written_pose_columns(recording: Recording) -> np.ndarray:
     """(n, 6) m and rad of poses.csv as its text has them: a pose itself keeps no rotation vector longer than pi."""
     return csv_table.read(recording.folder / "poses.csv", POSE_COLUMNS).matrix(POSE_COLUMNS)
 
 
-def disagree(moves: Moves) -> bool:
+def commands_disagree_with_poses(moves: Moves) -> bool:
     """Whether commands and poses differ by more than a calibration mends."""
     if len(moves.frame) < LEAST:
         return False
@@ -98,9 +98,9 @@ def disagree(moves: Moves) -> bool:
     return moves.miss() > AWAY or (scatter > max(SMALL, SHARE * moved))
 
 
-def mistakes(moves: Moves) -> Iterator[Mistake]:
+def command_pose_mistakes(moves: Moves) -> Iterator[Mistake]:
     """The mistake that leaves least of the disagreement; one that says how large it is, where none explains it."""
-    if not disagree(moves):
+    if not commands_disagree_with_poses(moves):
         return
     before = moves.miss()
     tried = [(other.miss(), what, do) for what, do, other in _candidates(moves)]

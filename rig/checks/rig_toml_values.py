@@ -16,7 +16,7 @@ MIDDLE = 0.03  # likewise, of one that is in the middle
 TANGENTIAL = 0.03
 
 
-def figures(design: Design) -> Iterator[Mistake]:
+def implausible_values(design: Design) -> Iterator[Mistake]:
     """What single figures of a Design say."""
     if design.mechanism.kind == "arm":
         yield from _arm(design.mechanism)
@@ -25,7 +25,7 @@ def figures(design: Design) -> Iterator[Mistake]:
         yield from _lens(camera)
 
 
-def written(tree: dict) -> Iterator[Mistake]:
+def overlong_rotation_vectors(tree: dict) -> Iterator[Mistake]:
     """What the text of rig.toml shows and a pose no longer does: rotation vectors longer than any turn. tree : as tomllib reads it"""
     found = []
     for kind in ("camera", "target"):

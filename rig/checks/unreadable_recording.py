@@ -13,14 +13,14 @@ from rig.model.design import Chain, Free
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import arm
 from rig.checks import clock_mistakes, rig_toml_values
-from rig.checks.user_mistake import Mistake, in_order
+from rig.checks.user_mistake import Mistake, sort_mistakes
 from rig.formats.input_files import read_text
 
 SPREAD = {"arm": 0.4, "hexapod": 0.08, "planar2": 0.3}  # of the rig's size, that poses of a recording have about their middle, RMS
 FILES = ("commands.csv", "frames.csv", "sensors.csv")
 
 
-def unreadable(folder: Path, error: FileError) -> tuple[Mistake, ...]:
+def unreadable_recording_mistakes(folder: Path, error: FileError) -> tuple[Mistake, ...]:
     """Mistakes behind a FileError that loading a folder raised, in order; none where the complaint says it all."""
     found: list[Mistake] = []
     for look in (_figures, _times, _numbers, _order, _poses):
@@ -28,7 +28,7 @@ def unreadable(folder: Path, error: FileError) -> tuple[Mistake, ...]:
             found += look(Path(folder), str(error))
         except (RigError, OSError, ValueError, KeyError, TypeError, AttributeError):
             continue  # what cannot be read here either is what the complaint itself is about
-    return in_order(found)
+    return sort_mistakes(found)
 
 
 def _figures(folder: Path, complaint: str) -> Iterator[Mistake]:
@@ -36,7 +36,7 @@ def _figures(folder: Path, complaint: str) -> Iterator[Mistake]:
     if "rig.toml" not in complaint:
         return
     tree = tomllib.loads(read_text(folder / "rig.toml"))
-    yield from rig_toml_values.written(tree)
+    yield from rig_toml_values.overlong_rotation_vectors(tree)
     for target in tree.get("target", []):
         if isinstance(target.get("marker"), float) and target["marker"] > target.get("edge", np.inf) and target["marker"] < 5:
             yield Mistake(f"rig.toml: edge and marker are exchanged in target {target.get('name')}: a marker of {target['marker']:g} m is no part of "
@@ -54,7 +54,7 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     m = design_file.load(folder / "rig.toml").mechanism
     if isinstance(m, Free | Chain):  # moved by hand, or by several: nothing is known of its size as a whole
         return
-    size = arm.span(m) if m.kind == "arm" else float(m.strut_range.max())
+    size = arm.reach(m) if m.kind == "arm" else float(m.strut_range.max())
     p = csv_table.read(folder / "poses.csv", ("x", "y", "z")).matrix(("x", "y", "z"))
     spread = float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=1).mean())) / (SPREAD[m.kind] * size)
     unit, per = min((("centimetres", 1e2), ("millimetres", 1e3), ("micrometres", 1e6)), key=lambda one: abs(np.log(spread / one[1])))
@@ -106,7 +106,7 @@ def _times(folder: Path, complaint: str) -> Iterator[Mistake]:
     for name in FILES:
         if remote_folders.exists(folder / name):
             times[name] = csv_table.read(folder / name, ("t",)).numbers("t")
-    yield from clock_mistakes.between(times)
+    yield from clock_mistakes.time_range_mistakes(times)
 
 
 def _numbers(folder: Path, complaint: str) -> Iterator[Mistake]:

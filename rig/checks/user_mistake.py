@@ -18,6 +18,6 @@ class Mistake:
         return f"{self.what}. {self.do}"
 
 
-def in_order(mistakes: Iterable[Mistake]) -> tuple[Mistake, ...]:
+def sort_mistakes(mistakes: Iterable[Mistake]) -> tuple[Mistake, ...]:
     """Each once, what spoils results first, the likeliest cause first among these."""
     return tuple(sorted(dict.fromkeys(mistakes), key=lambda one: (not one.spoils, -one.proof)))

@@ -18,12 +18,12 @@ from subprocess import CompletedProcess
 from typing import TYPE_CHECKING
 
 from rig.formats import json_file
-from rig.cli.shared.output_options import add_force, add_result
-from rig.cli.shared.worker_options import each, pool
+from rig.cli.shared.output_options import add_overwrite_option, add_result
+from rig.cli.shared.worker_options import results_with_progress, worker_pool
 from rig.errors import FileError, RigError
-from rig.formats.number_parsing import whole
-from rig.formats.input_files import read_bytes, shown
-from rig.compute.worker_processes import finished
+from rig.formats.number_parsing import parse_whole_number
+from rig.formats.input_files import read_bytes, value_text
+from rig.compute.worker_processes import run_child_process
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 
     from synthetic.diagnosis_score import Case
 
-ALONE = "import sys; from rig.compute.worker_processes import end_with; end_with(int(sys.argv[1])); "  # a child does not outlive this process
+ALONE = "import sys; from rig.compute.worker_processes import end_with_parent as end_with; end_with(int(sys.argv[1])); "  # a child does not outlive this process
 DIAGNOSE = (
     ALONE
-    + "from rig.cli.shared.folder_access_ban import forbid; from rig.cli.command_line import main; forbid(sys.argv[2]); sys.exit(main(sys.argv[3:]))"
+    + "from rig.cli.shared.folder_access_ban import forbid_folder as forbid; from rig.cli.command_line import main; forbid(sys.argv[2]); sys.exit(main(sys.argv[3:]))"
 )
-DRAW = ALONE + "import json; from rig.cli.blind import blinded; blinded(*json.loads(sys.argv[2]))"
+DRAW = ALONE + "import json; from rig.cli.blind import draw_blind_case as blinded; blinded(*json.loads(sys.argv[2]))"
 ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
 ROOT = Path(__file__).parents[2]  # children run the code that runs here, wherever they stand
 MOST, MOST_FRAMES = 1_000_000, 10_000  # cases of a campaign, frames of a case
@@ -46,12 +46,12 @@ INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody sto
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("--season", type=whole, required=True, metavar="N", help="how many cases")
+    parser.add_argument("--season", type=parse_whole_number, required=True, metavar="N", help="how many cases")
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="recordings, hashes, truth, diagnoses and score are kept there; "
                         "a campaign that was interrupted goes on where it stopped")
-    parser.add_argument("--seed", type=whole, default=0, help="another seed is another campaign")
+    parser.add_argument("--seed", type=parse_whole_number, default=0, help="another seed is another campaign")
     parser.add_argument("--cases", "--trials", dest="cases", metavar="LIST", help="only these of the campaign, for example 3,7-9")
-    parser.add_argument("--frames", type=whole, help="of each recording, about (default 380; 40 in images)")
+    parser.add_argument("--frames", type=parse_whole_number, help="of each recording, about (default 380; 40 in images)")
     parser.add_argument("--hide", metavar="KINDS", help="what cases may hide (default all): nothing, one, two effects; of hexapods also "
                         "something foreign to the catalogue (foreign), disturbed noise (noise), not in images")
     parser.add_argument("--effects", metavar="NAMES", default="", help="effects to draw from, joined by commas (default all)")
@@ -62,7 +62,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--images", action="store_true", help="draw images: three resolutions, two lenses, blur, defocus, noise, vignetting, markers "
                         "printed as printers print; effects that pictures show (needs OpenGL)")
     parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
-    add_force(parser)
+    add_overwrite_option(parser)
     add_result(parser)
 
 
@@ -76,14 +76,14 @@ def run(arguments: Namespace) -> None:
     _same_campaign(out / "campaign.json", settings)
     for name in ("recordings", "hashes", "truth", "diagnoses"):
         (out / name).mkdir(exist_ok=True)
-    with pool() as workers:
+    with worker_pool() as workers:
         undrawn = [i for i in indices if _digest(out, i) is None]
         for index in undrawn:  # what was diagnosed of another drawing is no answer to this one
             (out / "diagnoses" / f"{index:04d}.json").unlink(missing_ok=True)
-        for _ in each(workers, _drawn, [(str(out), i, settings) for i in undrawn], "drawing"):
+        for _ in results_with_progress(workers, _drawn, [(str(out), i, settings) for i in undrawn], "drawing"):
             pass
         waiting = [i for i in indices if arguments.again or _record(out, i) is None]
-        for index, _, error in each(workers, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"):
+        for index, _, error in results_with_progress(workers, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"):
             if error:
                 print(f"case {index} could not be diagnosed: {error.splitlines()[-1]}", file=sys.stderr)
     hashed = [int(path.stem) for path in (out / "hashes").glob("*.sha256") if path.stem.isdigit()]
@@ -96,7 +96,7 @@ def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) ->
     """What makes a campaign: all that its recordings depend on."""
     from rig.effects.catalogue.effect_list import BY_NAME
     from synthetic import blind_image_settings
-    from synthetic.image_simulation import drawable
+    from synthetic.image_simulation import is_drawable
 
     if not 1 <= arguments.season <= MOST or not 0 <= arguments.seed < 1 << 63:
         raise RigError(f"--season takes 1 to {MOST}, --seed at least 0 and below 2^63")
@@ -121,7 +121,7 @@ def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) ->
         raise RigError(f"--hide takes some of {', '.join(able)}")
     if arm and lists["withhold"]:
         raise RigError("--withhold takes covariates of a hexapod away; with --mechanism arm leave it out")
-    unseen = [name for name in lists["effects"] if arguments.images and not drawable(BY_NAME[name])]
+    unseen = [name for name in lists["effects"] if arguments.images and not is_drawable(BY_NAME[name])]
     if unseen:
         raise RigError(f"--effects: pictures do not show {', '.join(unseen)}, only corners do; leave --images out")
     more = {"mechanism": "arm"} if arm else {"images": True} if arguments.images else {}
@@ -133,11 +133,11 @@ def _indices(text: str | None, count: int) -> list[int]:
     if text is None:
         return list(range(1, count + 1))
     try:
-        ranges = [[whole(end) for end in part.split("-")] for part in text.split(",")]
+        ranges = [[parse_whole_number(end) for end in part.split("-")] for part in text.split(",")]
     except ValueError:
-        raise RigError(f"--cases takes for example 3,7-9, not {shown(text)}") from None
+        raise RigError(f"--cases takes for example 3,7-9, not {value_text(text)}") from None
     if any(len(ends) > 2 or not 1 <= ends[0] <= ends[-1] <= count for ends in ranges):
-        raise RigError(f"--cases {shown(text)}: the campaign has cases 1 to {count}, and a range runs from small to large")
+        raise RigError(f"--cases {value_text(text)}: the campaign has cases 1 to {count}, and a range runs from small to large")
     return sorted({i for ends in ranges for i in range(ends[0], ends[-1] + 1)})
 
 
@@ -149,12 +149,12 @@ def _same_campaign(path: Path, settings: dict) -> None:
         held = json_file.load(path, "campaign").tree
         other = [name for name in {**settings, **held} if held.get(name) != settings.get(name)]
         if other:
-            told = ", ".join(f"{n} {shown(held.get(n))} (not {settings.get(n)!r})" for n in other)
+            told = ", ".join(f"{n} {value_text(held.get(n))} (not {settings.get(n)!r})" for n in other)
             raise RigError(f"{path.parent} holds another campaign, with {told}")
     write_text(path, json.dumps(settings, indent=1) + "\n")
 
 
-def blinded(out: Path, index: int, settings: dict) -> None:
+def draw_blind_case(out: Path, index: int, settings: dict) -> None:
     """Draw a case and write its recording, its truth, and last the truth's hash: from then on the case is blinded."""
     from rig.formats.output_files import Outputs, write_text
 
@@ -169,29 +169,31 @@ def blinded(out: Path, index: int, settings: dict) -> None:
 
 def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
     """(what writes the truth of a hexapod's case, its effects' strengths), its recording written."""
-    from calib.diagnose.problems.platform.effect_strength import strengths
+    from calib.diagnose.problems.platform.effect_strength import effect_strengths
     from rig.recording import recording_folder
     from synthetic import blind_cases as blind
 
-    case = blind.draw(settings["seed"], index, settings["frames"], settings["withhold"], settings["hide"], settings["effects"],
+    case = blind.draw_case(settings["seed"], index, settings["frames"], settings["withhold"], settings["hide"], settings["effects"],
                        settings.get("images", False))
     blind.write_recording(case, folder)
     world, written = case.simulation.world, recording_folder.load(folder)
-    written = written if case.eyes is None else replace(written, corners=blind.corners_of(case))
-    values = strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[: len(case.hidden)]
+    written = written if case.eyes is None else replace(written, corners=blind.simulated_corners(case))
+    values = effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[: len(case.hidden)]
     return partial(blind.write_truth, case), values
 
 
 def _drawn_arm_case(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
     """The same of an arm's case."""
-    from calib.diagnose.problems.arm.effect_strength import strengths
+    from calib.diagnose.problems.arm.effect_strength import effect_strengths
     from synthetic import blind_arm_cases as blind_arm
 
-    case = blind_arm.draw(settings["seed"], index, settings["frames"], settings["hide"], settings["effects"])
+    case = blind_arm.draw_arm_case(settings["seed"], index, settings["frames"], settings["hide"], settings["effects"])
     blind_arm.write_recording(case, folder)
     done = case.simulation
     seen = case.sigma[: 1 if "positions" in case.hard else 2]
-    return partial(blind_arm.write_truth, case), strengths(done.world.true, done.plan.commands, done.plan.t, seen, done.world.effects, done.sensors)
+    return partial(blind_arm.write_truth, case), effect_strengths(
+        done.world.true, done.plan.commands, done.plan.t, seen, done.world.effects, done.sensors
+    )
 
 
 def _drawn(out: Path, index: int, settings: dict) -> None:
@@ -222,8 +224,8 @@ def _diagnosed(out: Path, index: int) -> tuple[int, float, str | None]:
 
 def _child(command: list) -> CompletedProcess:
     """A child process once it has ended; one that is ended from outside, as a system does that is short of memory, is begun once more."""
-    done = finished(command, _environment())
-    return finished(command, _environment()) if done.returncode == -SIGKILL else done
+    done = run_child_process(command, _environment())
+    return run_child_process(command, _environment()) if done.returncode == -SIGKILL else done
 
 
 def _environment() -> dict[str, str]:
@@ -268,7 +270,7 @@ def _unblinded(out: Path, index: int, score: ModuleType) -> Case:
         raise RigError(f"{truth} is not what was hashed before the diagnosis; take the case out of the campaign")
     seconds, failed = record
     diagnosis = None if failed else out / "diagnoses" / f"{index:04d}" / "diagnosis.json"
-    return score.case(index, truth, diagnosis, seconds, failed)
+    return score.score_case(index, truth, diagnosis, seconds, failed)
 
 
 def _report(out: Path, settings: dict, cases: list[Case], score: ModuleType) -> dict:
@@ -277,14 +279,14 @@ def _report(out: Path, settings: dict, cases: list[Case], score: ModuleType) -> 
     from rig.formats.output_files import write_text
 
     told = {"settings": settings, **tree(cases)}
-    print(judged(score.figures(cases)).line)
+    print(judged(score.campaign_figures(cases)).line)
     write_text(out / "score.json", json.dumps(told, indent=1) + "\n")
     campaign_page(out / "score.html", settings, cases)
-    for f in score.figures(cases):
+    for f in score.campaign_figures(cases):
         goal = f", to reach {f.goal:.0%}" if f.goal is not None else ""
         found = f"{f.hits:4} of {f.trials:<4} {f.hits / f.trials:6.1%} ({f.low:.1%} to {f.high:.1%}{goal})" if f.trials else "   none"
         print(f"{f.name:42}{found}")
-    for name, value in score.medians(cases).items():
+    for name, value in score.campaign_medians(cases).items():
         print(f"median {name:35}{value:10.3g}")
     print(f"written: {out / 'score.json'} and {out / 'score.html'}")
     return told

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared import recording_checks, extension_calibration, limb_poses, user_effects_option
 from rig.cli.shared.output_options import (
-    SEED, Progress, add_force, add_recordings, add_result, file_or_stdout, length, near, print_comparison, print_unsolved,
+    SEED, Progress, add_overwrite_option, add_recordings, add_result, file_or_stdout, parse_length, page_links, print_comparison, print_unsolved,
 )
 from rig.cli.shared.calibration_summary import say_joints, say_physics, tell
 from rig.errors import RigError
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from calib.models.arm.certification import Certified as ArmCertified
     from calib.models.chain.certification import Certified as ChainCertified
     from calib.certify.platform_certification import Certified
-    from calib.diagnose.platform_findings_refit import Findings, Taken
-    from calib.diagnose.arm_findings_refit import TakenArm
+    from calib.diagnose.platform_findings_refit import Findings, PlatformRefit
+    from calib.diagnose.arm_findings_refit import ArmRefit
     from calib.samples.recording_samples import Sampled
     from calib.samples.pose_samples import Samples
     from calib.files.calibration_file import Calibration
@@ -45,15 +45,15 @@ def arguments(parser: ArgumentParser) -> None:
     kind.add_argument("--diagnosis", metavar="DIR", type=Path, help="take in the physics that `rig diagnose` found and wrote there, refined with the "
                       "geometry; rig correct undoes it")
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and take in what is found")
-    user_effects_option.argument(parser)
+    user_effects_option.add_effects_option(parser)
     parser.add_argument("--quick", action="store_true", help="do not look for what the geometry leaves out, as `rig diagnose` does: the verdict is "
                         "then check at the best")
     parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
     extension_calibration.arguments(parser)
-    parser.add_argument("--promise", type=length, metavar="20um", help="say whether so much is kept, position error RMS over the workspace")
+    parser.add_argument("--promise", type=parse_length, metavar="20um", help="say whether so much is kept, position error RMS over the workspace")
     limb_poses.arguments(parser)
-    add_force(parser)
-    recording_checks.argument(parser)
+    add_overwrite_option(parser)
+    recording_checks.add_anyway_option(parser)
     add_result(parser)
 
 
@@ -61,22 +61,22 @@ def run(arguments: Namespace) -> None:
     """Calibrate a recording and write the calibration and its report."""
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recording, look, several = recording_checks.begin_all(arguments, progress)
+    recording, look, several = recording_checks.load_and_check_recordings(arguments, progress)
     if several is not None and arguments.limbs is not None:
         raise RigError("--limbs takes the poses of one recording from measuring limbs; name one")
 
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
-    links = near(arguments, arguments.out.with_suffix(".html")) if page else []
+    links = page_links(arguments, arguments.out.with_suffix(".html")) if page else []
     nominal = recording.design.mechanism
     told = page is not None and nominal.kind != "chain"
     values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if told else None
 
     import numpy as np
 
-    own = user_effects_option.known(user_effects_option.plugins(arguments))
+    own = user_effects_option.known_effects(user_effects_option.load_effect_files(arguments))
     findings = _findings(arguments, recording, own)
-    sampled = limb_poses.sampled(arguments, recording, progress, look)
+    sampled = limb_poses.samples_by_limbs_or_vision(arguments, recording, progress, look)
     sampled = replace(sampled, files=(*sampled.files, *arguments.effects))
     rng = np.random.default_rng(SEED)
     extension_calibration.refuse_mixed(arguments, nominal.kind)
@@ -114,50 +114,50 @@ def _findings(arguments: Namespace, recording: Recording, own: Kinds) -> Finding
         raise RigError("--effects adds to what a diagnosis is asked for: give --find or --diagnosis as well")
     if arguments.diagnosis is None:
         return None
-    from calib.diagnose.platform_findings_refit import of_folder
+    from calib.diagnose.platform_findings_refit import findings_of_folder
 
-    return of_folder(arguments.diagnosis, recording, own)
-
-
-def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> Taken:
-    """Taken of findings; of what a diagnosis of the recording itself finds where these are None."""
-    from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-    from calib.diagnose.platform_findings_refit import of_diagnosis, take
-
-    if findings is None:
-        findings = of_diagnosis(diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values())))
-    return take(recording, sampled, findings, progress)
+    return findings_of_folder(arguments.diagnosis, recording, own)
 
 
-def _taken_arm(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> TakenArm:
-    """TakenArm of findings; of what a diagnosis of the recording itself finds where these are None."""
-    from calib.diagnose.problems.arm.arm_diagnosis import diagnose
-    from calib.diagnose.arm_findings_refit import of_arm_diagnosis, take_arm
+def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> PlatformRefit:
+    """PlatformRefit of findings; of what a diagnosis of the recording itself finds where these are None."""
+    from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose
+    from calib.diagnose.platform_findings_refit import findings_of_diagnosis, refit_platform_with_findings
 
     if findings is None:
-        findings = of_arm_diagnosis(diagnose(recording, progress=progress, kinds=tuple(own.values())))
-    return take_arm(recording, sampled, findings, progress)
+        findings = findings_of_diagnosis(diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values())))
+    return refit_platform_with_findings(recording, sampled, findings, progress)
+
+
+def _taken_arm(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> ArmRefit:
+    """ArmRefit of findings; of what a diagnosis of the recording itself finds where these are None."""
+    from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose
+    from calib.diagnose.arm_findings_refit import findings_of_arm_diagnosis, refit_arm_with_findings
+
+    if findings is None:
+        findings = findings_of_arm_diagnosis(diagnose(recording, progress=progress, kinds=tuple(own.values())))
+    return refit_arm_with_findings(recording, sampled, findings, progress)
 
 
 def _write_summands(path: Path, samples: Samples, calibration: Calibration) -> None:
     """Write ksf.csv, or say why there is none: of an arm there is none where its poses do not tell its joints."""
-    from calib.correct.correction_tables import of_struts, summand_columns, summand_rows
+    from calib.correct.correction_tables import strut_summands, summand_columns, summand_rows
     from rig.recording.recording_tables import write_table
 
     nominal = calibration.correction.nominal
     if nominal.kind == "arm":
         from calib.models.arm.certification import UNPLACED
-        from calib.models.arm.extension_certification import owners_summands
+        from calib.models.arm.extension_certification import stated_model_summands
 
         try:
             if samples.measured in UNPLACED:
                 raise RigError(UNPLACED[samples.measured])
-            found = owners_summands(samples, nominal)
+            found = stated_model_summands(samples, nominal)
         except RigError as error:  # the calibration stands without them
             print(f"no correction values: {error}")
             return
     else:
-        found = of_struts(samples, nominal)
+        found = strut_summands(samples, nominal)
     write_table(path, summand_columns(len(nominal.axes)), summand_rows(samples, found))
 
 
@@ -167,9 +167,9 @@ def _values_name(out: Path) -> str:
 
 
 def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator, progress: Progress,
-             taken: Taken | None) -> Calibration:
-    from calib.certify.platform_certification import certify, promised, refitted
-    from calib.files.calibration_from_recording import kept
+             taken: PlatformRefit | None) -> Calibration:
+    from calib.certify.platform_certification import certify, workspace_claim_of, with_refitted_correction
+    from calib.files.calibration_from_recording import calibration_with_provenance
     from calib.report.calibration_page import calibration_page
     from rig.model.mechanism_kinds import hexapod_of, struts_of
 
@@ -178,15 +178,15 @@ def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Name
     samples = sampled.samples if taken is None else taken.samples
     done = certify(samples, struts_of(recording.design.mechanism), rng, progress)
     if arguments.joint:
-        from calib.correct.camera_refinement import refine
+        from calib.correct.camera_refinement import refine_with_cameras
 
         progress("solving cameras and geometry together", 0, 1)
-        correction, found = refine(sampled, recording.design, done.correction, done.found)
-        done = refitted(done, correction, found)
+        correction, found = refine_with_cameras(sampled, recording.design, done.correction, done.found)
+        done = with_refitted_correction(done, correction, found)
     if taken is not None:
         done = taken.drawn(done, rng)
-    claim = promised(samples, done, rng)
-    made = kept(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
+    claim = workspace_claim_of(samples, done, rng)
+    made = calibration_with_provenance(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
     calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), calibration, progress)
     if done.held_out:
@@ -201,18 +201,18 @@ def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Name
 
 def _extended(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
               progress: Progress) -> Calibration:
-    from calib.files.calibration_from_recording import kept
+    from calib.files.calibration_from_recording import calibration_with_provenance
 
     mechanism = recording.design.mechanism
     before = _before(arguments.onto, mechanism) if arguments.onto else None
-    found = extension_calibration.certified(arguments, mechanism, sampled, before, rng, progress)
+    found = extension_calibration.certify_extension(arguments, mechanism, sampled, before, rng, progress)
     done = found.done
-    made = kept(recording, sampled, done, found.claim, arguments.argv, before=None if before is None else (before, found.kept))
+    made = calibration_with_provenance(recording, sampled, done, found.claim, arguments.argv, before=None if before is None else (before, found.kept))
     calibration = _stored(out[0], made, arguments, None)
     _shown(out[1], lambda page: found.draw(page, recording, calibration, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
-    extension_calibration.say(found, f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
+    extension_calibration.print_extension(found, f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
         "the owner's model alone" if arguments.alone else "the fitted geometry"))
     _print_poses(sampled, done)
     return calibration
@@ -223,7 +223,7 @@ def _before(path: Path, nominal: Any) -> Calibration:
     from calib.files import calibration_file
 
     before = calibration_file.load(path)
-    if calibration_file.mechanism_out(before.correction.nominal) != calibration_file.mechanism_out(nominal):
+    if calibration_file.mechanism_dict(before.correction.nominal) != calibration_file.mechanism_dict(nominal):
         raise RigError(f"{path} is a calibration of another machine than this recording's rig.toml states")
     if before.physics is not None:
         raise RigError(f"{path} knows physics besides the configuration; a pass goes on top of corrections by configuration alone")
@@ -231,17 +231,17 @@ def _before(path: Path, nominal: Any) -> Calibration:
 
 
 def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
-         progress: Progress, taken: TakenArm | None) -> Calibration:
-    from calib.models.arm.certification import certify, promised
+         progress: Progress, taken: ArmRefit | None) -> Calibration:
+    from calib.models.arm.certification import certify, workspace_claim_of
     from calib.models.arm.calibration_page import calibration_page
-    from calib.files.calibration_from_recording import kept
+    from calib.files.calibration_from_recording import calibration_with_provenance
     from rig.model.mechanism_kinds import arm_of
 
     together = None if taken is None else taken.together
     samples = sampled.samples if together is None else together.samples
     done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress, together)
-    claim = promised(samples, done, rng)
-    made = kept(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
+    claim = workspace_claim_of(samples, done, rng)
+    made = calibration_with_provenance(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
     calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done, out[2]), calibration, progress)
     if done.held_out:
@@ -254,14 +254,16 @@ def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespa
 
 def _chain(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
            progress: Progress) -> Calibration:
-    from calib.models.chain.certification import certify, promised
+    from calib.models.chain.certification import certify, workspace_claim_of
     from calib.models.chain.calibration_page import calibration_page
-    from calib.files.calibration_from_recording import kept
+    from calib.files.calibration_from_recording import calibration_with_provenance
     from rig.model.mechanism_kinds import chain_of
 
     done = certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
-    claim = promised(sampled.samples, done, rng)
-    calibration = _stored(out[0], kept(recording, sampled, done, claim, arguments.argv), arguments, (recording, sampled, progress))
+    claim = workspace_claim_of(sampled.samples, done, rng)
+    calibration = _stored(
+        out[0], calibration_with_provenance(recording, sampled, done, claim, arguments.argv), arguments, (recording, sampled, progress)
+    )
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
@@ -272,15 +274,15 @@ def _chain(recording: Recording, sampled: Sampled, out: Places, arguments: Names
 
 def _shown(page: Path | None, draw: Callable[[Path], None], calibration: Calibration, progress: Progress) -> None:
     """Draw the page, where there is one, and print the verdict, first of all."""
-    from calib.certify.calibration_evidence import judgement
-    from calib.certify.calibration_verdict import verdict
+    from calib.certify.calibration_evidence import calibration_verdict
+    from calib.certify.calibration_verdict import claim_lines
 
     if page:
         progress("drawing the page", 0, 1)
         draw(page)
     progress.close()
-    judged = judgement(calibration)
-    print("\n".join([judged.line, *judged.rests_on, *(verdict(calibration.claim)[1:] if calibration.claim is not None else [])]))
+    judged = calibration_verdict(calibration)
+    print("\n".join([judged.line, *judged.rests_on, *(claim_lines(calibration.claim)[1:] if calibration.claim is not None else [])]))
 
 
 def _print_poses(sampled: Sampled, done: Certified | ArmCertified | ChainCertified) -> None:
@@ -294,9 +296,9 @@ def _stored(out: Any, calibration: Calibration, arguments: Namespace, look: tupl
     """The Calibration, written. look : what is searched for what it leaves out, and what is called meanwhile; None where no model corrects that, or
     where it is known"""
     from calib.files import calibration_file
-    from calib.diagnose.calibration_left_out_physics import not_searched, searched
+    from calib.diagnose.calibration_left_out_physics import without_search, search_left_out_physics
 
     if look is not None and arguments.limbs is None:
-        calibration = not_searched(calibration) if arguments.quick else searched(calibration, *look)
+        calibration = without_search(calibration) if arguments.quick else search_left_out_physics(calibration, *look)
     calibration_file.save(out, calibration)
     return calibration

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 
 from rig.cli.shared import user_effects_option
-from rig.cli.shared.output_options import add_force, file_or_stdout
+from rig.cli.shared.output_options import add_overwrite_option, file_or_stdout
 from rig.formats.output_files import STANDARD_OUTPUT
 
 
@@ -11,35 +11,35 @@ def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("--out", metavar="FILE.md", type=file_or_stdout, default=STANDARD_OUTPUT, help="where it is written, as Markdown, with a "
                         "sketch of each effect in a folder FILE beside it; printed without sketches by default")
-    user_effects_option.argument(parser)
-    add_force(parser)
+    user_effects_option.add_effects_option(parser)
+    add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Write the catalogue of left-out physics as a document: all that `rig effects NAME` says of each, with a sketch that its model draws."""
-    from rig.effects.texts.catalogue_page import page
+    from rig.effects.texts.catalogue_page import catalogue_markdown
     from rig.errors import RigError
     from rig.formats.output_files import write_text
-    from rig.formats.output_files.atomic_file import is_straight
+    from rig.formats.output_files.atomic_file import is_written_directly
 
-    kinds = user_effects_option.known(user_effects_option.plugins(arguments))
+    kinds = user_effects_option.known_effects(user_effects_option.load_effect_files(arguments))
     out = arguments.outputs.file(arguments.out)
-    if is_straight(out):
-        return write_text(out, page(kinds.values()))
+    if is_written_directly(out):
+        return write_text(out, catalogue_markdown(kinds.values()))
     if not arguments.out.suffix:
         raise RigError(f"{arguments.out} has no ending, and a folder beside it of the same name would hold the sketches: name it {arguments.out}.md")
-    from rig.report.pages.standalone_svg import alone
-    from vision.effect_sketches import drawn
+    from rig.report.pages.standalone_svg import standalone_svg
+    from vision.effect_sketches import effect_sketch
 
     folder, sketches = arguments.out.with_suffix(""), {}
     place = arguments.outputs.folder(folder)
     for name, kind in kinds.items():
         try:
-            sketch = drawn(kind)
+            sketch = effect_sketch(kind)
         except RigError as error:
             sketches[name] = f"No sketch: {error}."
             continue
-        write_text(place / f"{name}.svg", alone(f"what {kind.label()} does", sketch.words, sketch.figures))
+        write_text(place / f"{name}.svg", standalone_svg(f"what {kind.label()} does", sketch.words, sketch.figures))
         sketches[name] = f"![What {kind.label()} does: {sketch.words}]({folder.name}/{name}.svg)"
-    write_text(out, page(kinds.values(), sketches))
+    write_text(out, catalogue_markdown(kinds.values(), sketches))
     print(f"written: {arguments.out}, {folder}/")

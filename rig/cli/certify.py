@@ -12,11 +12,20 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared import refutation_marks
 from rig.cli.shared.output_options import (
-    SEED, Progress, add_force, add_result, file_or_stdout, near, no_drawing, print_unsolved, read_recording, require_drawing,
+    SEED,
+    Progress,
+    add_overwrite_option,
+    add_result,
+    file_or_stdout,
+    page_links,
+    missing_drawing_reason,
+    print_unsolved,
+    read_recording,
+    require_drawing,
 )
 from rig.errors import RigError
 from rig.report.verdict import Evidence, exit_status
-from rig.formats.number_parsing import number
+from rig.formats.number_parsing import parse_number
 
 if TYPE_CHECKING:
     from calib.certify.recording_claim_check import AgainstClaim
@@ -31,7 +40,7 @@ UNITS = {"um": ("position", 1e-6), "mm": ("position", 1e-3), "m": ("position", 1
 KINDS = (".json", ".html", ".pdf", ".xml")
 
 
-def tolerance(text: str) -> tuple[str, float]:
+def parse_tolerance(text: str) -> tuple[str, float]:
     """("position", m) or ("rotation", rad) of a text such as 20um or 0.1mrad. Raises ArgumentTypeError"""
     found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)\s*", text)
     if found is None or found[2] not in UNITS or not 0 < float(found[1]) < 1e9:
@@ -39,17 +48,17 @@ def tolerance(text: str) -> tuple[str, float]:
     return UNITS[found[2]][0], float(found[1]) * UNITS[found[2]][1]
 
 
-def share(text: str) -> float:
+def parse_share(text: str) -> float:
     """A share between 0 and 1. Raises ArgumentTypeError"""
     return _within(text, 0.5, 0.9999, "a share from 0.5 to 0.9999")
 
 
-def relative(text: str) -> float:
+def parse_relative_uncertainty(text: str) -> float:
     """A relative uncertainty. Raises ArgumentTypeError"""
     return _within(text, 0.0, math.nextafter(0.1, 0.0), "a relative standard uncertainty from 0 to 0.1, as 20e-6 for 20 um/m")
 
 
-def load(text: str) -> float:
+def parse_load(text: str) -> float:
     """A rated load, kg. Raises ArgumentTypeError"""
     return _within(text, 0.0, math.nextafter(1e6, 0.0), "a load in kg, 0 or more")
 
@@ -57,7 +66,7 @@ def load(text: str) -> float:
 def _within(text: str, least: float, most: float, expected: str) -> float:
     """The number that a text is. Raises ArgumentTypeError for none and for one outside these bounds. expected : what it must be, in words"""
     try:
-        value = number(text)
+        value = parse_number(text)
     except ValueError:
         value = math.nan
     if not least <= value <= most:
@@ -72,12 +81,16 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("recordings", metavar="REC", type=Path, nargs="+", help="recordings that the calibration was not made from")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True,
                         help="certificate.html, .json, .pdf or .xml (a digital calibration certificate); without a suffix a folder with all")
-    parser.add_argument("--tolerance", metavar="T", type=tolerance, nargs="+", default=[], help="to accept or refuse against, as 20um or 50urad")
-    parser.add_argument("--coverage", metavar="SHARE", type=share, default=0.95, help="of poses that the promise is about (0.95)")
-    parser.add_argument("--confidence", metavar="SHARE", type=share, default=0.95, help="with which it is kept (0.95)")
-    parser.add_argument("--scale-uncertainty", metavar="R", type=relative, help="relative standard uncertainty of the base targets' scale, as 20e-6")
+    parser.add_argument(
+        "--tolerance", metavar="T", type=parse_tolerance, nargs="+", default=[], help="to accept or refuse against, as 20um or 50urad"
+    )
+    parser.add_argument("--coverage", metavar="SHARE", type=parse_share, default=0.95, help="of poses that the promise is about (0.95)")
+    parser.add_argument("--confidence", metavar="SHARE", type=parse_share, default=0.95, help="with which it is kept (0.95)")
+    parser.add_argument(
+        "--scale-uncertainty", metavar="R", type=parse_relative_uncertainty, help="relative standard uncertainty of the base targets' scale, as 20e-6"
+    )
     parser.add_argument("--scale-source", metavar="TEXT", help="who certified it, as a certificate's number")
-    parser.add_argument("--rated-load", metavar="KG", type=load, help="that the machine is made for, for ISO 9283")
+    parser.add_argument("--rated-load", metavar="KG", type=parse_load, help="that the machine is made for, for ISO 9283")
     for name, who in (("laboratory", "who calibrated"), ("person", "who answers for it"), ("customer", "for whom"),
                       ("manufacturer", "who made the machine")):
         parser.add_argument(f"--{name}", metavar="NAME", default="not stated", help=f"{who}, for the digital calibration certificate")
@@ -85,7 +98,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
     parser.add_argument("--mask", metavar="FRAMES", help="leave these frames of the one recording out, for example 0-11: those that "
                         "`rig calibrate --mask` left in")
-    add_force(parser)
+    add_overwrite_option(parser)
     add_result(parser)
 
 
@@ -115,24 +128,24 @@ def run(arguments: Namespace) -> int:
     import numpy as np
 
     from calib.certificate import certificate_provenance, certificate_json
-    from calib.certificate.certificate import certified
+    from calib.certificate.certificate import certificate_of
     from calib.certificate.certificate_contents import Asked
-    from calib.certificate.certificate_verdict import judged
+    from calib.certificate.certificate_verdict import certificate_verdict
 
     wanted = Asked(arguments.coverage, arguments.confidence, tuple(asked.items()), arguments.scale_uncertainty, arguments.scale_source,
                    arguments.rated_load)
-    made = certified(
+    made = certificate_of(
         calibration,
         held,
         wanted,
-        certificate_provenance.of(arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED),
+        certificate_provenance.certificate_provenance(arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED),
         np.random.default_rng(SEED),
     )
     known, claims = _against_claim(calibration, held, arguments)
     made = replace(made, known=known, claims=claims)
-    verdict = judged(made)
+    verdict = certificate_verdict(made)
     progress.close()
-    left_out = no_drawing() if suffix == "" else None
+    left_out = missing_drawing_reason() if suffix == "" else None
     places = [whole / f"certificate{kind}" for kind in KINDS if kind != ".pdf" or not left_out] if suffix == "" else [whole]
     for place in places:
         _write(place, place.suffix, made, arguments)
@@ -140,7 +153,7 @@ def run(arguments: Namespace) -> int:
     _say(made)
     for _, sampled in held:
         print_unsolved(sampled.measurement)
-    arguments.result = certificate_json.tree(made)
+    arguments.result = certificate_json.certificate_dict(made)
     if left_out:
         print(f"certificate.pdf is left out: certificates as PDF {left_out}", file=sys.stderr)
     print(f"written: {arguments.out}")
@@ -153,20 +166,20 @@ def _against_claim(calibration: Calibration, held: list[tuple[Recording, Sampled
     import numpy as np
 
     from calib.certify import calibration_verdict as words
-    from calib.certify.recording_claim_check import against_claim
-    from calib.certify.calibration_evidence import evidence, held_against, with_design
-    from calib.samples.confounded_conditions import of_recordings
+    from calib.certify.recording_claim_check import check_claim_on_recording
+    from calib.certify.calibration_evidence import calibration_evidence, evidence_with_verification, with_design
+    from calib.samples.confounded_conditions import confounds_of_recordings
 
-    known, claims = evidence(calibration, refutation_marks.known(arguments.calibration)), []
-    known = with_design(known, calibration, [of_recordings([recording for recording, _ in held])], "these recordings")
+    known, claims = calibration_evidence(calibration, refutation_marks.read_refutations(arguments.calibration)), []
+    known = with_design(known, calibration, [confounds_of_recordings([recording for recording, _ in held])], "these recordings")
     for recording, sampled in held:
-        one = against_claim(calibration, recording.name, calibration.told(recording, sampled.samples), np.random.default_rng(SEED))
+        one = check_claim_on_recording(calibration, recording.name, calibration.told(recording, sampled.samples), np.random.default_rng(SEED))
         if one is None:
             continue
         claims.append(one)
-        known = held_against(known, one.found, recording.name)
+        known = evidence_with_verification(known, one.found, recording.name)
         if one.found.refutes:
-            refutation_marks.mark(arguments, arguments.calibration, recording.name, words.refuting(one.found))
+            refutation_marks.write_refutation(arguments, arguments.calibration, recording.name, words.refuting(one.found))
     return known, tuple(claims)
 
 
@@ -188,15 +201,15 @@ def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> 
     if suffix == ".html":
         from calib.certificate.certificate_page import certificate_page
 
-        certificate_page(path, made, near(arguments, arguments.out if arguments.out.suffix else arguments.out / path.name))
+        certificate_page(path, made, page_links(arguments, arguments.out if arguments.out.suffix else arguments.out / path.name))
     elif suffix == ".pdf":
         from calib.certificate import certificate_pdf
 
-        certificate_pdf.save(path, made)
+        certificate_pdf.write_certificate_pdf(path, made)
     elif suffix == ".xml":
-        write_text(path, xml.text(made, _issuer(arguments)))
+        write_text(path, xml.certificate_xml(made, _issuer(arguments)))
     else:
-        write_text(path, certificate_json.text(made))
+        write_text(path, certificate_json.certificate_text(made))
 
 
 def _issuer(arguments: Namespace) -> digital_certificate_xml.Issuer:
@@ -209,5 +222,5 @@ def _say(made: Certificate) -> None:
     """Print what is certified."""
     from calib.certificate import certificate_sentences as words
 
-    print("\n".join([words.scale_line(made), words.promise_line(made), words.volume_line(made), *words.rest_lines(made),
+    print("\n".join([words.scale_line(made), words.promise_line(made), words.volume_line(made), *words.basis_lines(made),
                      *words.conformity_lines(made)]))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rig.cli.shared import recording_checks
 from rig.cli.shared.output_options import add_json, print_json
 from rig.errors import FileError
-from rig.checks.user_mistake import Mistake, in_order
+from rig.checks.user_mistake import Mistake, sort_mistakes
 
 if TYPE_CHECKING:
     from rig.recording.recording_folder import Corners, Recording
@@ -26,41 +26,44 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Say all that is wrong or unlikely with a recording, the most likely cause first; 1 where results would mean nothing."""
     from rig.recording import recording_folder as recordings
-    from rig.checks.recording_without_images import early
-    from rig.checks.unreadable_recording import unreadable
+    from rig.checks.recording_without_images import file_mistakes
+    from rig.checks.unreadable_recording import unreadable_recording_mistakes
 
     try:
         recording = recordings.load(arguments.recording)
     except FileError as error:
-        return _say(arguments, (*unreadable(arguments.recording, error), Mistake(str(error), "Mend this first: nothing else could be looked at")))
-    found = [*early(recording)]
+        return _say(
+            arguments,
+            (*unreadable_recording_mistakes(arguments.recording, error), Mistake(str(error), "Mend this first: nothing else could be looked at")),
+        )
+    found = [*file_mistakes(recording)]
     if any(one.spoils and one.proof >= CERTAIN for one in found):
         rest = Mistake("corners and poses were not looked at", "Mend what is wrong first and check again", False, 0.0)
-        return _say(arguments, in_order([*found, rest]))
-    found += recording_checks.of_poses(recording)
+        return _say(arguments, sort_mistakes([*found, rest]))
+    found += recording_checks.pose_mistakes(recording)
     corners = recording.corners
     if recording.has_images and (corners is None or arguments.detect):
-        from vision.checks.image_sample import read
+        from vision.checks.image_sample import read_image_sample
 
-        seen, more = read(recording)
+        seen, more = read_image_sample(recording)
         found += more
         corners = corners or seen
     if corners is not None:
         found += _looked(recording, corners)
-    return _say(arguments, in_order(found), _remarks(recording))
+    return _say(arguments, sort_mistakes(found), _remarks(recording))
 
 
 def _looked(recording: "Recording", corners: "Corners") -> tuple[Mistake, ...]:
-    from vision.checks import look
+    from vision.checks import find_corner_mistakes
 
-    return look(recording, corners, thorough=True)
+    return find_corner_mistakes(recording, corners, thorough=True)
 
 
 def _remarks(recording: "Recording") -> tuple[str, ...]:
     """What could be better about the rig's cubes, in figures."""
-    from vision.checks.cube_layout import remarks
+    from vision.checks.cube_layout import cube_layout_remarks
 
-    return remarks(recording.design)
+    return cube_layout_remarks(recording.design)
 
 
 def _say(arguments: argparse.Namespace, found: tuple[Mistake, ...], remarks: tuple[str, ...] = ()) -> int:

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_json, length, print_json
+from rig.cli.shared.output_options import add_json, parse_length, print_json
 from rig.errors import FileError
 
 if TYPE_CHECKING:
@@ -48,10 +48,10 @@ def run(arguments: Namespace) -> None:
     except FileError as error:
         raise FileError(arguments.photo, f"is no picture that can be read (cut off?): {str(error).removeprefix(error.path).lstrip(': ')}") from None
     if arguments.ruler is not None:
-        found = printed_marker_size.by_ruler(image, design, *arguments.ruler)
+        found = printed_marker_size.print_scale_by_ruler(image, design, *arguments.ruler)
     else:
         width, height, tolerance = arguments.sheet
-        found = printed_marker_size.on_sheet(image, design, (width, height), tolerance)
+        found = printed_marker_size.print_scale_on_sheet(image, design, (width, height), tolerance)
     (_print_tree if arguments.json else _say)(found, design)
 
 
@@ -89,7 +89,7 @@ def _sheet(text: str) -> tuple[float, float, float]:
     width, cross, height = text.partition("x")
     if not cross:
         raise ArgumentTypeError(f"takes {', '.join(SHEETS)} or sides as 209.8mmx296.9mm, not {text!r}")
-    return length(width), length(height), MEASURED
+    return parse_length(width), parse_length(height), MEASURED
 
 
 def _ruler(text: str) -> tuple[np.ndarray, float]:
@@ -101,4 +101,4 @@ def _ruler(text: str) -> tuple[np.ndarray, float]:
     ends = np.array([float(value) for value in found.groups()[:4]]).reshape(2, 2)
     if np.linalg.norm(ends[1] - ends[0]) < 10:
         raise ArgumentTypeError("the two places are the same: take lines of the ruler that lie far apart")
-    return ends, length(found[5])
+    return ends, parse_length(found[5])

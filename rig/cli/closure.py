@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.output_options import add_force, add_recording, add_result, file_or_stdout, read_recording
+from rig.cli.shared.output_options import add_overwrite_option, add_recording, add_result, file_or_stdout, read_recording
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--limbs", metavar="FILE", type=Path, help="limbs as `rig insitu` found them, not as rig.toml has them")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="closures.csv: frame, what each other leg reads less what the pose says "
                         "(e_..), its expected standard deviation (u_..), m")
-    add_force(parser)
+    add_overwrite_option(parser)
     add_result(parser)
 
 
@@ -42,8 +42,10 @@ def run(arguments: Namespace) -> int:
     out = arguments.outputs.file(arguments.out) if arguments.out else None
     of, frames, read = _legs(arguments, recording)
     first = np.arange(6, 12) if len(of.names) >= 12 else np.arange(6)  # limbs tell best where the platform was, well enough to choose by
-    chosen = _chosen(arguments.use, of) if arguments.use else redundant_legs.best_six(of, redundant_legs.closures(of, read, first).T_base_platform)
-    found = redundant_legs.closures(of, read, chosen)
+    chosen = (
+        _chosen(arguments.use, of) if arguments.use else redundant_legs.best_six(of, redundant_legs.leg_closures(of, read, first).T_base_platform)
+    )
+    found = redundant_legs.leg_closures(of, read, chosen)
     _tell(of, found, frames, chosen, bool(arguments.use))
     arguments.result = _result(of, found, frames, chosen)
     if out:
@@ -65,8 +67,8 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
     from rig.model.mechanism_kinds import hexapod_of
     from rig.model.mechanisms import redundant_legs
 
-    machine, stated = hexapod_of(recording.design.mechanism), measuring_limbs.measuring(recording.design)
-    frames, lengths = measuring_limbs.readings(recording)
+    machine, stated = hexapod_of(recording.design.mechanism), measuring_limbs.stated_limbs(recording.design)
+    frames, lengths = measuring_limbs.limb_readings(recording)
     n = len(stated.channels)
     every, _, values = recording.commanded()
     commanded = values[np.searchsorted(every, frames)]
@@ -78,8 +80,8 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
         struts = ("l", hexapod_of(calibration.correction.fitted), np.hypot(calibration.scatter, EXACT), calibration.covariance)
         commanded = commanded - calibration.correction.rho(commanded)
     if arguments.limbs is not None:
-        limbs = ("m", *redundant_limb_checks.whole(measuring_limbs_file.load(arguments.limbs).limbs, stated))
-    return redundant_legs.legs([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
+        limbs = ("m", *redundant_limb_checks.all_fitted_limbs(measuring_limbs_file.load(arguments.limbs).limbs, stated))
+    return redundant_legs.combine_legs([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
 
 
 def _chosen(text: str, of: Legs) -> np.ndarray:
@@ -117,7 +119,7 @@ def _tell(of: Legs, found: Closures, frames: np.ndarray, chosen: np.ndarray, ask
 
     from rig.model.mechanisms import redundant_legs
 
-    values = np.linalg.svd(redundant_legs.rows(of, found.T_base_platform)[1][:, chosen], compute_uv=False)
+    values = np.linalg.svd(redundant_legs.leg_length_jacobians(of, found.T_base_platform)[1][:, chosen], compute_uv=False)
     condition, how = values[:, 0] / values[:, -1], "as asked" if asked else "the six that tell it best"
     print(f"{len(of.names)} legs for six freedoms; {', '.join(of.names[i] for i in chosen)} tell the pose, {how} (condition number "
           f"{np.median(condition):.3g} in the middle, {condition.max():.3g} at most); closures of the others at {len(frames)} poses, um:")

@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, redi
 from pathlib import Path
 from typing import Any, NoReturn, TextIO, TypeVar, cast
 
-from rig.cli.shared.argument_parser import Parser, add_common, with_figures
+from rig.cli.shared.argument_parser import Parser, add_common, join_negative_numbers
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, Outputs
 
@@ -69,10 +69,10 @@ def main(argv: list[str] | None = None) -> int:
 
     Raises SystemExit where help was asked for or the usage is wrong
     """
-    from rig.cli.shared.terminal_safe_output import escaped
+    from rig.cli.shared.terminal_safe_output import escaped_output
 
-    with escaped():
-        return _main(with_figures(sys.argv[1:] if argv is None else argv))
+    with escaped_output():
+        return _main(join_negative_numbers(sys.argv[1:] if argv is None else argv))
 
 
 def _main(argv: list[str]) -> int:
@@ -113,7 +113,7 @@ def command_line(opened: Collection[str], words: tuple[str, ...] = ()) -> Parser
     return parser
 
 
-def script() -> NoReturn:
+def run_script() -> NoReturn:
     """The `rig` of a shell: `main`, and where it was stopped the end at once, as nobody waits for an interpreter that clears itself away.
 
     Products of matrices take one thread unless the environment says otherwise: several wait for each other, for cores that other processes use,
@@ -156,9 +156,9 @@ def _run(arguments: argparse.Namespace) -> int:
             with _reader_may_leave(name, outputs), _words(arguments), _compiling(), _workers(arguments):
                 status = arguments.run(arguments) or 0
         if outputs.pages:
-            from rig.report.pages.page_index import refresh
+            from rig.report.pages.page_index import refresh_indices
 
-            refresh(outputs.pages)
+            refresh_indices(outputs.pages)
         if asked and arguments.result is not None:
             from rig.cli.shared.output_options import print_json
 
@@ -198,19 +198,19 @@ def _reader_may_leave(name: str, outputs: Outputs) -> Iterator[None]:
 
 def _compiling() -> AbstractContextManager[None]:
     """Within it is said, once, that something is compiled, for which nothing moves on."""
-    from rig.cli.shared.progress_bars import compiling
-    from rig.compute.numba_kernels import saying
+    from rig.cli.shared.progress_bars import compilation_notice
+    from rig.compute.numba_kernels import announce_compilation
 
-    return saying(compiling)
+    return announce_compilation(compilation_notice)
 
 
 def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     """Within it those work for a command who were asked for."""
     if "workers" not in arguments:
         return nullcontext()
-    from rig.cli.shared.worker_options import at_work
+    from rig.cli.shared.worker_options import workers_at_work
 
-    return at_work(arguments)
+    return workers_at_work(arguments)
 
 
 def _require_utf8(words: list[str]) -> None:
@@ -291,9 +291,9 @@ def _flushed(name: str, status: S) -> S | int:
         message = ""
     except OSError as error:
         message = f"{name}: standard output cannot be written: {error.strerror}"
-    from rig.cli.shared.standard_output import discard
+    from rig.cli.shared.standard_output import discard_output
 
-    discard(sys.stdout)
+    discard_output(sys.stdout)
     if name and message:
         with suppress(OSError):
             print(message, file=sys.stderr, flush=True)

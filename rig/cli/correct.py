@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import user_effects_option, reading_correction, refutation_marks
-from rig.cli.shared.output_options import add_force, add_result, file_or_stdout
+from rig.cli.shared.output_options import add_overwrite_option, add_result, file_or_stdout
 from rig.errors import RigError, Unreachable
-from rig.formats.number_parsing import numbers
+from rig.formats.number_parsing import parse_numbers
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,15 +38,15 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--skip-unreachable", action="store_true", help="leave out, and list, poses out of reach")
     parser.add_argument("--uncorrected", action="store_true", help="command what the owner's model says, for comparison")
     parser.add_argument("--single-step", action="store_true", help="command X + KSF(X), the method's first step, not the fixed point that is exact")
-    user_effects_option.argument(parser)
-    add_force(parser)
+    user_effects_option.add_effects_option(parser)
+    add_overwrite_option(parser)
     add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Write the commands that give the wanted poses, or the poses that readings stand for."""
     if arguments.forward:
-        reading_correction.forward(arguments)
+        reading_correction.poses_of_readings(arguments)
         return
     import numpy as np
 
@@ -54,11 +54,11 @@ def run(arguments: Namespace) -> None:
     from rig.recording import recording_tables
     from rig.recording import recording_folder as recordings
 
-    calibration = user_effects_option.calibration(arguments.calibration, user_effects_option.plugins(arguments))
-    refutation_marks.known(arguments.calibration)
+    calibration = user_effects_option.load_calibration(arguments.calibration, user_effects_option.load_effect_files(arguments))
+    refutation_marks.read_refutations(arguments.calibration)
     if arguments.single_step and calibration.physics is not None and not arguments.uncorrected:
         raise RigError("--single-step is of corrections that depend on the configuration alone; this calibration knows physics besides")
-    wanted = recordings.load_wanted(arguments.poses)
+    wanted = recordings.load_wanted_poses(arguments.poses)
     sensors = _sensors(arguments.sensors, wanted)
     start = _start(arguments.start, calibration)
     out = arguments.outputs.file(arguments.out)
@@ -95,27 +95,27 @@ def run(arguments: Namespace) -> None:
         print(f"{(~field.inside(done.values)).sum()} of them lie beyond the samples of the correction: there it is extrapolated, continuously")
     if arguments.single_step:
         off = correction.missed(wanted.poses.T_base_platform[keep], done.values)
-        print(f"the single step misses the fixed point by {np.nanmax(np.abs(off)):.3g} {mechanisms.unit(correction.nominal)} at most")
+        print(f"the single step misses the fixed point by {np.nanmax(np.abs(off)):.3g} {mechanisms.travel_unit(correction.nominal)} at most")
 
 
 def _commanded(arguments: Namespace, calibration: Calibration, wanted: Wanted, keep: np.ndarray,
                given: tuple[np.ndarray, Sensors | None]) -> Commanded:
     """Commanded for the wanted poses to keep. given : where the axes start, sensors. Raises Unreachable for those that cannot be."""
-    from calib.models.wanted_pose_commands import command, pace_of
-    from calib.correct.correction import reachable
+    from calib.models.wanted_pose_commands import commands_along_route, route_pace
+    from calib.correct.correction import require_reachable
 
     (start, sensors), T = given, wanted.poses.T_base_platform[keep]
-    pace = None if wanted.t is None else pace_of(calibration, wanted.t[keep], sensors)
+    pace = None if wanted.t is None else route_pace(calibration, wanted.t[keep], sensors)
     correction = calibration.correction
     plain = correction.uncorrected(T) if arguments.uncorrected else correction.single_step(T) if arguments.single_step else None
-    done = command(calibration, T, start, pace, sensors, arguments.approach, plain)
-    reachable(done.values, calibration.correction.nominal, [f"pose {i}" for i in range(len(keep))])
+    done = commands_along_route(calibration, T, start, pace, sensors, arguments.approach, plain)
+    require_reachable(done.values, calibration.correction.nominal, [f"pose {i}" for i in range(len(keep))])
     return done
 
 
 def _sensors(path: Path | None, wanted: Wanted) -> Sensors | None:
     """Sensors of a file. Raises RigError for a log in time where the poses have no times, or that does not cover them."""
-    from calib.correct.physics_compensation import refuse_uncovered
+    from calib.correct.physics_compensation import require_sensor_coverage
     from rig.recording import recording_folder as recordings
 
     if path is None:
@@ -125,7 +125,7 @@ def _sensors(path: Path | None, wanted: Wanted) -> Sensors | None:
         raise RigError(f"{path} has {len(sensors.t)} rows, and the wanted poses have no times: say in a column t when each is to be held, or give "
                        "one row that holds for all")
     if wanted.t is not None:
-        refuse_uncovered(sensors, wanted.t, wanted.origin.shown)
+        require_sensor_coverage(sensors, wanted.t, wanted.origin.shown)
     return sensors
 
 
@@ -133,20 +133,20 @@ def _start(text: str, calibration: Calibration) -> np.ndarray:
     """(axes,) m or rad where the axes stand at first. Raises RigError for what is no such place."""
     import numpy as np
 
-    from calib.correct.correction import reachable
+    from calib.correct.correction import require_reachable
     from rig.model import mechanisms
 
     nominal = calibration.correction.nominal
     if text == "home":
-        return mechanisms.of(nominal).home(nominal)
+        return mechanisms.kinematics_of(nominal).home(nominal)
     try:
-        values = np.array(numbers(text.split(",")))
+        values = np.array(parse_numbers(text.split(",")))
     except ValueError:
         values = np.zeros(0)
     if values.shape != (len(nominal.axes),) or not np.isfinite(values).all():
         raise RigError(f"--start takes home or {len(nominal.axes)} values joined by commas, m or rad, got {text!r}")
     try:
-        reachable(values[None], nominal, ["the start"])
+        require_reachable(values[None], nominal, ["the start"])
     except Unreachable as error:
         raise RigError(f"--start cannot be: {error.violations[0]}") from None
     return values
@@ -180,12 +180,12 @@ def _say_rest(arguments: Namespace, calibration: Calibration, out: Path, asked: 
     from calib.models.arm.correction import ArmCorrection
     from rig.recording import recording_folder as recordings
     from rig.recording import recording_tables
-    from rig.model.pose import difference
+    from rig.model.pose import pose_difference
 
     correction, (wanted, keep) = calibration.correction, asked
     if not isinstance(correction, ArmCorrection) or not correction.deficient:
         return
-    frames, rest = wanted.poses.frame[keep], difference(done.T_base_platform, wanted.poses.T_base_platform[keep])
+    frames, rest = wanted.poses.frame[keep], pose_difference(done.T_base_platform, wanted.poses.T_base_platform[keep])
     place, turn = (np.linalg.norm(rest[:, part], axis=1) * 1e3 for part in (slice(0, 3), slice(3, 6)))
     print(f"an arm of {len(correction.nominal.joints)} joints cannot make up for every error: what it leaves to the wanted poses is "
           f"{np.sqrt(np.mean(place**2)):.4f} mm RMS, {place.max():.4f} at the most, and {np.sqrt(np.mean(turn**2)):.4f} mrad RMS, "

@@ -2,8 +2,8 @@
 
 from argparse import ArgumentParser, Namespace
 
-from rig.cli.shared.output_options import add_force, file_or_stdout
-from rig.formats.number_parsing import number, whole
+from rig.cli.shared.output_options import add_overwrite_option, file_or_stdout
+from rig.formats.number_parsing import parse_number, parse_whole_number
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -14,16 +14,25 @@ def arguments(parser: ArgumentParser) -> None:
                         "panda, stanford, scara, gantry")
     parser.add_argument("--seen", choices=("cubes", "hand"), help="of an arm: by cameras, in place of an instrument: with cubes in its hand before "
                         "fixed cameras, or with the cameras in its hand before cubes that stand")
-    parser.add_argument("--radius", type=number, metavar="M", help="of a hexapod's circle of base joints, m; of planar2 half the joints' distance")
-    parser.add_argument("--cameras", type=whole, default=3)
-    parser.add_argument("--cubes", type=whole, default=4, help="on the base, and as many on the platform")
+    parser.add_argument(
+        "--radius", type=parse_number, metavar="M", help="of a hexapod's circle of base joints, m; of planar2 half the joints' distance"
+    )
+    parser.add_argument("--cameras", type=parse_whole_number, default=3)
+    parser.add_argument("--cubes", type=parse_whole_number, default=4, help="on the base, and as many on the platform")
     parser.add_argument("--size", default="1280x1024", metavar="WxH", help="of the images, px")
     parser.add_argument("--dictionary", default="DICT_5X5_100")
-    parser.add_argument("--limbs", nargs="?", type=whole, const=6, default=0, metavar="N", help="with N measuring limbs beside the struts (six where "
-                        "no N is given; more are checks)")
+    parser.add_argument(
+        "--limbs",
+        nargs="?",
+        type=parse_whole_number,
+        const=6,
+        default=0,
+        metavar="N",
+        help="with N measuring limbs beside the struts (six where no N is given; more are checks)",
+    )
     parser.add_argument("--name", help="of the rig, by default its kind of machine")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
-    add_force(parser)
+    add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -45,7 +54,7 @@ def run(arguments: Namespace) -> None:
     if arguments.limbs and kind != "hexapod":
         raise RigError(f"--limbs stand beside a hexapod's struts; a {kind} has none")
     figures = (arguments.radius, arguments.cameras, *size, arguments.cubes, arguments.dictionary, arguments.name or kind)
-    _write(arguments, layout.layout(*figures, arguments.limbs) if kind == "hexapod" else two_strut_layout.layout(*figures))
+    _write(arguments, layout.hexapod_layout(*figures, arguments.limbs) if kind == "hexapod" else two_strut_layout.two_strut_layout(*figures))
 
 
 def _shipped(arguments: Namespace) -> None:
@@ -54,13 +63,13 @@ def _shipped(arguments: Namespace) -> None:
     from rig.errors import RigError
 
     if arguments.arm is None:
-        raise RigError(f"--mechanism arm takes --arm with the name of a shipped one: {', '.join(shipped_arms.names())}")
+        raise RigError(f"--mechanism arm takes --arm with the name of a shipped one: {', '.join(shipped_arms.shipped_arm_names())}")
     if arguments.mechanism in ("hexapod", "planar2") or arguments.radius is not None:
         raise RigError(f"--arm brings its own figures; --mechanism {arguments.mechanism or 'hexapod'} and --radius are for struts")
     if arguments.seen is None:
-        _write(arguments, shipped_arms.design(arguments.arm))
+        _write(arguments, shipped_arms.shipped_arm_rig_toml(arguments.arm))
         return
-    from rig.planning.layout.arm_layout import layout
+    from rig.planning.layout.arm_layout import arm_layout as layout
 
     _write(arguments, layout(arguments.arm, arguments.seen, arguments.cameras, _size(arguments.size), arguments.cubes, arguments.dictionary))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rig.formats import json_file
 from rig.cli.shared import recording_checks, next_experiment, user_effects_option, refutation_marks
-from rig.cli.shared.output_options import Progress, add_force, add_recordings, add_result, near
+from rig.cli.shared.output_options import Progress, add_overwrite_option, add_recordings, add_result, page_links
 from rig.errors import RigError
 from rig.report.verdict import State
 
@@ -51,35 +51,35 @@ def arguments(parser: ArgumentParser) -> None:
                         "start and stays, whatever the recording says of it; may be given again")
     parser.add_argument("--from", metavar="DIR", type=Path, dest="before", help="what another diagnosis found: begin with its findings, each of "
                         "which has to stand here as well")
-    user_effects_option.argument(parser)
+    user_effects_option.add_effects_option(parser)
     next_experiment.arguments(parser)
-    add_force(parser)
-    recording_checks.argument(parser)
+    add_overwrite_option(parser)
+    recording_checks.add_anyway_option(parser)
     add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Diagnose a recording and write what was found."""
     from rig.recording import data_provenance
-    from rig.effects.texts.effect_text import asked
+    from rig.effects.texts.effect_text import require_known_effect
 
-    next_experiment.refuse(arguments)
+    next_experiment.refuse_invalid_options(arguments)
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recording, look, several = recording_checks.begin_all(arguments, progress)
-    corners = recording.corners if recording.corners is not None or several else recording_checks.some_corners(recording)
+    recording, look, several = recording_checks.load_and_check_recordings(arguments, progress)
+    corners = recording.corners if recording.corners is not None or several else recording_checks.sample_corners(recording)
     if corners is not None:
         look(corners)
-    own = user_effects_option.plugins(arguments)
-    kinds = user_effects_option.known(own)
+    own = user_effects_option.load_effect_files(arguments)
+    kinds = user_effects_option.known_effects(own)
     for text in (arguments.only or []) + arguments.without:
-        asked(text, recording.design, kinds)
+        require_known_effect(text, recording.design, kinds)
     out = arguments.outputs.folder(arguments.out)
 
     calibration = None if arguments.calibration is None else _known(arguments.calibration, recording, own)
     diagnosed = _arm if recording.design.mechanism.kind in ("arm", "chain") else _platform
     _print(diagnosed(recording, arguments, Beforehand(calibration, _given(arguments, recording, kinds), own, tuple(kinds.values())), out, progress))
-    arguments.outputs.data = data_provenance.lines(data_provenance.marks(recording))
+    arguments.outputs.data = data_provenance.mark_lines(data_provenance.content_marks(recording))
     arguments.result = json.loads((out / "diagnosis.json").read_text())
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 
@@ -88,7 +88,7 @@ def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> Given:
     """What the operator says beforehand. Raises RigError for what this rig cannot have, FileError for what is no diagnosis."""
     from calib.diagnose.engine.stated_terms import Given
     from calib.diagnose.report.diagnosis_json import UNKNOWN
-    from rig.effects.texts.effect_text import site
+    from rig.effects.texts.effect_text import parse_place
 
     before = []
     if arguments.before is not None:
@@ -100,10 +100,10 @@ def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> Given:
                 raise RigError(f"{path} found {name}, and there is no such effect; of your own, name its file with --effects")
             if name in kinds and not kinds[name].discrete:
                 try:
-                    before.append(site(f"{name} {place}", recording.design, kinds))
+                    before.append(parse_place(f"{name} {place}", recording.design, kinds))
                 except RigError as error:
                     raise RigError(f"{path} is of another rig: {error}") from None
-    return Given(tuple(site(text, recording.design, kinds) for text in arguments.assume), tuple(before))
+    return Given(tuple(parse_place(text, recording.design, kinds) for text in arguments.assume), tuple(before))
 
 
 def _said(arguments: Namespace) -> tuple[str, ...]:
@@ -115,7 +115,7 @@ def _said(arguments: Namespace) -> tuple[str, ...]:
 
 def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Path, progress: Progress) -> Report:
     """Report of an arm's or a chain's recording, written to a folder with its page."""
-    from calib.diagnose.problems.arm.arm_diagnosis import diagnose
+    from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose
     from calib.diagnose.report import arm_report
     from calib.samples.recording_samples import sample_recording
     from calib.diagnose.report.arm_page_figures import ArmView
@@ -126,20 +126,20 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
     sampled = sample_recording(recording, progress=progress)
     found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds, sampled),
                     said=_said(arguments), own=known.own)
-    report = arm_report.report(found)
+    report = arm_report.arm_report(found)
     report = replace(report, calibrations=_of_calibrations(report, recording, sampled, arguments))
-    arm_report.save(out, found, recording, report)
-    diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named), near(arguments, arguments.out / "diagnosis.html"))
+    arm_report.write_arm_diagnosis(out, found, recording, report)
+    diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named), page_links(arguments, arguments.out / "diagnosis.html"))
     if arguments.next is not None:
         from calib.experiment.arm_questions import arm_questions
 
-        next_experiment.write_next(arguments, arm_questions(found), recording.design, out, progress)
+        next_experiment.write_next_plan(arguments, arm_questions(found), recording.design, out, progress)
     return report
 
 
 def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out: Path, progress: Progress) -> Report:
     """Report of a platform's or a hand-moved body's recording, written to a folder with its page."""
-    from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+    from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose
     from calib.diagnose.report import platform_report
     from calib.samples.recording_samples import sample_recording
     from calib.diagnose.report.diagnosis_page import diagnosis_page
@@ -148,57 +148,63 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
     sampled = None if recording.commands is None or recording.design.mechanism.kind == "free" else sample_recording(recording, progress=progress)
     found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.calibration, known.given, sampled, known.kinds),
                     said=_said(arguments), own=known.own)
-    report = platform_report.report(found)
+    report = platform_report.platform_report(found)
     report = replace(report, calibrations=_of_calibrations(report, recording, sampled, arguments))
-    platform_report.save(out, found, recording, report)
-    diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found), near(arguments, arguments.out / "diagnosis.html"))
+    platform_report.write_platform_diagnosis(out, found, recording, report)
+    diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found), page_links(arguments, arguments.out / "diagnosis.html"))
     if arguments.next is not None:
         from calib.experiment.platform_questions import questions
 
-        next_experiment.write_next(arguments, questions(found), recording.design, out, progress)
+        next_experiment.write_next_plan(arguments, questions(found), recording.design, out, progress)
     return report
 
 
 def _of_calibrations(report: Report, recording: Recording, sampled: Sampled | None, arguments: Namespace) -> OfCalibrations:
     """OfCalibrations beside the recording or the diagnosis that were made from it; each that knows nothing of a finding is marked."""
     from calib.certify.calibration_evidence import OfCalibrations
-    from calib.diagnose.calibration_left_out_physics import against, of_calibrations
+    from calib.diagnose.calibration_left_out_physics import refuted_calibrations, findings_against_calibrations
     from rig.recording import data_provenance
 
-    of, paths = data_provenance.marks(recording), refutation_marks.near_by(recording.folder, arguments.out)
+    of, paths = data_provenance.content_marks(recording), refutation_marks.near_by(recording.folder, arguments.out)
     refuted = []
-    for path, state, finding in against(report, of, paths, None if sampled is None else sampled.samples):
-        refutation_marks.mark(arguments, path, recording.name, finding, state)
+    for path, state, finding in refuted_calibrations(report, of, paths, None if sampled is None else sampled.samples):
+        refutation_marks.write_refutation(arguments, path, recording.name, finding, state)
         refuted += [f"{path.name} is refuted: {finding}"] if state == State.BAD else []
-    return OfCalibrations(tuple(refuted), of_calibrations(of, paths, False).unexplained)
+    return OfCalibrations(tuple(refuted), findings_against_calibrations(of, paths, False).unexplained)
 
 
 def _print(report: Report) -> None:
     """Say what was found, the biggest first, and what was held out."""
-    from calib.diagnose.report.diagnosis_verdict import judged
-    from calib.diagnose.report.report_sentences import crowd, left_out, line, suggestion, suggestion_rows
+    from calib.diagnose.report.diagnosis_verdict import diagnosis_verdict
+    from calib.diagnose.report.report_sentences import (
+        many_outliers_sentence,
+        excluded_row_texts,
+        finding_line,
+        formula_suggestion_sentences,
+        suggestion_rows,
+    )
 
-    print(judged(report).line)
+    print(diagnosis_verdict(report).line)
     for finding in report.findings:
-        print(line(finding) + (f" [{finding.said}]" if finding.said else ""))
+        print(finding_line(finding) + (f" [{finding.said}]" if finding.said else ""))
         if finding.unusual:
             print(f"  {finding.unusual}")
         for other in finding.cannot_be_told_from:
             print(f"  cannot be told from {other.effect} at {other.place}; {other.experiment}")
     for entry in report.suggestions:
         values = ", ".join(f"{name} {value}" for name, value, _ in suggestion_rows(entry))
-        print(f"a formula for it at {entry.place}: {suggestion(entry)} {values}; `rig effects --new NAME --from DIR` writes it")
+        print(f"a formula for it at {entry.place}: {formula_suggestion_sentences(entry)} {values}; `rig effects --new NAME --from DIR` writes it")
     if report.remarks:
         places = ", ".join(f"{r.effect} at {r.place}" for r in report.remarks[:MENTIONED])
         more = f" and {len(report.remarks) - MENTIONED} more" if len(report.remarks) > MENTIONED else ""
         print(f"there, and within tolerances: {places}{more}; see remarks")
     for one in report.left_out[:MENTIONED]:
-        frame, place, off, _ = left_out(one)
+        frame, place, off, _ = excluded_row_texts(one)
         print(f"left out: frame {frame}, {place}: {off}")
     if len(report.left_out) > MENTIONED:
         print(f"left out: {len(report.left_out) - MENTIONED} more rows that agree with no others; see left_out")
     if report.crowd is not None and report.findings:
-        print(crowd(report.crowd))
+        print(many_outliers_sentence(report.crowd))
     for what, fit in report.fits.items():
         scale, unit = (1e6, "um") if fit.unit == "m" else (1, fit.unit)
         before, after, floor = (value * scale for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))
@@ -211,8 +217,8 @@ def _known(path: Path, recording: Recording, own: tuple[Plugin, ...]) -> Calibra
     """Calibration of a file. Raises RigError where it was made from this very recording, which would count twice."""
     from calib.files import calibration_file
 
-    calibration = user_effects_option.calibration(path, own)
-    same = calibration_file.seen_before(calibration, recording)
+    calibration = user_effects_option.load_calibration(path, own)
+    same = calibration_file.frames_used_in_calibration(calibration, recording)
     if same:
         raise RigError(f"{path} was made from {len(same)} of the frames of {recording.folder}, which would count twice; diagnose without it, or "
                        "take another recording's")

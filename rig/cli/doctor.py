@@ -12,9 +12,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Say what this computer has; 1 where something is missing without which a plain installation does not work."""
-    from rig.cli.shared.installation_inventory import everything
+    from rig.cli.shared.installation_inventory import installation_inventory
 
-    found = everything()
+    found = installation_inventory()
     if arguments.json:
         print_json({"schema": "doctor/1", "found": [{"about": one.about, "state": one.state, "text": one.text, "todo": one.todo} for one in found]})
     else:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import user_effects_option
-from rig.cli.shared.output_options import add_force, add_json, print_json
+from rig.cli.shared.output_options import add_overwrite_option, add_json, print_json
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -18,13 +18,13 @@ def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("name", metavar="NAME", nargs="?", help="one of them, whole; all as a table without it")
     add_json(parser)
-    user_effects_option.argument(parser)
+    user_effects_option.add_effects_option(parser)
     parser.add_argument("--new", metavar="NAME", help="write a file with an effect of your own, to be edited and given to --effects")
     parser.add_argument("--from", metavar="DIR", type=Path, dest="source", help="with --new: the formula that a diagnosis suggests, DIR is what "
                         "rig diagnose wrote; an example to begin with otherwise")
     parser.add_argument("--place", metavar="PLACE", help="with --from: which suggestion, by its place, where there are several")
     parser.add_argument("--out", metavar="FILE.py", type=Path, help="with --new: where to write it, by default NAME.py")
-    add_force(parser)
+    add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -35,24 +35,24 @@ def run(arguments: Namespace) -> None:
         raise RigError("--from, --place and --out are about a new effect: give it a name with --new")
     from shutil import get_terminal_size
 
-    from rig.cli.shared.argument_parser import meant
-    from rig.effects.texts.catalogue_listing import table, tree, whole
+    from rig.cli.shared.argument_parser import suggestion_text
+    from rig.effects.texts.catalogue_listing import effect_table, effect_dict, effect_description
 
     width = get_terminal_size((160, 24)).columns
-    known = user_effects_option.known(user_effects_option.plugins(arguments))
+    known = user_effects_option.known_effects(user_effects_option.load_effect_files(arguments))
     if arguments.name is None:
         if arguments.json:
-            print_json([tree(effect) for effect in known.values()])
+            print_json([effect_dict(effect) for effect in known.values()])
         else:
-            print(table(known.values(), width), end="")
+            print(effect_table(known.values(), width), end="")
         return
     if arguments.name not in known:
-        raise RigError(f"there is no effect {arguments.name!r}{meant(arguments.name, known)} `rig effects` lists them")
+        raise RigError(f"there is no effect {arguments.name!r}{suggestion_text(arguments.name, known)} `rig effects` lists them")
     effect = known[arguments.name]
     if arguments.json:
-        print_json(tree(effect))
+        print_json(effect_dict(effect))
     else:
-        print(whole(effect, width), end="")
+        print(effect_description(effect, width), end="")
 
 
 def _new(arguments: Namespace) -> None:

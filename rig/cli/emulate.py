@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.errors import RigError
-from rig.formats.number_parsing import number, numbers, whole
+from rig.formats.number_parsing import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.driving.clock import Clock
@@ -29,14 +29,14 @@ def arguments(parser: ArgumentParser) -> None:
                              "--fault list names them")
     parser.add_argument("--tcp", metavar="[HOST:]PORT", help="listen there instead of at a pseudo-terminal (port 0: any; host 127.0.0.1)")
     parser.add_argument("--link", metavar="PATH", type=Path, help="keep a symbolic link pointing at the pseudo-terminal")
-    parser.add_argument("--speed", type=number, default=1.0, metavar="N", help="struts N times as fast as [controller] states (default 1)")
+    parser.add_argument("--speed", type=parse_number, default=1.0, metavar="N", help="struts N times as fast as [controller] states (default 1)")
     parser.add_argument("--start", metavar="L1,L2,..", help="where the struts stand at first, m (default: home)")
     parser.add_argument("--history", metavar="FILE", type=Path, help="write what the struts were truly told, as commands.csv, as it happens")
     parser.add_argument("--cameras", metavar="[HOST:]PORT", help="draw what the cameras see and answer for the sensors there (port 0: any); "
                         'rig.toml: source = "emulator:HOST:PORT", [sensors] port = "socket://HOST:PORT", ask = "sensors"')
     parser.add_argument("--truth", metavar="FILE", type=Path, help="the machine, its cameras and effects as rig simulate --truth wrote them, "
                         "for --cameras (default: all is as RIG.toml says)")
-    parser.add_argument("--seed", type=whole, default=0, help="of the faults, the temperatures and the noise of images")
+    parser.add_argument("--seed", type=parse_whole_number, default=0, help="of the faults, the temperatures and the noise of images")
 
 
 def run(arguments: Namespace) -> None:
@@ -54,7 +54,7 @@ def run(arguments: Namespace) -> None:
     clock = SystemClock()
     if arguments.truth and not arguments.cameras:
         raise RigError("--truth is for --cameras, which show what is true")
-    emulator = built(arguments, clock)
+    emulator = emulator_of_arguments(arguments, clock)
     wire = (
         terminal_and_tcp_server.Tcp(_address(arguments.tcp, "--tcp"))
         if arguments.tcp is not None
@@ -67,7 +67,7 @@ def run(arguments: Namespace) -> None:
     for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(ending, signal.default_int_handler)
     try:
-        terminal_and_tcp_server.serve(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
+        terminal_and_tcp_server.serve_emulator(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
     except KeyboardInterrupt:
         print(f"{len(emulator.machine.executed)} moves carried out; faults: {', '.join(emulator.faults.struck) or 'none'}")
     finally:
@@ -88,13 +88,13 @@ def _cameras(arguments: Namespace, followed: Path) -> Cameras:
     return cameras
 
 
-def built(arguments: Namespace, clock: Clock) -> Emulator:
+def emulator_of_arguments(arguments: Namespace, clock: Clock) -> Emulator:
     """The Emulator that the arguments ask for. Raises RigError for a rig without a controller and arguments that cannot be meant."""
     import numpy as np
 
     from rig.formats.rig_toml import design_file
     from rig.driving import emulators
-    from rig.driving.emulators.controller_faults import Faults, parse
+    from rig.driving.emulators.controller_faults import Faults, parse_faults
 
     if not arguments.speed > 0:
         raise RigError(f"--speed must be above 0, not {arguments.speed:g}")
@@ -103,14 +103,14 @@ def built(arguments: Namespace, clock: Clock) -> Emulator:
         raise RigError(f"{arguments.design} has no [controller]; its speeds and zeros are what an emulator needs")
     if arguments.protocol:
         design = replace(design, controller=replace(design.controller, protocol=arguments.protocol))
-    faults = Faults(sum((parse(text) for text in arguments.fault), ()), np.random.default_rng(arguments.seed))
+    faults = Faults(sum((parse_faults(text) for text in arguments.fault), ()), np.random.default_rng(arguments.seed))
     start = None
     if arguments.start:
         try:
-            start = np.array(numbers(arguments.start.split(",")))
+            start = np.array(parse_numbers(arguments.start.split(",")))
         except ValueError:
             raise RigError(f"--start takes numbers in m joined by commas, not {arguments.start!r}") from None
-    return emulators.of(design, faults, clock, start, arguments.speed)
+    return emulators.emulator_of_design(design, faults, clock, start, arguments.speed)
 
 
 def _say(name: str) -> None:

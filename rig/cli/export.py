@@ -7,9 +7,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_force, add_result, file_or_stdout
+from rig.cli.shared.output_options import add_overwrite_option, add_result, file_or_stdout
 from rig.errors import RigError
-from rig.formats.number_parsing import number, whole
+from rig.formats.number_parsing import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.model.design import Arm, Hexapod
@@ -32,12 +32,14 @@ def arguments(parser: ArgumentParser) -> None:
                         "`rig measure` wrote")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
-    parser.add_argument("--coupling", type=number, default=0.0, metavar="GAIN",
+    parser.add_argument("--coupling", type=parse_number, default=0.0, metavar="GAIN",
                         help="of genhexkins: share of the cardans' twist that turns the screws")
-    parser.add_argument("--lead", type=number, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for "
+    parser.add_argument("--lead", type=parse_number, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for "
                         "--coupling (default [actuator] screw_lead of a rig.toml)")
-    parser.add_argument("--parts", type=whole, metavar="Q", help="of linuxcnc-comp and grid: parts of each actuator's interval (default 64, and 3)")
-    add_force(parser)
+    parser.add_argument(
+        "--parts", type=parse_whole_number, metavar="Q", help="of linuxcnc-comp and grid: parts of each actuator's interval (default 64, and 3)"
+    )
+    add_overwrite_option(parser)
     add_result(parser)
 
 
@@ -74,10 +76,10 @@ def _export(arguments: Namespace) -> list[str]:
     if mechanism.kind not in kinds:
         raise RigError(f"{arguments.format} takes a mechanism of kind {' or '.join(kinds)}; {arguments.machine} has one of kind {mechanism.kind!r}")
     out = arguments.outputs.file(arguments.out) if arguments.out else None
-    text = {"genhexkins": lambda: linuxcnc_genhexkins.text(hexapod_of(mechanism), arguments.units, lead, arguments.coupling),
-            "urdf": lambda: (arm_urdf.text(arm_of(mechanism), arguments.machine.stem) if mechanism.kind == "arm"
-                             else hexapod_urdf.text(hexapod_of(mechanism), arguments.machine.stem)),
-            "sdf": lambda: hexapod_sdf.text(hexapod_of(mechanism), arguments.machine.stem),
+    text = {"genhexkins": lambda: linuxcnc_genhexkins.genhexkins_settings(hexapod_of(mechanism), arguments.units, lead, arguments.coupling),
+            "urdf": lambda: (arm_urdf.arm_urdf(arm_of(mechanism), arguments.machine.stem) if mechanism.kind == "arm"
+                             else hexapod_urdf.hexapod_urdf(hexapod_of(mechanism), arguments.machine.stem)),
+            "sdf": lambda: hexapod_sdf.hexapod_sdf(hexapod_of(mechanism), arguments.machine.stem),
             "json": lambda: geometry_json_and_csv.as_json(_exported(mechanism)),
             "csv": lambda: geometry_json_and_csv.as_csv(_exported(mechanism))}[arguments.format]()
     for line in left_out:
@@ -112,7 +114,7 @@ def _tables(arguments: Namespace) -> None:
         raise RigError(f"--parts is 1 to {most} for {arguments.format}, not {parts}")
     if arguments.format == "grid":
         out = arguments.outputs.file(arguments.out)
-        write_text(out, compensation_tables.grid(*grid_table(correction, parts), mechanism.axes, mechanisms.of(mechanism).UNIT))
+        write_text(out, compensation_tables.grid(*grid_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT))
         print(f"{(parts + 1) ** len(mechanism.axes)} rows; command = x + k, x as the owner's model has it; written: {arguments.out}")
         return
     folder = arguments.outputs.folder(arguments.out)
@@ -135,7 +137,9 @@ def _cameras(arguments: Namespace) -> None:
     if not found:
         raise RigError(f"{arguments.machine} has no cameras")
     texts = {
-        camera.name: (opencv_and_ros_camera.camera_info if arguments.format == "camera-info" else opencv_and_ros_camera.opencv)(camera)
+        camera.name: (opencv_and_ros_camera.ros_camera_info if arguments.format == "camera-info" else opencv_and_ros_camera.opencv_camera_yaml)(
+            camera
+        )
         for camera in found
     }
     folder = arguments.outputs.folder(arguments.out)
@@ -152,7 +156,7 @@ def _seen(arguments: Namespace) -> None:
 
     found = recordings.load(arguments.machine)
     if arguments.format == "tum":
-        text = tum_trajectory.tum(found)
+        text = tum_trajectory.tum_trajectory(found)
         if arguments.out is None:
             print(text, end="")
             return
@@ -161,7 +165,7 @@ def _seen(arguments: Namespace) -> None:
         return
     if arguments.out is None:
         raise RigError("parquet takes --out DIR")
-    files = tum_trajectory.parquet(arguments.machine)
+    files = tum_trajectory.parquet_tables(arguments.machine)
     folder = arguments.outputs.folder(arguments.out)
     for name, data in files.items():
         write_bytes(folder / f"{name}.parquet", data)

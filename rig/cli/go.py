@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rig.cli.shared import user_effects_option, refutation_marks
 from rig.cli.shared.output_options import add_port, add_result
 from rig.errors import RigError
-from rig.formats.number_parsing import number, numbers
+from rig.formats.number_parsing import parse_number, parse_numbers
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -29,9 +29,9 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--pose", metavar="X,Y,Z,RX,RY,RZ", required=True, help="platform in base: m, and a rotation vector in rad")
     parser.add_argument("--uncorrected", action="store_true", help="command what the owner's model says, for comparison")
     parser.add_argument("--dry-run", action="store_true", help="say what would be commanded, and move nothing")
-    parser.add_argument("--speed", type=number, default=1.0, metavar="SHARE", help="of the struts' greatest speed (default 1)")
+    parser.add_argument("--speed", type=parse_number, default=1.0, metavar="SHARE", help="of the struts' greatest speed (default 1)")
     parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
-    user_effects_option.argument(parser)
+    user_effects_option.add_effects_option(parser)
     add_port(parser)
     add_result(parser)
 
@@ -40,34 +40,34 @@ def run(arguments: Namespace) -> None:
     """Go to a pose: the corrected lengths, checked, commanded and read back."""
     import numpy as np
 
-    from calib.correct.correction import reachable
+    from calib.correct.correction import require_reachable
     from rig.model import mechanisms
-    from rig.cli.shared.controller_session import design_of, driving, lengths_text, print_status
+    from rig.cli.shared.controller_session import design_with_controller, open_driver, lengths_text, print_status
     from rig.model.mechanism_kinds import hexapod_of
-    from rig.model.pose import vector
+    from rig.model.pose import pose_to_vector
 
     if not 0 < arguments.speed <= 1:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
-    design = design_of(arguments.rig, arguments.port)
-    calibration = user_effects_option.calibration(arguments.calibration, user_effects_option.plugins(arguments))
-    refutation_marks.known(arguments.calibration)
+    design = design_with_controller(arguments.rig, arguments.port)
+    calibration = user_effects_option.load_calibration(arguments.calibration, user_effects_option.load_effect_files(arguments))
+    refutation_marks.read_refutations(arguments.calibration)
     correction = calibration.correction
     _same(correction.nominal, hexapod_of(design.mechanism), arguments)
-    wanted = pose_of(arguments.pose)
-    home = mechanisms.of(correction.nominal).home(correction.nominal)
+    wanted = parse_pose(arguments.pose)
+    home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
     lengths = correction.uncorrected(wanted) if arguments.uncorrected else _lengths(calibration, wanted, home)
-    reachable(np.array([lengths]), hexapod_of(design.mechanism), ["the pose"])
+    require_reachable(np.array([lengths]), hexapod_of(design.mechanism), ["the pose"])
     print(f"to command: {lengths_text(lengths)}, which is {lengths_text(lengths - correction.uncorrected(wanted))} off the owner's model")
     arguments.result = {"schema": "gone/1", "commanded": lengths.tolist(), "off_owners_model": (lengths - correction.uncorrected(wanted)).tolist(),
                         "moved": False}
     if arguments.dry_run:
         return
-    with driving(design, arguments.trace, print) as driver:
+    with open_driver(design, arguments.trace, print) as driver:
         if arguments.trust:
             driver.trust()
         if calibration.physics is not None and not arguments.uncorrected:  # from where it stands, not from home
             lengths = _lengths(calibration, wanted, driver.status().lengths)
-            reachable(np.array([lengths]), hexapod_of(design.mechanism), ["the pose"])
+            require_reachable(np.array([lengths]), hexapod_of(design.mechanism), ["the pose"])
         driver.move(lengths, arguments.speed)
         status = driver.status()
         print_status(status, design)
@@ -75,7 +75,7 @@ def run(arguments: Namespace) -> None:
                          "lengths": status.lengths.tolist()}
     left = wanted.inv() * correction.predict(correction.inverse_without_physics(wanted) + status.lengths - lengths)
     if not arguments.uncorrected:
-        arguments.result |= {"left": vector(left).tolist()}
+        arguments.result |= {"left": pose_to_vector(left).tolist()}
         print(f"by the calibration the platform is within {np.linalg.norm(left.translation) * 1e6:.1f} um and "
               f"{left.rotation.magnitude() * 1e6:.1f} urad of the pose")
 
@@ -85,12 +85,12 @@ def _lengths(calibration: Calibration, wanted: RigidTransform, start: np.ndarray
     import numpy as np
     from scipy.spatial.transform import RigidTransform
 
-    from calib.models.wanted_pose_commands import command
+    from calib.models.wanted_pose_commands import commands_along_route
 
-    return command(calibration, RigidTransform.from_matrix(wanted.as_matrix()[None]), np.asarray(start, float)).values[0]
+    return commands_along_route(calibration, RigidTransform.from_matrix(wanted.as_matrix()[None]), np.asarray(start, float)).values[0]
 
 
-def pose_of(text: str) -> RigidTransform:
+def parse_pose(text: str) -> RigidTransform:
     """RigidTransform of six figures joined by commas, m and rad. Raises RigError for anything else."""
     import numpy as np
 
@@ -98,7 +98,7 @@ def pose_of(text: str) -> RigidTransform:
     from rig.model.pose import pose
 
     try:
-        values = np.array(numbers(text.split(",")))
+        values = np.array(parse_numbers(text.split(",")))
     except ValueError:
         values = np.zeros(0)
     if values.shape != (6,) or not np.isfinite(values).all():

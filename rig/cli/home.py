@@ -13,10 +13,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Home all struts and say where they stand."""
-    from rig.cli.shared.controller_session import design_of, driving, print_status
+    from rig.cli.shared.controller_session import design_with_controller, open_driver, print_status
 
-    design = design_of(arguments.design, arguments.port)
-    with driving(design, arguments.trace, print) as driver:
+    design = design_with_controller(arguments.design, arguments.port)
+    with open_driver(design, arguments.trace, print) as driver:
         if arguments.unlock:
             driver.unlock()
         print_status(driver.home(), design)

@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.output_options import add_force, add_result
+from rig.cli.shared.output_options import add_overwrite_option, add_result
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--recipe", metavar="FILE.toml", type=Path, help="do again what an import wrote beside its result")
     parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; REC.import.toml beside it is the recipe")
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
-    add_force(parser)
+    add_overwrite_option(parser)
     add_result(parser)
 
 
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Make a recording out of foreign files, say what was assumed, and keep it as a recipe."""
     from rig.formats import importers
     from rig.formats.output_files import write_text
-    from rig.checks.recording_without_images import early
+    from rig.checks.recording_without_images import file_mistakes
 
     given = {name: getattr(arguments, name) for name in TABLES}
     if arguments.recipe is not None and (arguments.images or arguments.rig or arguments.cameras or arguments.bag or any(given.values())):
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> None:
         raise RigError("--rig rig.toml says what rig the files are of; `rig design` lays one out")
     settings = tuple(arguments.settings)
     recipe = (importers.load(arguments.recipe, settings) if arguments.recipe is not None
-              else importers.stated(arguments.rig, arguments.images, given, settings, arguments.cameras or (), arguments.bag or ()))
+              else importers.recipe_of_arguments(arguments.rig, arguments.images, given, settings, arguments.cameras or (), arguments.bag or ()))
     arguments.outputs.inputs += _read(recipe)
     if recipe.cameras is not None and arguments.out.suffix == ".toml":
         _rig(arguments, recipe)
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> None:
     kept = arguments.out.parent / f"{arguments.out.name}.import.toml"
     if arguments.recipe is None:
         write_text(arguments.outputs.file(kept), importers.text(imported.recipe, kept.parent))
-    remarks = early(_loaded(out, arguments.out))
+    remarks = file_mistakes(_loaded(out, arguments.out))
     _say(imported)
     arguments.result = _result(imported, [str(remark) for remark in remarks], kept if arguments.recipe is None else arguments.recipe)
     for remark in remarks:

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.output_options import add_force
+from rig.cli.shared.output_options import add_overwrite_option
 from rig.errors import RigError
 
 
@@ -11,17 +11,17 @@ def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("folder", metavar="DIR", type=Path, nargs="?", default=Path("."), help="gets index.html; this one by default. Commands that "
                         "write a page below it keep it up to date")
-    add_force(parser)
+    add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Write one page of all pages below a folder."""
-    from rig.report.pages.page_index import NAME, index_page, pages
+    from rig.report.pages.page_index import NAME, index_page, list_pages
 
     if not arguments.folder.is_dir():
         raise RigError(f"{arguments.folder}: no such folder")
     index_page(arguments.outputs.file(arguments.folder / NAME), arguments.folder)
-    known = pages(arguments.folder)
+    known = list_pages(arguments.folder)
     for found in known:
         print(f"{found.state:6} {found.path}: {found.why}")
     print(f"written: {arguments.folder / NAME}" + ("" if known else "; there is no page yet"))

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli import online
-from rig.cli.shared.output_options import Progress, add_page, add_recording, add_result, near, place_of_page, print_unsolved, read_recording
+from rig.cli.shared.output_options import Progress, add_page, add_recording, add_result, page_links, page_path, print_unsolved, read_recording
 from rig.errors import RigError
-from rig.formats.number_parsing import number
+from rig.formats.number_parsing import parse_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
-    parser.add_argument("--tolerance", nargs=2, type=number, default=(5e-5, 2e-4), metavar=("M", "RAD"),
+    parser.add_argument("--tolerance", nargs=2, type=parse_number, default=(5e-5, 2e-4), metavar=("M", "RAD"),
                         help="that each axis must agree with vision within (default 5e-5 m and 2e-4 rad)")
     parser.add_argument("--use", metavar="LIMBS", help="of more limbs than six those that tell the pose, as m1,m2,m4,m5,m7,m8, the others being "
                         "checks; by default the six that tell it best")
@@ -48,17 +48,17 @@ def run(arguments: Namespace) -> int:
     from calib.online import recorded_limb_poses, measuring_limbs_file
     from calib.samples.recording_samples import sample_recording
 
-    renewed = arguments.out is not None and measuring_limbs_file.ours(arguments.out)
+    renewed = arguments.out is not None and measuring_limbs_file.is_limbs_file(arguments.out)
     out = arguments.outputs.file(arguments.out, own=renewed) if arguments.out else None
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
-    page = place_of_page(arguments)
-    measuring_limbs.stated(recording.design)  # where limbs tell no pose, nothing is read
-    read = measuring_limbs.readings(recording)
-    channels = measuring_limbs.measuring(recording.design).channels
+    page = page_path(arguments)
+    measuring_limbs.limb_hexapod(recording.design)  # where limbs tell no pose, nothing is read
+    read = measuring_limbs.limb_readings(recording)
+    channels = measuring_limbs.stated_limbs(recording.design).channels
     asked = None if arguments.use is None else _asked(arguments.use, channels)
     by_vision = sample_recording(recording, progress=Progress())
     accepted, closed = _held(arguments, recording, by_vision, read, asked)
-    from calib.report.measuring_limbs_page import judged
+    from calib.report.measuring_limbs_page import limbs_verdict
 
     found = accepted.agreement
     _print(found, by_vision.source)
@@ -70,17 +70,17 @@ def run(arguments: Namespace) -> int:
     passed = accepted.verdict == "accepted"
     print("the measuring limbs pass: their poses may stand for vision's" if passed else "the measuring limbs do not pass")
     why = None if accepted.withdrawn is None else accepted.withdrawn.reason
-    arguments.result = _result(accepted, channels, *closed) | {"verdict": judged(found, why).tree()}
+    arguments.result = _result(accepted, channels, *closed) | {"verdict": limbs_verdict(found, why).tree()}
     if out is not None:
         measuring_limbs_file.save(out, accepted)
         print(f"written: {arguments.out}, verdict {accepted.verdict}")
     if page is not None:
         from calib.report.measuring_limbs_page import limbs_page
 
-        limbs_page(page, recording.name, found, by_vision.source, why, near(arguments, arguments.page))
+        limbs_page(page, recording.name, found, by_vision.source, why, page_links(arguments, arguments.page))
         print(f"written: {arguments.page}")
     if state is not None and passed:
-        _learn(arguments, recording, recorded_limb_poses.sampled(recording, recorded_limb_poses.read(recording, accepted)), state)
+        _learn(arguments, recording, recorded_limb_poses.samples_of_limb_poses(recording, recorded_limb_poses.limb_poses(recording, accepted)), state)
     return 0 if passed else 1
 
 
@@ -92,25 +92,27 @@ def _held(arguments: Namespace, recording: Recording, by_vision: Sampled, read: 
 
     from calib.certify import measuring_limbs, redundant_limb_checks, measuring_limb_steps
     from calib.online import measuring_limbs_file
-    from calib.files.calibration_file import provenance
+    from calib.files.calibration_file import calibration_provenance
 
-    stated, (frames, every) = measuring_limbs.measuring(recording.design), read
-    sigma, home = stated.length_sigma, measuring_limbs.stated(recording.design).home
-    chosen = redundant_limb_checks.best(stated, home, by_vision.samples.T_base_platform) if asked is None else asked
-    nominal = measuring_limbs.stated(recording.design, chosen)
-    samples = measuring_limbs.read(by_vision.samples, frames, every[:, chosen])
-    T, expected = measuring_limbs.held_out(samples, nominal, sigma)
-    found = measuring_limbs.agreement(samples.T_base_platform, T, expected, arguments.tolerance)
-    six = replace(measuring_limbs.calibrated(samples, nominal, sigma)[0], chosen=chosen)
+    stated, (frames, every) = measuring_limbs.stated_limbs(recording.design), read
+    sigma, home = stated.length_sigma, measuring_limbs.limb_hexapod(recording.design).home
+    chosen = redundant_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform) if asked is None else asked
+    nominal = measuring_limbs.limb_hexapod(recording.design, chosen)
+    samples = measuring_limbs.samples_by_limbs(by_vision.samples, frames, every[:, chosen])
+    T, expected = measuring_limbs.held_out_limb_poses(samples, nominal, sigma)
+    found = measuring_limbs.limb_agreement(samples.T_base_platform, T, expected, arguments.tolerance)
+    six = replace(measuring_limbs.calibrate_limbs(samples, nominal, sigma)[0], chosen=chosen)
     both = every[np.searchsorted(frames, samples.frame)]
-    limbs = replace(six, checks=redundant_limb_checks.fitted(six, stated, both))
-    accepted = measuring_limbs_file.Accepted(limbs, nominal, found, None, provenance(recording, arguments.argv, 0, by_vision.source == "images"))
-    slipped = measuring_limb_steps.slip(samples, limbs, sigma)
+    limbs = replace(six, checks=redundant_limb_checks.fit_limb_checks(six, stated, both))
+    accepted = measuring_limbs_file.Accepted(
+        limbs, nominal, found, None, calibration_provenance(recording, arguments.argv, 0, by_vision.source == "images")
+    )
+    slipped = measuring_limb_steps.detect_limb_slip(samples, limbs, sigma)
     if slipped is not None:
         limb = chosen[slipped.limb - 1] + 1
         reason = f"limb {limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: it slipped"
-        accepted = measuring_limbs_file.withdrawn(accepted, str(recording.folder), slipped.frame, reason)
-    return accepted, redundant_limb_checks.held_out(limbs, stated, both)
+        accepted = measuring_limbs_file.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
+    return accepted, redundant_limb_checks.held_out_check_errors(limbs, stated, both)
 
 
 def _asked(text: str, channels: tuple[str, ...]) -> np.ndarray:
@@ -164,6 +166,6 @@ def _learn(arguments: Namespace, recording: Recording, by_limbs: Sampled, state:
     from calib.online.information_filter import Online
 
     known = Online.load(arguments.state) if arguments.state.exists() else None
-    learner, *_ = online.learn(recording, lambda: by_limbs, known, None, Progress())
+    learner, *_ = online.learn_recording(recording, lambda: by_limbs, known, None, Progress())
     learner.save(state)
     print(f"written: {arguments.state}")

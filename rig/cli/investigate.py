@@ -8,11 +8,11 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.investigation_certificate import finish
+from rig.cli.shared.investigation_certificate import certify_investigation
 from rig.cli.shared.output_options import SEED, add_result
 from rig.cli.shared.investigation_machine import Rig, Waiting
 from rig.errors import RigError
-from rig.formats.number_parsing import whole
+from rig.formats.number_parsing import parse_whole_number
 
 if TYPE_CHECKING:
     from calib.experiment.investigation_folder import Look
@@ -24,7 +24,7 @@ MOST = 8  # looks
 STATE = "investigation.json"
 
 
-def budget(text: str) -> float:
+def parse_minutes(text: str) -> float:
     """min of a time as written, 2h or 90min. Raises ArgumentTypeError for anything else"""
     found = re.fullmatch(r"([0-9]{1,4}(?:\.[0-9]{1,3})?)(h|min)", text)
     value = float(found[1]) * (60 if found[2] == "h" else 1) if found else 0.0
@@ -38,15 +38,20 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="recordings, diagnoses, plans, notebook.md and notebook.html, and at "
                         "the end calibration.json and certificate; a new folder, or with --resume the one to go on with")
-    parser.add_argument("--budget", metavar="2h", type=budget, default=120.0, help="of the rig's time (default 2h)")
+    parser.add_argument("--budget", metavar="2h", type=parse_minutes, default=120.0, help="of the rig's time (default 2h)")
     who = parser.add_mutually_exclusive_group()
     who.add_argument("--machine", metavar="TRUTH", type=Path, help="a simulated machine, as rig simulate --machine takes it, instead of [controller]")
     who.add_argument("--by-hand", action="store_true", help="somebody does the moves: each plan is written and waited for")
     parser.add_argument("--plan", help=f"the first one (default {FIRST}, and {LOADED} where rig.toml allows a payload; where the "
                         f"struts must stand {STANDING})")
-    parser.add_argument("--seed", type=whole, default=SEED, help="of plans, and of a simulated machine's noise")
-    parser.add_argument("--verify", metavar="N", type=whole, default=60, help="new poses by which the calibration is verified (default 60, which a "
-                        "certificate takes)")
+    parser.add_argument("--seed", type=parse_whole_number, default=SEED, help="of plans, and of a simulated machine's noise")
+    parser.add_argument(
+        "--verify",
+        metavar="N",
+        type=parse_whole_number,
+        default=60,
+        help="new poses by which the calibration is verified (default 60, which a certificate takes)",
+    )
     parser.add_argument("--port", help="where the controller is, instead of what [controller] says")
     parser.add_argument("--settle", default="time:1", metavar="HOW", help="as for rig run")
     parser.add_argument("--no-home", action="store_true", help="as for rig run")
@@ -56,8 +61,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Plan, record, diagnose, and again, until nothing is alike or the budget ends; then calibrate, verify and certify."""
-    from calib.experiment.investigation_folder import looks
-    from calib.experiment.investigation_page import judged
+    from calib.experiment.investigation_folder import read_looks
+    from calib.experiment.investigation_page import investigation_verdict
     from rig.formats.rig_toml import design_file
 
     design = design_file.load(arguments.design)
@@ -70,25 +75,25 @@ def run(arguments: Namespace) -> int:
     rig = Rig(arguments, design)
     _begin(arguments, rig)
     try:
-        before = looks(arguments.out)
+        before = read_looks(arguments.out)
         if before and before[-1].questions and not before[-1].proposed:  # there was no time, or something was not allowed: it is asked again
             _diagnose(arguments, rig, before[-1].number, before[:-1])
         while True:
-            so_far = looks(arguments.out)
+            so_far = read_looks(arguments.out)
             _tell(arguments, so_far, "")
             ended = _ended(arguments, so_far)
             if ended:
                 break
             _look(arguments, rig, len(so_far) + 1, so_far)
         _tell(arguments, so_far, ended)
-        after = finish(arguments, rig, so_far)
+        after = certify_investigation(arguments, rig, so_far)
     except Waiting as waiting:
         print(waiting)
-        arguments.result = _result(looks(arguments.out), "", (), str(waiting))
+        arguments.result = _result(read_looks(arguments.out), "", (), str(waiting))
         return 0
     arguments.result = _result(so_far, ended, after)
     _tell(arguments, so_far, ended, after)
-    print(judged(so_far, ended).line)
+    print(investigation_verdict(so_far, ended).line)
     print(f"{ended}; look at {arguments.out / 'notebook.html'}")
     return 0
 
@@ -97,20 +102,20 @@ def _result(so_far: list[Look], ended: str, after: tuple[str, ...], waiting: str
     """What --json prints. ended : why, "" while it goes on; after : what was made at the end, in lines; waiting : for whom and what, or None"""
     from dataclasses import asdict
 
-    from calib.experiment.investigation_page import judged
+    from calib.experiment.investigation_page import investigation_verdict
 
-    verdict = judged(so_far, ended).tree() if so_far else None
+    verdict = investigation_verdict(so_far, ended).tree() if so_far else None
     return {"schema": "investigated/1", "verdict": verdict, "ended": ended, "waiting": waiting, "looks": [asdict(look) for look in so_far],
             "after": list(after)}
 
 
 def _begin(arguments: Namespace, rig: Rig) -> None:
     """Make the folder, or see that it is of this rig. Raises RigError otherwise."""
-    from calib.experiment.investigation_folder import plan_of
+    from calib.experiment.investigation_folder import plan_path
     from rig.formats import json_file
     from rig.formats.output_files import write_bytes, write_text
-    from rig.planning.plan import build
-    from rig.planning.plan_table import write
+    from rig.planning.plan import build_plan
+    from rig.planning.plan_table import write_plan
 
     out, own = arguments.out, {"schema": "investigation/1", "rig": rig.digest, "by": rig.by, "seed": arguments.seed}
     if arguments.resume:
@@ -121,14 +126,14 @@ def _begin(arguments: Namespace, rig: Rig) -> None:
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RigError(f"{out} is there already" + ("; --resume goes on with it" if (out / STATE).exists() else "; name a new folder"))
-    plan = build(rig.design, arguments.plan or _first(rig), arguments.seed)
+    plan = build_plan(rig.design, arguments.plan or _first(rig), arguments.seed)
     rig.refuse(plan)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RigError(f"{out} cannot be made: {error.strerror}") from None
     write_bytes(out / "rig.toml", arguments.design.read_bytes())
-    write(plan_of(out, 1), plan, rig.design.mechanism.axes)
+    write_plan(plan_path(out, 1), plan, rig.design.mechanism.axes)
     write_text(out / STATE, json.dumps(own, indent=1) + "\n")
 
 
@@ -141,29 +146,29 @@ def _first(rig: Rig) -> str:
 
 def _look(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> None:
     """Record the plan of a look, and diagnose all recordings together."""
-    from calib.experiment.investigation_folder import plan_of, recording_of
+    from calib.experiment.investigation_folder import plan_path, recording_path
 
-    rig.record(plan_of(arguments.out, number), recording_of(arguments.out, number), arguments.seed + number)
+    rig.record(plan_path(arguments.out, number), recording_path(arguments.out, number), arguments.seed + number)
     _diagnose(arguments, rig, number, so_far)
 
 
 def _diagnose(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> None:
     """Diagnose the recordings up to a number together; the next plan is written with it. so_far : the looks before"""
-    from calib.experiment.laboratory_notebook import spent
-    from calib.experiment.investigation_folder import diagnosis_of, minutes_of, plan_of, recording_of
+    from calib.experiment.laboratory_notebook import minutes_spent
+    from calib.experiment.investigation_folder import diagnosis_path, plan_minutes, plan_path, recording_path
 
     out = arguments.out
-    taken = spent(so_far) + minutes_of(plan_of(out, number))
+    taken = minutes_spent(so_far) + plan_minutes(plan_path(out, number))
     left = max(arguments.budget - taken, 0.1)
-    words = ["diagnose", *(str(recording_of(out, k + 1)) for k in range(number)), "--out", str(diagnosis_of(out, number)), "--next",
-             str(plan_of(out, number + 1)), "--minutes", f"{left:.3f}", *([] if rig.moving else ["--standing"]),
+    words = ["diagnose", *(str(recording_path(out, k + 1)) for k in range(number)), "--out", str(diagnosis_path(out, number)), "--next",
+             str(plan_path(out, number + 1)), "--minutes", f"{left:.3f}", *([] if rig.moving else ["--standing"]),
              *(word for may in rig.design.experiment.may for word in ("--may", may))]
     rig.call(*words)
 
 
 def _ended(arguments: Namespace, so_far: list[Look]) -> str:
     """Why the investigation ends, "" while it goes on."""
-    from calib.experiment.laboratory_notebook import spent
+    from calib.experiment.laboratory_notebook import minutes_spent
 
     if not so_far:
         return ""
@@ -171,7 +176,7 @@ def _ended(arguments: Namespace, so_far: list[Look]) -> str:
     if not last.questions:
         return "nothing is alike any more" if last.findings else ("what is there has no name" if last.unknown else "nothing is left out")
     if not last.proposed:
-        late = spent(so_far) > arguments.budget / 2
+        late = minutes_spent(so_far) > arguments.budget / 2
         return (f"the budget of {arguments.budget:.0f} min leaves no time for an experiment that would tell more" if late
                 else "no plan that is allowed tells what is left apart")
     return f"{MOST} recordings did not tell it apart" if last.number >= MOST else ""
@@ -179,11 +184,11 @@ def _ended(arguments: Namespace, so_far: list[Look]) -> str:
 
 def _tell(arguments: Namespace, so_far: list[Look], ended: str, after: tuple[str, ...] = ()) -> None:
     """Write the notebook and its page as they are now."""
-    from calib.experiment.laboratory_notebook import notebook
-    from calib.experiment.investigation_page import timeline_page
+    from calib.experiment.laboratory_notebook import notebook_text
+    from calib.experiment.investigation_page import write_investigation_page
     from rig.formats.output_files import write_text
 
     if so_far:
         name = arguments.design.resolve().parent.name if arguments.design.name == "rig.toml" else arguments.design.stem
-        write_text(arguments.out / "notebook.md", notebook(name, so_far, arguments.budget, ended, after))
-        timeline_page(arguments.out / "notebook.html", name, so_far, arguments.budget, ended, after)
+        write_text(arguments.out / "notebook.md", notebook_text(name, so_far, arguments.budget, ended, after))
+        write_investigation_page(arguments.out / "notebook.html", name, so_far, arguments.budget, ended, after)

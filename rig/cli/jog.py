@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.output_options import add_driving
 from rig.errors import PositionLost, RigError
-from rig.formats.number_parsing import number, numbers, whole
+from rig.formats.number_parsing import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_driving(parser)
-    parser.add_argument("--strut", type=whole, action="append", metavar="N", help="1.. (may be repeated; by default all of them)")
+    parser.add_argument("--strut", type=parse_whole_number, action="append", metavar="N", help="1.. (may be repeated; by default all of them)")
     where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--by", type=number, metavar="MM", help="longer by so much")
+    where.add_argument("--by", type=parse_number, metavar="MM", help="longer by so much")
     where.add_argument("--to", metavar="MM,MM,..", help="to these lengths, one for every strut")
-    parser.add_argument("--speed", type=number, default=0.25, metavar="SHARE", help="of the struts' greatest speed (default 0.25)")
+    parser.add_argument("--speed", type=parse_number, default=0.25, metavar="SHARE", help="of the struts' greatest speed (default 0.25)")
     parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first; its position is then believed with --trust only")
     parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
 
@@ -29,9 +29,9 @@ def run(arguments: Namespace) -> None:
     """Move struts a little, checked as any move."""
     import numpy as np
 
-    from rig.cli.shared.controller_session import design_of, driving, print_status
+    from rig.cli.shared.controller_session import design_with_controller, open_driver, print_status
 
-    design = design_of(arguments.design, arguments.port)
+    design = design_with_controller(arguments.design, arguments.port)
     count = len(design.mechanism.axes)
     struts = arguments.strut or list(range(1, count + 1))
     if not all(1 <= strut <= count for strut in struts):
@@ -40,7 +40,7 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
     if arguments.to and arguments.strut:
         raise RigError("--to states every strut's length; leave out --strut")
-    with driving(design, arguments.trace, print) as driver:
+    with open_driver(design, arguments.trace, print) as driver:
         if arguments.unlock:
             driver.unlock()
         if arguments.trust:
@@ -57,7 +57,7 @@ def _lengths(text: str, count: int) -> np.ndarray:
     import numpy as np
 
     try:
-        values = np.array(numbers(text.split(","))) * 1e-3
+        values = np.array(parse_numbers(text.split(","))) * 1e-3
     except ValueError:
         values = np.zeros(0)
     if values.shape != (count,) or not np.isfinite(values).all():

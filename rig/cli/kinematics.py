@@ -58,7 +58,7 @@ def _arm(text: str) -> tuple[Arm, ArmCorrection | None]:
     from rig.model.mechanism_kinds import arm_of
 
     if Path(text).suffix != ".json":
-        return arm_of(shipped_arms.load(text).mechanism), None
+        return arm_of(shipped_arms.load_shipped_arm(text).mechanism), None
 
     from calib.files import calibration_file
     from calib.models.arm.correction import ArmCorrection
@@ -78,18 +78,23 @@ def _forward(frames: np.ndarray, q: np.ndarray, arm: Arm, correction: ArmCorrect
     from rig.model import mechanisms
     from rig.model.mechanisms import arm as mechanism
     from rig.model.mechanisms import arm_kinematics_steps
-    from rig.model.pose import vector
+    from rig.model.pose import pose_to_vector
 
     T = mechanism.forward(q, arm)
     beyond = mechanism.limits(q, arm)
     out = []
     for i, frame in enumerate(frames.tolist()):
-        entry: dict[str, Any] = {"frame": frame, "q": q[i].tolist(), "pose": vector(T[i]).tolist(), "near_singular": _near_singular(q[i], arm),
-                                 "beyond_limits": [p for p, b in zip(mechanisms.places(arm), beyond[i]) if b]}
+        entry: dict[str, Any] = {
+            "frame": frame,
+            "q": q[i].tolist(),
+            "pose": pose_to_vector(T[i]).tolist(),
+            "near_singular": _near_singular(q[i], arm),
+            "beyond_limits": [p for p, b in zip(mechanisms.axis_places(arm), beyond[i]) if b],
+        }
         if correction is not None:
-            entry["corrected"] = vector(correction.predict(q[i])).tolist()
+            entry["corrected"] = pose_to_vector(correction.predict(q[i])).tolist()
         out.append(entry | ({"steps": _steps(arm_kinematics_steps.forward(q[i], arm))} if steps else {}))
-    return {"schema": "kinematics/1", "units": list(mechanisms.units(arm)), "frames": out}
+    return {"schema": "kinematics/1", "units": list(mechanisms.axis_units(arm)), "frames": out}
 
 
 def _near_singular(q: np.ndarray, arm: Arm) -> float:
@@ -100,7 +105,7 @@ def _near_singular(q: np.ndarray, arm: Arm) -> float:
     from rig.model.mechanisms import deficient_arm
 
     values = np.linalg.svd(mechanism.jacobian(q, arm), compute_uv=False)
-    return float(values[sum(deficient_arm.directions(arm)) - 1] / values[0])
+    return float(values[sum(deficient_arm.reachable_directions(arm)) - 1] / values[0])
 
 
 def _inverse(frames: np.ndarray, T: RigidTransform, arm: Arm, correction: ArmCorrection | None, steps: bool) -> dict[str, Any]:
@@ -110,7 +115,7 @@ def _inverse(frames: np.ndarray, T: RigidTransform, arm: Arm, correction: ArmCor
 
     form, why_none = None, ""
     try:
-        form = six_joint_inverse.six(arm)
+        form = six_joint_inverse.six_joint_arm(arm)
     except RigError as error:
         why_none = str(error)
     out = []
@@ -121,7 +126,7 @@ def _inverse(frames: np.ndarray, T: RigidTransform, arm: Arm, correction: ArmCor
             if correction is not None:
                 entry["corrected"] = _finished(T[[i]], entry["q"], correction)
         out.append({"frame": frame, "state": state, "solutions": entries})
-    return {"schema": "kinematics/1", "units": list(mechanisms.units(arm)), "form": form.kind if form is not None else f"numeric: {why_none}",
+    return {"schema": "kinematics/1", "units": list(mechanisms.axis_units(arm)), "form": form.kind if form is not None else f"numeric: {why_none}",
             "frames": out}
 
 
@@ -139,13 +144,13 @@ def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[dict[
 def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[dict[str, Any]]]:
     """(state of a pose in words, the solutions that many starts lead to, named as found so); rest : what few joints leave of it."""
     from rig.model.mechanisms import arm_kinematics_steps
-    from rig.model.mechanisms.arm_inverse_search import solutions
+    from rig.model.mechanisms.arm_inverse_search import inverse_solutions
 
-    found = solutions(T, arm)
+    found = inverse_solutions(T, arm)
     if not len(found.q):
         return f"out of reach: the arm comes no nearer than {found.missed[0]:.3g} m and {found.missed[1]:.3g} rad", []
     entries = [{"q": q.tolist(), "singular": "singular" if _near_singular(q, arm) < SINGULAR else "", "rest": rest.tolist(),
-                "found": "numerically", **({"steps": _steps(arm_kinematics_steps.returned(T, arm, q))} if steps else {})}
+                "found": "numerically", **({"steps": _steps(arm_kinematics_steps.inverse_steps_of_solution(T, arm, q))} if steps else {})}
                for q, rest in zip(found.q, found.rest)]
     return ("singular" if all(entry["singular"] for entry in entries) else "regular"), entries
 
@@ -157,8 +162,8 @@ def _beyond(q: list[float], arm: Arm) -> list[str]:
     from rig.model import mechanisms
     from rig.model.mechanisms import arm as mechanism
 
-    beyond = mechanism.limits(mechanism.wrapped(np.array(q), arm, np.zeros(len(q))), arm)
-    return [place for place, by in zip(mechanisms.places(arm), beyond) if by]
+    beyond = mechanism.limits(mechanism.nearest_turn(np.array(q), arm, np.zeros(len(q))), arm)
+    return [place for place, by in zip(mechanisms.axis_places(arm), beyond) if by]
 
 
 def _finished(T: RigidTransform, q: list[float], correction: ArmCorrection) -> list[float] | None:

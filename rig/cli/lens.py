@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.output_options import Progress, add_force, add_result, near
+from rig.cli.shared.output_options import Progress, add_overwrite_option, add_result, page_links
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--legacy", action="store_true", help="the charuco's first square holds a marker (boards of OpenCV before 4.6, even rows)")
     parser.add_argument("--name", default="cam0", help="the camera's name in the block (%(default)s)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="gets lens.html with residual map and uncertainty, and camera.toml")
-    add_force(parser)
+    add_overwrite_option(parser)
     add_result(parser)
 
 
@@ -38,7 +38,7 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"--name {arguments.name!r} is no name for a camera")
     out = arguments.outputs.folder(arguments.out) if arguments.out else None
 
-    from calib.report.lens_page import judged, lens_page
+    from calib.report.lens_page import lens_verdict, lens_page
     from rig.formats.rig_toml.design_file import camera_block
     from rig.formats.output_files import write_text
     from vision.lenses.board_photographs import calibrate_photographs
@@ -57,10 +57,10 @@ def run(arguments: Namespace) -> None:
           file=sys.stderr)
     if not arguments.json:
         print(block, end="")
-    arguments.result = _result(found) | {"verdict": judged(found).tree()}
+    arguments.result = _result(found) | {"verdict": lens_verdict(found).tree()}
     if out:
         write_text(out / "camera.toml", block)
-        lens_page(out / "lens.html", found, near(arguments, arguments.out / "lens.html"))
+        lens_page(out / "lens.html", found, page_links(arguments, arguments.out / "lens.html"))
         print(f"written: {arguments.out}/camera.toml; look at {arguments.out}/lens.html", file=sys.stderr)
 
 

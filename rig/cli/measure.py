@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared import recording_checks, limb_poses
-from rig.cli.shared.output_options import Progress, add_force, add_recording, add_result, near, print_unsolved
+from rig.cli.shared.output_options import Progress, add_overwrite_option, add_recording, add_result, page_links, print_unsolved
 from rig.errors import RigError
 from rig.formats.input_files import read_bytes, read_text
 
 if TYPE_CHECKING:
-    from calib.report.measurement_page import Measured
+    from calib.report.measurement_page import MeasurementResult
     from rig.model.design import Camera
     from rig.recording.recording_folder import Recording
     from vision.recording_adjustment import Measurement
@@ -27,8 +27,8 @@ def arguments(parser: ArgumentParser) -> None:
                         "adjusted too, or (auto) adjusted where the stated ones contradict what is seen")
     parser.add_argument("--detect", action="store_true", help="read the images even if corners.csv is there")
     limb_poses.arguments(parser)
-    add_force(parser)
-    recording_checks.argument(parser)
+    add_overwrite_option(parser)
+    recording_checks.add_anyway_option(parser)
     add_result(parser)
 
 
@@ -40,56 +40,56 @@ def run(arguments: Namespace) -> None:
 
     free, progress = _free(arguments.hold), Progress()
     progress("reading the recording", 0, 1)
-    limb_poses.refuse_check(arguments)
-    recording = recording_checks.loaded(arguments)
+    limb_poses.check_interval(arguments)
+    recording = recording_checks.load_recording(arguments)
     if arguments.limbs is not None:
-        recording_checks.checked(recording, arguments.anyway)
+        recording_checks.check_recording(recording, arguments.anyway)
         _by_limbs(arguments, recording, progress)
         return
-    with data_provenance.meanwhile(recording) as marks:
-        look = recording_checks.checked(recording, arguments.anyway)
+    with data_provenance.content_marks_in_background(recording) as marks:
+        look = recording_checks.check_recording(recording, arguments.anyway)
         out = arguments.outputs.folder(arguments.out)
-        arguments.outputs.data = data_provenance.lines(marks())
+        arguments.outputs.data = data_provenance.mark_lines(marks())
 
-    from calib.report.measurement_page import Measured, measurement_page
+    from calib.report.measurement_page import MeasurementResult, measurement_page
     from vision.bundle.held_out_frames import crossvalidate
-    from vision.bundle.observability import determined
-    from vision.bundle.marker_displacements import listed, places
-    from vision.hand_mounted_cameras import exchanged, in_hand, of_platform
+    from vision.bundle.observability import determined_combinations
+    from vision.bundle.marker_displacements import adjusted_markers, marker_places
+    from vision.hand_mounted_cameras import recording_seen_from_hand, has_hand_cameras, invert_measurement
     from vision.reading.recording_corners import image_reader
     from vision.reading.marker_identity import suspects
     from vision.recording_measurement import measure_recording
     from vision.targets import marker_map
 
     measured, collected = measure_recording(recording, free, arguments.detect, progress, arguments.places, look)
-    held, determination = crossvalidate(measured.used(), measured.adjustment), determined(measured.adjustment)
-    moved = places(measured, recording.exposures.times()[1]) if measured.places_free else None
-    seen, as_seen = exchanged(recording), measured
-    if in_hand(recording.design):
-        as_seen, determination = of_platform(measured), determination.from_the_hand()
+    held, determination = crossvalidate(measured.used(), measured.adjustment), determined_combinations(measured.adjustment)
+    moved = marker_places(measured, recording.exposures.times()[1]) if measured.places_free else None
+    seen, as_seen = recording_seen_from_hand(recording), measured
+    if has_hand_cameras(recording.design):
+        as_seen, determination = invert_measurement(measured), determination.from_the_hand()
     look_at = image_reader(seen) if any(recording.exposures.image) else None
     wrong = suspects(as_seen, marker_map(seen.design), collected.repeated if collected else (), look_at)
     text = with_cameras(read_text(recording.folder / "rig.toml"), measured.design.cameras)
-    recording_tables.write_text(out / "rig.toml", with_places(text, listed(measured)) if moved else text)
+    recording_tables.write_text(out / "rig.toml", with_places(text, adjusted_markers(measured)) if moved else text)
     poses = recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance)
     recording_tables.write_poses(out / "poses.csv", poses)
     recording_tables.write_angles(out / "rpy.csv", poses)
     recording_tables.write_corners(out / "corners.csv", measured.corners())
     recording_tables.copy_times(recording.folder, out, recording.exposures, recording.origin)
-    told = Measured(recording, measured, held, collected, moved, determination.lines(), wrong)
-    measurement_page(out / "report.html", told, near(arguments, arguments.out / "report.html"))
+    told = MeasurementResult(recording, measured, held, collected, moved, determination.lines(), wrong)
+    measurement_page(out / "report.html", told, page_links(arguments, arguments.out / "report.html"))
     _print_result(arguments, told, out)
     print(determination.summary())
     print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), corners.csv, rig.toml; look at {arguments.out}/report.html")
 
 
-def _print_result(arguments: Namespace, told: Measured, out: Path) -> None:
+def _print_result(arguments: Namespace, told: MeasurementResult, out: Path) -> None:
     """Print what was measured, the verdict first, and state it as what --json prints; the poses of a chain's stages are written to a folder."""
-    from calib.report.measurement_page import judged
-    from calib.samples.pose_samples import uncertainty
+    from calib.report.measurement_page import measurement_verdict
+    from calib.samples.pose_samples import rms_uncertainty
 
-    recording, measured, verdict = told.recording, told.measurement, judged(told)
-    uncertainties, total = uncertainty(measured.covariance), len(recording.exposures.times()[0])
+    recording, measured, verdict = told.recording, told.measurement, measurement_verdict(told)
+    uncertainties, total = rms_uncertainty(measured.covariance), len(recording.exposures.times()[0])
     arguments.result = _result(recording, measured, told.held, uncertainties) | {"verdict": verdict.tree()}
     print(verdict.line)
     _print_verdict(measured, told.held, uncertainties, total)
@@ -107,7 +107,7 @@ def _print_result(arguments: Namespace, told: Measured, out: Path) -> None:
 
 def _stages(out: Path, measured: Measurement, total: int) -> None:
     """Write the poses of a chain's stages below the last that carry targets, and say how many there are and how well they are known."""
-    from calib.samples.pose_samples import uncertainty
+    from calib.samples.pose_samples import rms_uncertainty
     from rig.recording import recording_tables
     from rig.recording.corner_and_pose_tables import Poses
 
@@ -115,7 +115,7 @@ def _stages(out: Path, measured: Measurement, total: int) -> None:
         recording_tables.write_poses(out / f"poses_stage{stage}.csv", Poses(own.frames, own.T_base_platform, own.covariance))
         worth = ""
         if len(own.frames):
-            position, rotation = uncertainty(own.covariance)
+            position, rotation = rms_uncertainty(own.covariance)
             worth = f", poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad"
         print(f"stage {stage}: {len(own.frames)} of {total} frames solved{worth}: poses_stage{stage}.csv")
 
@@ -130,33 +130,33 @@ def _free(hold: str) -> tuple[str, ...]:
 
 def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) -> None:
     """Write the poses that measuring limbs tell, with covariance; rig.toml stays as stated, since no camera was adjusted."""
-    from calib.samples.pose_samples import uncertainty
+    from calib.samples.pose_samples import rms_uncertainty
     from rig.recording import data_provenance, recording_tables
     from rig.recording.corner_and_pose_tables import Poses
 
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect are about cameras and what they see; leave them out with --limbs")
-    found, accepted = limb_poses.poses(arguments, recording, progress)
+    found, accepted = limb_poses.checked_limb_poses(arguments, recording, progress)
     out = arguments.outputs.folder(arguments.out)
-    arguments.outputs.data = data_provenance.lines(data_provenance.marks(recording))
+    arguments.outputs.data = data_provenance.mark_lines(data_provenance.content_marks(recording))
     recording_tables.write_bytes(out / "rig.toml", read_bytes(recording.folder / "rig.toml"))
     poses = Poses(found.frames, found.T_base_platform, found.covariance)
     recording_tables.write_poses(out / "poses.csv", poses)
     recording_tables.write_angles(out / "rpy.csv", poses)
     recording_tables.copy_times(recording.folder, out, recording.exposures, recording.origin)
-    position, rotation = uncertainty(found.covariance)
+    position, rotation = rms_uncertainty(found.covariance)
     print(f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of which readings "
-          f"{uncertainty(found.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; it agreed with vision over {accepted.agreement.n} poses")
+          f"{rms_uncertainty(found.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; it agreed with vision over {accepted.agreement.n} poses")
     print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), rig.toml as stated")
 
 
 def _result(recording: Recording, measured: Measurement, held: Any, uncertainties: tuple[float, float]) -> dict[str, Any]:
     """What --json prints. uncertainties : m and rad"""
-    from rig.model.pose import vector
+    from rig.model.pose import pose_to_vector
 
     pairs = zip(recording.design.cameras, measured.design.cameras)
     cameras = [{"name": camera.name, "matrix": camera.matrix.tolist(), "distortion": camera.distortion.tolist(),
-                "moved": vector(stated.pose.inv() * camera.pose).tolist()} for stated, camera in pairs]
+                "moved": pose_to_vector(stated.pose.inv() * camera.pose).tolist()} for stated, camera in pairs]
     return {"schema": "measured/1", "frames": len(recording.exposures.times()[0]), "solved": len(measured.frames),
             "unsolved": {str(frame): reason for frame, reason in measured.unsolved.items()}, "position_m": uncertainties[0],
             "rotation_rad": uncertainties[1], "corner_px": float(measured.noise), "corners": len(measured.inliers),
@@ -175,10 +175,10 @@ def _print_verdict(measured: Measurement, held: Any, uncertainties: tuple[float,
 
 def _print_cameras(stated_cameras: tuple[Camera, ...], cameras: tuple[Camera, ...]) -> None:
     """Print how far each camera stands from where its owner has it."""
-    from rig.model.pose import vector
+    from rig.model.pose import pose_to_vector
 
     for stated, camera in zip(stated_cameras, cameras):
-        step = vector(stated.pose.inv() * camera.pose)
+        step = pose_to_vector(stated.pose.inv() * camera.pose)
         print(f"camera {camera.name}: {(step[:3] ** 2).sum() ** 0.5 * 1e3:.3f} mm and {(step[3:] ** 2).sum() ** 0.5 * 1e3:.3f} mrad from "
               f"where rig.toml has it, focal length {camera.matrix[0, 0] - stated.matrix[0, 0]:+.2f} px")
 

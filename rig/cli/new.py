@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rig.cli.shared.output_options import add_force, length
-from rig.cli.shared.argument_parser import meant
+from rig.cli.shared.output_options import add_overwrite_option, parse_length
+from rig.cli.shared.argument_parser import suggestion_text
 from rig.errors import RigError
 
 KINDS = ("hexapod", "planar2", "arm")
@@ -23,7 +23,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--cameras", metavar="N", help="how many look at it")
     parser.add_argument("--size", metavar="WxH", help="of their images, px")
     parser.add_argument("--defaults", action="store_true", help=f"do not ask what has a default: hexapod, {CAMERAS} cameras, {SIZE}")
-    add_force(parser)
+    add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -40,8 +40,8 @@ def run(arguments: Namespace) -> None:
         arguments.mechanism = "arm"
     kind = _answer(arguments, "mechanism", "What moves? hexapod (six struts), planar2 (two struts in a plane), arm", "hexapod", _one_of(KINDS))
     if kind == "arm":
-        name = _answer(arguments, "arm", f"Which arm? {', '.join(shipped_arms.names())}", None, _one_of(shipped_arms.names()))
-        text, seen = shipped_arms.design(name), "its poses come from an instrument; see [instrument] in it"
+        name = _answer(arguments, "arm", f"Which arm? {', '.join(shipped_arms.shipped_arm_names())}", None, _one_of(shipped_arms.shipped_arm_names()))
+        text, seen = shipped_arms.shipped_arm_rig_toml(name), "its poses come from an instrument; see [instrument] in it"
     else:
         text, seen = _with_struts(arguments, kind)
     if place is None:
@@ -70,10 +70,10 @@ def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
     from rig.planning.layout import hexapod_layout, two_strut_layout
 
     question = "How large? radius of the circle of base joints" if kind == "hexapod" else "How large? half the distance of the base joints"
-    radius = _answer(arguments, "radius", f"{question}, with its unit, as 300mm", None, length)
+    radius = _answer(arguments, "radius", f"{question}, with its unit, as 300mm", None, parse_length)
     cameras = _answer(arguments, "cameras", "How many cameras look at it?", CAMERAS, _count)
     width, height = _answer(arguments, "size", "How large are their images, px?", SIZE, _size)
-    make = hexapod_layout.layout if kind == "hexapod" else two_strut_layout.layout
+    make = hexapod_layout.hexapod_layout if kind == "hexapod" else two_strut_layout.two_strut_layout
     return make(radius, cameras, width, height), f"{cameras} cameras and cubes stand where they see each other well"
 
 
@@ -103,7 +103,7 @@ def _answer(arguments: Namespace, name: str, question: str, default: str | None,
 def _one_of(names: list[str] | tuple[str, ...]) -> Callable[[str], str]:
     def read(text: str) -> str:
         if text not in names:
-            raise ValueError(f"expected {', '.join(names)}, not {text!r}{meant(text, names)}")
+            raise ValueError(f"expected {', '.join(names)}, not {text!r}{suggestion_text(text, names)}")
         return text
 
     return read

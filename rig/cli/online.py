@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared import recording_checks, simple_online_learners, limb_poses, refutation_marks
-from rig.cli.shared.output_options import Progress, add_page, add_recording, add_result, near, place_of_page, print_unsolved
-from rig.cli.shared.unlearnt_frames import fresh_of, not_learnt
+from rig.cli.shared.output_options import Progress, add_page, add_recording, add_result, page_links, page_path, print_unsolved
+from rig.cli.shared.unlearnt_frames import unlearnt_samples, unlearnt_frame_numbers
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from calib.certify.calibration_evidence import OfCalibrations
     from calib.online.change_detection import Change
     from calib.online.information_filter import Online, Update
-    from calib.report.online_page import Learnt
+    from calib.report.online_page import OnlineResult
     from calib.samples.recording_samples import Sampled
     from calib.files.calibration_file import Calibration
     from rig.model.design import Arm, Free, Hexapod, Planar2
@@ -36,7 +36,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--state", metavar="FILE", type=Path, help="go on from this state where it is there, and save it after the last pose")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
     add_page(parser)
-    recording_checks.argument(parser)
+    recording_checks.add_anyway_option(parser)
     simple_online_learners.arguments(parser)
     limb_poses.arguments(parser)
     add_result(parser)
@@ -46,29 +46,29 @@ def run(arguments: Namespace) -> None:
     """Learn the parameters from a recording's poses, one at a time, and say what jumped."""
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recording = recording_checks.loaded(arguments)
-    look = recording_checks.checked(recording, arguments.anyway)
+    recording = recording_checks.load_recording(arguments)
+    look = recording_checks.check_recording(recording, arguments.anyway)
     mechanism = recording.design.mechanism
     if mechanism.kind != "hexapod":
         raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
-    page = place_of_page(arguments)
+    page = page_path(arguments)
 
-    from calib.samples.confounded_conditions import of_recordings
+    from calib.samples.confounded_conditions import confounds_of_recordings
     from calib.online.information_filter import Online
 
     calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
-    sampled = partial(limb_poses.sampled, arguments, recording, progress, look)
+    sampled = partial(limb_poses.samples_by_limbs_or_vision, arguments, recording, progress, look)
     recording.commanded()  # a recording that nobody commanded is refused
-    confounds = of_recordings([recording])
+    confounds = confounds_of_recordings([recording])
     assert confounds is not None
     known_of = _of_calibrations(arguments, recording, calibration)
     if arguments.learner != simple_online_learners.WATCHING:
-        followed, arguments.result = simple_online_learners.follow(arguments, recording, sampled, calibration, state, progress)
+        followed, arguments.result = simple_online_learners.learn_poses(arguments, recording, sampled, calibration, state, progress)
         followed = replace(followed, confounds=confounds, calibrations=known_of)
-        from calib.report.online_page import judged
+        from calib.report.online_page import online_verdict
 
-        verdict = judged(followed)
+        verdict = online_verdict(followed)
         print(verdict.line)
         arguments.result |= {"verdict": verdict.tree(), "confounds": confounds.tree()}
         print(confounds.line())
@@ -76,7 +76,7 @@ def run(arguments: Namespace) -> None:
         return
     simple_online_learners.refuse_settings(arguments)
     known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
-    learner, learnt, arguments.result = learn(recording, sampled, known, calibration, progress, known_of)
+    learner, learnt, arguments.result = learn_recording(recording, sampled, known, calibration, progress, known_of)
     assert learnt.confounds is not None
     arguments.result["confounds"] = learnt.confounds.tree()
     print(learnt.confounds.line())
@@ -88,29 +88,29 @@ def run(arguments: Namespace) -> None:
 
 def _of_calibrations(arguments: Namespace, recording: Recording, calibration: Calibration | None) -> OfCalibrations:
     """OfCalibrations made from a recording that are beside it; and what the one that learning starts from leaves unexplained."""
-    from calib.certify.calibration_evidence import evidence
-    from calib.diagnose.calibration_left_out_physics import of_calibrations
-    from rig.recording.data_provenance import marks
+    from calib.certify.calibration_evidence import calibration_evidence
+    from calib.diagnose.calibration_left_out_physics import findings_against_calibrations
+    from rig.recording.data_provenance import content_marks
 
-    beside = of_calibrations(marks(recording), refutation_marks.near_by(recording.folder), True)
+    beside = findings_against_calibrations(content_marks(recording), refutation_marks.near_by(recording.folder), True)
     if calibration is None:
         return beside
-    start = evidence(calibration, refutation_marks.known(arguments.calibration)).unexplained
+    start = calibration_evidence(calibration, refutation_marks.read_refutations(arguments.calibration)).unexplained
     return beside._replace(unexplained=tuple(dict.fromkeys([*beside.unexplained, *start])))
 
 
-def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt: Learnt) -> None:
+def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt: OnlineResult) -> None:
     """Write the page, where one is asked for."""
     if page is None:
         return
-    from calib.report.online_page import learnt_page
+    from calib.report.online_page import write_online_page
 
-    learnt_page(page, recording.name, learnt, near(arguments, arguments.page))
+    write_online_page(page, recording.name, learnt, page_links(arguments, arguments.page))
     print(f"written: {arguments.page}")
 
 
-def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None,
-          progress: Progress, of_calibrations: OfCalibrations | None = None) -> tuple[Online, Learnt, dict[str, Any]]:
+def learn_recording(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None,
+          progress: Progress, of_calibrations: OfCalibrations | None = None) -> tuple[Online, OnlineResult, dict[str, Any]]:
     """The filter after a recording's poses that it has not learnt, and what they taught, which is said, and what --json prints of it.
 
     sampled : makes the Sampled of it; known : the filter to go on with, or None; calibration : where a new one starts from, or None
@@ -121,59 +121,59 @@ def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | 
     import numpy as np
 
     from calib.certify.calibration_evidence import ALONE
-    from calib.samples.confounded_conditions import of_recordings
+    from calib.samples.confounded_conditions import confounds_of_recordings
     from calib.models.platform.identification import parameters
     from calib.online.information_filter import Online
-    from calib.report.online_page import judged
+    from calib.report.online_page import online_verdict
     from rig.model.mechanism_kinds import hexapod_of
-    from rig.recording.data_provenance import flat, marks
+    from rig.recording.data_provenance import marks_of_frames, content_marks
 
-    of, mechanism = marks(recording), hexapod_of(recording.design.mechanism)
+    of, mechanism = content_marks(recording), hexapod_of(recording.design.mechanism)
     learnt = known.data if known is not None else set() if calibration is None else set(calibration.provenance.get("data", ()))
-    fresh = not_learnt(recording, of, learnt)
+    fresh = unlearnt_frame_numbers(recording, of, learnt)
     found = sampled()
-    samples = fresh_of(found.samples, fresh, recording)
+    samples = unlearnt_samples(found.samples, fresh, recording)
     shared = samples.common.shape[2]
     before = known.number if known is not None else 0
     if known is not None:
         known.new_session(shared)
     learner = known or (Online(mechanism, shared) if calibration is None else
                         Online(hexapod_of(calibration.correction.fitted), shared, calibration.scatter, calibration.covariance))
-    learner.data = learnt | set(flat(of, fresh))
+    learner.data = learnt | set(marks_of_frames(of, fresh))
     commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
     updates = []
     for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common):
         updates.append(learner.update(x, T, C, B))
         progress("learning", len(updates), len(samples))
     moved = float(np.sqrt(np.mean((learner.p - parameters(mechanism)) ** 2)))
-    taught = replace(_learnt(learner, updates, samples.frame, found.source, moved), confounds=of_recordings([recording]),
+    taught = replace(_learnt(learner, updates, samples.frame, found.source, moved), confounds=confounds_of_recordings([recording]),
                      calibrations=of_calibrations or ALONE)
-    print(judged(taught).line)
+    print(online_verdict(taught).line)
     _tell(learner, updates, samples.frame, f"{len(samples)} poses from {found.source}, learnt one at a time"
           + (f" after {before} before" if before else ""))
     print(f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml")
     print_unsolved(found.measurement)
-    return learner, taught, {**_result(learner, updates, samples.frame), "verdict": judged(taught).tree()}
+    return learner, taught, {**_result(learner, updates, samples.frame), "verdict": online_verdict(taught).tree()}
 
 
-def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: str, moved: float) -> Learnt:
-    """Learnt of updates by poses of frames (n,). moved : m RMS from rig.toml"""
+def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: str, moved: float) -> OnlineResult:
+    """OnlineResult of updates by poses of frames (n,). moved : m RMS from rig.toml"""
     import numpy as np
 
-    from calib.report.online_page import Learnt
+    from calib.report.online_page import OnlineResult
 
     first = updates[0].number
     changes = [change for update in updates for change in update.changes]
-    returning = {change.strut for change in changes if goes_back(changes, change.strut)}
-    told = [said(change, frames[max(change.onset - first, 0)], change.strut in returning) for change in changes]
+    returning = {change.strut for change in changes if changes_cancel(changes, change.strut)}
+    told = [change_sentence(change, frames[max(change.onset - first, 0)], change.strut in returning) for change in changes]
     dropped = [int(frames[number - first]) for update in updates for number in update.dropped if number >= first]
-    return Learnt(frames, np.array([update.innovation for update in updates]), source, told, dropped,
+    return OnlineResult(frames, np.array([update.innovation for update in updates]), source, told, dropped,
                   float(np.sqrt(np.mean(np.diag(learner.covariance)))), moved,
                   [f"strut {strut} goes back and forth: play or whatever else depends on the direction, no missed steps" for strut in sorted(
                       strut for strut in returning if strut is not None)])
 
 
-def goes_back(changes: Sequence[Change], strut: int | None) -> bool:
+def changes_cancel(changes: Sequence[Change], strut: int | None) -> bool:
     """Whether a strut's changes take each other back, as play does and steps that were missed do not."""
     sizes = [change.size for change in changes if change.strut == strut and isinstance(change.size, float)]
     return len(sizes) > 1 and abs(sum(sizes)) < RETURNS * sum(map(abs, sizes))
@@ -191,7 +191,10 @@ def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: st
         print("these are no few steps: something acts on the struts or the measurement that the geometry lacks")
     for update in updates:
         for change in update.changes:
-            print(f"frame {frames[update.number - first]}: {said(change, frames[max(change.onset - first, 0)], goes_back(changes, change.strut))}")
+            print(
+                f"frame {frames[update.number - first]}: "
+                f"{change_sentence(change, frames[max(change.onset - first, 0)], changes_cancel(changes, change.strut))}"
+            )
         for number in update.dropped:
             print(f"frame {frames[number - first]}: its pose agrees with no other and is left out")
     innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
@@ -227,7 +230,7 @@ def _calibration(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> Calib
     return found
 
 
-def said(change: Change, frame: int, returns: bool = False) -> str:
+def change_sentence(change: Change, frame: int, returns: bool = False) -> str:
     """A Change in words; frame : number of the first frame after it; returns : whether others of the same strut take it back"""
     if not isinstance(change.size, float):
         position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))

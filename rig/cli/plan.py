@@ -6,10 +6,20 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rig.cli.shared.output_options import SEED, Progress, add_force, add_page, add_result, file_or_stdout, length, near, place_of_page
+from rig.cli.shared.output_options import (
+    SEED,
+    Progress,
+    add_overwrite_option,
+    add_page,
+    add_result,
+    file_or_stdout,
+    parse_length,
+    page_links,
+    page_path,
+)
 from rig.errors import RigError
-from rig.report.verdict import Evidence, Missing, judge
-from rig.formats.number_parsing import number, whole
+from rig.report.verdict import Evidence, Missing, judge_evidence
+from rig.formats.number_parsing import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,21 +39,26 @@ def arguments(parser: ArgumentParser) -> None:
     asked.add_argument("--for", dest="purpose", choices=tuple(PURPOSES), help="what the plan is to find out")
     asked.add_argument("--separate", nargs=2, metavar=("EFFECT", "EFFECT"), help="which moves tell two effects apart, each written as for "
                        "rig simulate --effect, as large as it is expected: OUT gets t,l1..l6 of the best plan")
-    asked.add_argument("--promise", type=length, metavar="20um", help="the fewest and best poses after which the corrected machine keeps to so much, "
-                       "RMS over its workspace; beside those --given the next best ones, in the order in which they help")
+    asked.add_argument(
+        "--promise",
+        type=parse_length,
+        metavar="20um",
+        help="the fewest and best poses after which the corrected machine keeps to so much, "
+        "RMS over its workspace; beside those --given the next best ones, in the order in which they help",
+    )
     asked.add_argument("--parts", metavar="PARTS", help="parts of a plan as for rig simulate --plan, at whose exposures the struts stand, written as "
                        "configurations: axes:5,combined:4 goes along and about X, Y and Z, and turns while it moves along each")
-    parser.add_argument("--count", type=whole, default=60, help="configurations to choose (default 60)")
+    parser.add_argument("--count", type=parse_whole_number, default=60, help="configurations to choose (default 60)")
     parser.add_argument("--criterion", choices=("determinant", "noise"), default="determinant",
                         help="smallest volume of uncertainty (default), or smallest amplification of noise")
     parser.add_argument("--given", metavar="PATH", type=Path, help="what is visited already: a recording, or a table frame,l1..l6")
-    parser.add_argument("--sigma", nargs=2, type=number, default=(1e-5, 1e-4), metavar=("M", "RAD"),
+    parser.add_argument("--sigma", nargs=2, type=parse_number, default=(1e-5, 1e-4), metavar=("M", "RAD"),
                         help="standard deviation of a measured pose, per axis (default 1e-5 1e-4)")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="take the geometry from here, not from RIG.toml, and "
                         "leave out configurations whose poses the corrected machine does not reach")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="frame,l1..l6; `rig simulate --plan commands:FILE` runs it")
     add_page(parser)
-    add_force(parser)
+    add_overwrite_option(parser)
     add_result(parser)
 
 
@@ -59,27 +74,27 @@ class Made(NamedTuple):
 
 def run(arguments: Namespace) -> None:
     """Choose configurations, write them, and say what they make visible."""
-    page = place_of_page(arguments)
+    page = page_path(arguments)
     asked = _promise if arguments.promise else _separate if arguments.separate else _parts if arguments.parts else PURPOSES[arguments.purpose]
     made = asked(arguments)
-    from calib.certify.calibration_evidence import separable
-    from calib.samples.confounded_conditions import of_configurations
-    from rig.planning.plan import strokes_of
+    from calib.certify.calibration_evidence import confound_sentences
+    from calib.samples.confounded_conditions import confounds_of_configurations
+    from rig.planning.plan import axis_strokes
 
-    confounds = None if arguments.separate or not len(made.values) else of_configurations(
-        made.values, strokes_of(made.design).mean(axis=1), made.design.mechanism)
+    confounds = None if arguments.separate or not len(made.values) else confounds_of_configurations(
+        made.values, axis_strokes(made.design).mean(axis=1), made.design.mechanism)
     unseen = (Missing("not all that is asked becomes visible"),) if made.state != "good" else ()
-    verdict = judge(Evidence(made.why, missing=unseen, confounds=separable(confounds)))
+    verdict = judge_evidence(Evidence(made.why, missing=unseen, confounds=confound_sentences(confounds)))
     print("\n".join(filter(None, [*made.said, *([] if confounds is None else [confounds.line()])])))
     axes = list(made.design.mechanism.axes)
     arguments.result = {"schema": "planned/1", "verdict": verdict.tree(), "state": made.state, "why": made.why,
                         "said": [line for line in made.said if line], "axes": axes,
                         "values": made.values.tolist(), "confounds": confounds and confounds.tree()}
     if page is not None:
-        from calib.report.plan_page import Planned, planned_page
+        from calib.report.plan_page import PlanResult, write_plan_page
 
-        told = Planned(made.design, made.values, verdict, made.said)
-        planned_page(page, str(arguments.out), told, near(arguments, arguments.page))
+        told = PlanResult(made.design, made.values, verdict, made.said)
+        write_plan_page(page, str(arguments.out), told, page_links(arguments, arguments.page))
     kept = ", which stays as it was" if arguments.out.is_file() else ""
     written = f"written: {arguments.out}" if len(made.values) else f"nothing is written to {arguments.out}{kept}"
     print(written + (f"; look at {arguments.page}" if page else ""))
@@ -89,7 +104,7 @@ def _promise(arguments: Namespace) -> Made:
     """Write the fewest configurations that keep a promise; nothing where it is met without any."""
     from rig.formats.rig_toml import design_file
     from rig.recording import recording_tables
-    from rig.formats.number_rounding import quantity
+    from rig.formats.number_rounding import quantity_text
 
     design = design_file.load(arguments.design)
     mechanism = design.mechanism
@@ -97,17 +112,22 @@ def _promise(arguments: Namespace) -> Made:
         raise RigError(f"plans for a promise are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
     out = arguments.outputs.file(arguments.out)
 
-    from calib.models.platform.fewest_configurations import fewest
+    from calib.models.platform.fewest_configurations import fewest_configurations
 
     mechanism, avoided = _calibrated(arguments, mechanism)
     given = _given(arguments.given, mechanism) if arguments.given else None
     progress = Progress()
-    found = fewest(mechanism, arguments.promise, arguments.sigma, given, SEED, lambda done, of: progress("choosing", done, of), avoided)
+    found = fewest_configurations(
+        mechanism, arguments.promise, arguments.sigma, given, SEED, lambda done, of: progress("choosing", done, of), avoided
+    )
     progress.close()
     count, visited = len(found.commands), 0 if given is None else len(given)
     if not count:
         met = f"by the {visited} configurations given" if visited else "by the geometry as it is stated, with no configuration visited"
-        said = [f"the promise of {quantity(arguments.promise, 'm')} is met {met}: {quantity(found.left[0], 'm')} left; there is nothing to visit"]
+        said = [
+            f"the promise of {quantity_text(arguments.promise, 'm')} is met {met}: {quantity_text(found.left[0], 'm')} left; there is nothing to "
+            f"visit"
+        ]
     else:
         recording_tables.write_configurations(out, mechanism.axes, found.commands)
         said = [f"{count} configurations beside {visited} given keep {arguments.promise * 1e6:.4g} um: {found.left[0] * 1e6:.4g} -> "
@@ -123,18 +143,18 @@ def _parts(arguments: Namespace) -> Made:
     from rig.formats.rig_toml import design_file
     from rig.model import mechanisms
     from rig.recording import recording_tables
-    from rig.planning.plan import build
-    from rig.model.pose import difference
-    from rig.driving.run_steps import steps
+    from rig.planning.plan import build_plan
+    from rig.model.pose import pose_difference
+    from rig.driving.run_steps import steps_of_plan
 
     if arguments.calibration or arguments.given:
         raise RigError("--parts are visited as they are; --calibration and --given are for plans that are chosen")
     design = design_file.load(arguments.design)
-    mechanism, goals = design.mechanism, [step.goal for step in steps(build(design, arguments.parts, SEED)) for _ in range(step.frames)]
+    mechanism, goals = design.mechanism, [step.goal for step in steps_of_plan(build_plan(design, arguments.parts, SEED)) for _ in range(step.frames)]
     recording_tables.write_configurations(arguments.outputs.file(arguments.out), mechanism.axes, goals)
     said = [f"{len(goals)} configurations of {arguments.parts}"]
     if mechanism.kind == "hexapod":
-        moved = difference(mechanism.home, mechanisms.of(mechanism).forward(np.array(goals), mechanism)) * 1e3
+        moved = pose_difference(mechanism.home, mechanisms.kinematics_of(mechanism).forward(np.array(goals), mechanism)) * 1e3
         low, high = moved.min(axis=0), moved.max(axis=0)
         said.append("from home, in the platform's axes: " + ", ".join(f"{name} {a:+.1f} .. {b:+.1f} {unit}" for name, unit, a, b in zip(
             ("x", "y", "z", "rx", "ry", "rz"), ("mm",) * 3 + ("mrad",) * 3, low, high)))
@@ -149,14 +169,14 @@ def _separate(arguments: Namespace) -> Made:
 
     from rig.formats.rig_toml import design_file
     from rig.recording import recording_tables
-    from rig.effects.texts.effect_text import parse, placed
-    from rig.planning.plan import build, logged
-    from synthetic.secret_machine import temperatures
+    from rig.effects.texts.effect_text import parse_effect, require_place
+    from rig.planning.plan import build_plan, add_payload_channel
+    from synthetic.secret_machine import draw_temperatures
 
     if arguments.calibration:
         raise RigError("--calibration is for plans of --for and --promise; effects are told apart by RIG.toml's own geometry")
     design = design_file.load(arguments.design)
-    effects = [placed(parse(text), design) for text in arguments.separate]
+    effects = [require_place(parse_effect(text), design) for text in arguments.separate]
     seen = [effect.name for effect in effects if effect.stage in ("targets", "view")]
     if seen:
         raise RigError(f"{', '.join(seen)} changes what is seen, not how the platform moves: no plan of moves tells it; see its own experiment in "
@@ -164,16 +184,16 @@ def _separate(arguments: Namespace) -> Made:
     if not design.mechanism.axes:
         raise RigError(f"plans to separate effects are for what is commanded, not for a mechanism of kind {design.mechanism.kind!r}")
     if design.mechanism.kind == "hexapod":
-        from calib.diagnose.problems.platform.effect_separation import separation
+        from calib.diagnose.problems.platform.effect_separation import effect_separation
     else:
-        from calib.diagnose.problems.arm.effect_separation import separation
+        from calib.diagnose.problems.arm.effect_separation import effect_separation
     out = arguments.outputs.file(arguments.out)
     trials = []
     moves = [text for text in MOVES if design.mechanism.kind == "hexapod" or not text.startswith("axes")]
     for text in (*moves, *(",".join(pair) for pair in combinations(moves, 2))):
-        plan = build(design, text, SEED)
-        sensors, _ = temperatures(plan.commands.t[-1], np.random.default_rng(SEED))
-        trials.append((separation(text, design, plan.commands, plan.t, logged(plan, sensors), effects, arguments.sigma), plan))
+        plan = build_plan(design, text, SEED)
+        sensors, _ = draw_temperatures(plan.commands.t[-1], np.random.default_rng(SEED))
+        trials.append((effect_separation(text, design, plan.commands, plan.t, add_payload_channel(plan, sensors), effects, arguments.sigma), plan))
     trials.sort(key=lambda trial: -trial[0].misfit / np.sqrt(trial[0].frames))
     said = ["misfit, in standard deviations, of the wrong model at its best (and for 100 exposures):"]
     said += [f"  {found.misfit:9.1f} {found.misfit * 10 / np.sqrt(found.frames):9.1f}   cosine {found.cosine:6.3f}   {found.plan}"
@@ -203,8 +223,8 @@ def _parameters(arguments: Namespace) -> Made:
     if not isinstance(mechanism, Hexapod):
         return _of_any(arguments, design, mechanism, out)
 
-    from calib.models.platform.d_optimal_configurations import choose
-    from calib.models.platform.parameter_observability import PLAUSIBLE, combinations
+    from calib.models.platform.d_optimal_configurations import choose_configurations as choose
+    from calib.models.platform.parameter_observability import PLAUSIBLE, parameter_combinations as combinations
 
     mechanism, avoided = _calibrated(arguments, mechanism)
     given = _given(arguments.given, mechanism) if arguments.given else None
@@ -235,14 +255,16 @@ def _of_any(arguments: Namespace, design: Design, mechanism: Arm | Chain | Plana
     """Write the configurations that tell most of a machine's parameters, of those in which cameras see it."""
     from functools import partial
 
-    from calib.experiment.informative_configurations import FEWEST, choose
+    from calib.experiment.informative_configurations import FEWEST, informative_configurations as choose
     from rig.recording import recording_tables
-    from vision.predict import shown
+    from vision.predict import visible_marker_counts
     from vision.targets import marker_map
 
     if arguments.calibration or arguments.given or arguments.criterion != "determinant":
         raise RigError("--calibration, --given and --criterion noise are for hexapods")
-    looked = partial(shown, design.cameras, markers=marker_map(design.without_stages())) if design.cameras and design.targets else None
+    looked = (
+        partial(visible_marker_counts, design.cameras, markers=marker_map(design.without_stages())) if design.cameras and design.targets else None
+    )
     progress = Progress()
     found = choose(mechanism, arguments.count, arguments.sigma, looked, SEED, lambda done, of: progress("choosing", done, of))
     progress.close()
@@ -269,12 +291,12 @@ def _calibrated(arguments: Namespace, mechanism: Hexapod) -> tuple[Hexapod, Avoi
     from functools import partial
 
     from calib.files import calibration_file
-    from calib.workspace.reachable_poses import lost
+    from calib.workspace.reachable_poses import is_pose_lost
 
     correction = calibration_file.load(arguments.calibration).correction
     if correction.fitted.kind != "hexapod":
         raise RigError(f"{arguments.calibration} is a calibration of a mechanism of kind {correction.fitted.kind!r}, not of a hexapod")
-    return correction.fitted, partial(lost, correction)
+    return correction.fitted, partial(is_pose_lost, correction)
 
 
 def _along(root: np.ndarray, direction: np.ndarray) -> float:

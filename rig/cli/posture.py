@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import posture_force
-from rig.cli.shared.output_options import SEED, add_force, add_json, file_or_stdout, numbers, print_json
+from rig.cli.shared.output_options import SEED, add_overwrite_option, add_json, file_or_stdout, parse_numbers, print_json
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.formats.number_parsing import number
+from rig.formats.number_parsing import parse_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,14 +36,14 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--moment", nargs="+", action="extend", default=[], metavar="AXIS", help="x, y or z: directions of moment that count")
     parser.add_argument("--norm", choices=("2", "inf"), default="2", help="of a direction's column of the transposed Jacobian")
     parser.add_argument("--whole", choices=("det", "norm"), default="det", help="with no direction chosen: det(J J^T) or the norm of J^T")
-    parser.add_argument("--above", type=number, metavar="LIMIT", help="stop as soon as the measure exceeds this (0: as long as it is not zero)")
+    parser.add_argument("--above", type=parse_number, metavar="LIMIT", help="stop as soon as the measure exceeds this (0: as long as it is not zero)")
     parser.add_argument("--hold", choices=("pose", "position", "orientation"), default="pose", help="what of the hand stays")
     posture_force.arguments(parser)
     parser.add_argument("--from", dest="start", nargs="+", metavar="Q", help="joint angles now, rad; by default a solution of the pose")
     parser.add_argument("--motion", choices=("end", "way"), default="end", help="take the posture when the hand has arrived, or on its way")
-    parser.add_argument("--speed", type=number, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out")
+    parser.add_argument("--speed", type=parse_number, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="commands.csv of the motion into the posture")
-    add_force(parser, "--overwrite")
+    add_overwrite_option(parser, "--overwrite")
     add_json(parser)
 
 
@@ -68,9 +68,9 @@ def run(arguments: Namespace) -> None:
     else:
         tree = _searched(arguments, arm, wish, out)
     if wanted is not None:
-        tree["exert"] = posture_force.tree(np.array(tree["q"]), arm, wanted)
+        tree["exert"] = posture_force.exertion_dict(np.array(tree["q"]), arm, wanted)
         if draw:
-            write_text(draw, posture_force.drawn(np.array(tree["q"]), arm, wanted))
+            write_text(draw, posture_force.exertion_svg(np.array(tree["q"]), arm, wanted))
     if arguments.json:
         print_json(tree)
     else:
@@ -83,10 +83,10 @@ def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
     from rig.planning.layout import shipped_arms
     from rig.model.mechanism_kinds import arm_of
 
-    path = shipped_arms.path(arguments.arm)
+    path = shipped_arms.shipped_arm_path(arguments.arm)
     design, dynamics = arm_dynamics.load(path)
     arm = arm_of(design.mechanism)
-    return path, arm, posture_force.wanted(arguments, arm, dynamics, design.gravity, path)
+    return path, arm, posture_force.requested_exertion(arguments, arm, dynamics, design.gravity, path)
 
 
 def _among(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | None) -> dict:
@@ -97,8 +97,8 @@ def _among(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | No
 
     if arguments.start or arguments.above is not None or arguments.motion == "way":
         raise RigError("--among goes back to a posture from where the recording ends; --from, --above and --motion are for searches")
-    numbered = numbers(arguments.pose, 6, "--pose") if arguments.pose else None
-    found = visited_postures.among(
+    numbered = parse_numbers(arguments.pose, 6, "--pose") if arguments.pose else None
+    found = visited_postures.best_visited_posture(
         recording_folder.load(arguments.among), arm, wish, arguments.hold, None if numbered is None else pose(numbered[:3], numbered[3:])
     )
     if out:
@@ -114,15 +114,15 @@ def _searched(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path |
     import numpy as np
 
     from rig.model.mechanisms import arm as mechanism
-    from rig.model.pose import difference, pose
+    from rig.model.pose import pose_difference, pose
     from rig.posture import posture_transition
 
     if not arguments.pose:
         raise RigError("--pose says where the hand is; without it, --among names a recording")
-    n, numbered = len(arm.axes), numbers(arguments.pose, 6, "--pose")
+    n, numbered = len(arm.axes), parse_numbers(arguments.pose, 6, "--pose")
     wanted = pose(numbered[:3], numbered[3:])
-    now = np.array(numbers(arguments.start, n, "--from")) if arguments.start else None
-    arrived = now is not None and np.abs(difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
+    now = np.array(parse_numbers(arguments.start, n, "--from")) if arguments.start else None
+    arrived = now is not None and np.abs(pose_difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
     if now is not None and not arrived and arguments.motion == "end":
         raise RigError("--from has the hand elsewhere than --pose: bring it there first, or take the posture on the way (--motion way)")
     first = now if now is not None and arrived else mechanism.inverse(wanted, arm, now)
@@ -130,8 +130,14 @@ def _searched(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path |
     found, name, k = _best(arguments, arm, wish, first, starts)
     best = found[name]
     if out:
-        _write(out, arguments, arm, posture_transition.on_the_way(now if now is not None else first, best.q[k], arm) if arguments.motion == "way" else
-               posture_transition.at_the_end(starts[k], best.q[k], arm, arguments.hold))
+        _write(
+            out,
+            arguments,
+            arm,
+            posture_transition.motion_with_straight_hand(now if now is not None else first, best.q[k], arm)
+            if arguments.motion == "way"
+            else posture_transition.motion_with_hand_still(starts[k], best.q[k], arm, arguments.hold),
+        )
     tree = _tree(arm, wish, best.q[k], starts[k], (float(best.value[k]), float(best.start[k])))
     tree |= {"search": name, "joint_solutions_searched": len(starts), "values": {key: float(f.value[k]) for key, f in found.items()}}
     if "global" in found:
@@ -147,8 +153,8 @@ def _best(arguments: Namespace, arm: Arm, wish: Wish | Exertion, first: np.ndarr
     from rig.posture import null_space_search
     from rig.posture.exertable_wrench import Exertion
 
-    if null_space_search.spare(arm, arguments.hold) < 1 and isinstance(wish, Exertion):
-        found = {"solutions": null_space_search.solutions(starts, arm, wish)}
+    if null_space_search.redundant_joint_count(arm, arguments.hold) < 1 and isinstance(wish, Exertion):
+        found = {"solutions": null_space_search.given_postures(starts, arm, wish)}
         return found, "solutions", int(found["solutions"].value.argmax())
     found = {"gradient": null_space_search.gradient_search(starts, arm, wish, arguments.hold, arguments.above)}
     if arguments.above is not None:
@@ -157,7 +163,7 @@ def _best(arguments: Namespace, arm: Arm, wish: Wish | Exertion, first: np.ndarr
             raise RigError(f"no posture found whose measure exceeds {arguments.above:g}; the best reaches {found['gradient'].value.max():.6g}")
         return found, "gradient", int(enough[np.abs(found["gradient"].q[enough] - first).max(axis=1).argmin()])  # the least motion will do
     found["sampled"] = null_space_search.sampled_search(starts, arm, wish, np.random.default_rng(SEED), arguments.hold)
-    if null_space_search.spare(arm, arguments.hold) == 1:
+    if null_space_search.redundant_joint_count(arm, arguments.hold) == 1:
         found["global"] = null_space_search.global_search(starts, arm, wish, arguments.hold)
     name, k = max(((name, int(f.value.argmax())) for name, f in found.items()), key=lambda pair: found[pair[0]].value[pair[1]])
     return found, name, k
@@ -196,7 +202,7 @@ def _write(out: Path, arguments: Namespace, arm: Arm, rows: np.ndarray) -> None:
     from rig.recording import recording_tables
     from rig.posture import posture_transition
 
-    t = posture_transition.timed(rows, arguments.speed)
+    t = posture_transition.row_times(rows, arguments.speed)
     lines = [",".join([f"{moment:.6f}", *(f"{angle:.12f}" for angle in angles)]) for moment, angles in zip(t, rows)]
     recording_tables.write_table(out, ("t", *arm.axes), lines)
 
@@ -207,19 +213,19 @@ def _tree(arm: Arm, wish: Wish | Exertion, q: np.ndarray, start: np.ndarray, val
 
     from rig.model import mechanisms
     from rig.model.mechanisms import arm as mechanism
-    from rig.model.pose import difference
+    from rig.model.pose import pose_difference
     from rig.posture import force_transmission
     from rig.posture.exertable_wrench import Exertion
 
     low, high = arm.limits.T
-    moved = difference(mechanism.forward(start, arm), mechanism.forward(q, arm))
+    moved = pose_difference(mechanism.forward(start, arm), mechanism.forward(q, arm))
     told = force_transmission.Wish() if isinstance(wish, Exertion) else wish
     return {"schema": "posture/1", "unit": "rad, m", "directions": list(told.directions) or "all", "norm": str(told.norm),
             "measure": "greatest multiple" if isinstance(wish, Exertion) else "smallest column of J^T" if told.directions else told.whole,
-            "q": q.tolist(), "q_units": list(mechanisms.units(arm)), "value": values[0], "start": {"q": start.tolist(), "value": values[1]},
+            "q": q.tolist(), "q_units": list(mechanisms.axis_units(arm)), "value": values[0], "start": {"q": start.tolist(), "value": values[1]},
             "hand_moved": {"position": float(np.linalg.norm(moved[:3])), "rotation": float(np.linalg.norm(moved[3:]))},
             "at_limit": (np.flatnonzero((q <= low + 1e-6) | (q >= high - 1e-6)) + 1).tolist(),
-            "columns": dict(zip(told.directions or force_transmission.DIRECTIONS, force_transmission.columns(q, arm, told).tolist()))}
+            "columns": dict(zip(told.directions or force_transmission.DIRECTIONS, force_transmission.direction_norms(q, arm, told).tolist()))}
 
 
 def _table(tree: dict, arguments: Namespace) -> str:
@@ -242,7 +248,7 @@ def _table(tree: dict, arguments: Namespace) -> str:
                      f"{tree['joint_solutions_searched']} joint solutions were searched")
     elif arguments.above is None and tree["search"] not in ("among", "solutions"):
         lines.append("no certificate: the self-motion has more than one dimension and cannot be traced whole")
-    lines += posture_force.lines(tree["exert"], tuple("Nm" if unit == "rad" else "N" for unit in units)) if "exert" in tree else []
+    lines += posture_force.exertion_lines(tree["exert"], tuple("Nm" if unit == "rad" else "N" for unit in units)) if "exert" in tree else []
     if arguments.out:
         lines.append(f"motion written to {arguments.out}")
     if arguments.draw:

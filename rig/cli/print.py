@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_force, file_or_stdout, length, require_drawing
+from rig.cli.shared.output_options import add_overwrite_option, file_or_stdout, parse_length, require_drawing
 
 if TYPE_CHECKING:
     from rig.model.design import Design
@@ -18,8 +18,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--paper", default="A4", help="A4 (the default), Letter, A3, Tabloid, A2, A1 or A0; a net too large for it is "
                         "split over sheets")
     parser.add_argument("--stl", metavar="DIR", type=Path, help="gets a solid body for each cube to glue the faces on (NAME.stl, mm)")
-    parser.add_argument("--paper-thickness", metavar="0.1mm", type=length, default=1e-4, help="by which a body is smaller on each side (0.1mm)")
-    add_force(parser)
+    parser.add_argument("--paper-thickness", metavar="0.1mm", type=parse_length, default=1e-4, help="by which a body is smaller on each side (0.1mm)")
+    add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -31,9 +31,9 @@ def run(arguments: Namespace) -> None:
     out = arguments.outputs.file(arguments.out)
     folder = arguments.outputs.folder(arguments.stl) if arguments.stl else None
 
-    from synthetic.print_sheets import sheets
+    from synthetic.print_sheets import write_sheets
 
-    for line in sheets(design, out, arguments.paper):
+    for line in write_sheets(design, out, arguments.paper):
         print(line)
     print(f"written: {arguments.out}. Print at 100 %, without fitting to the page, and hold a ruler to the rulers on each sheet.")
     if folder is not None:
@@ -42,9 +42,9 @@ def run(arguments: Namespace) -> None:
 
 def _bodies(arguments: Namespace, design: "Design", folder: Path) -> None:
     from rig.formats.output_files import write_bytes
-    from synthetic.cube_stl import bodies
+    from synthetic.cube_stl import cube_stl_files
 
-    found = bodies(design, arguments.paper_thickness)
+    found = cube_stl_files(design, arguments.paper_thickness)
     for name, data in found.items():
         write_bytes(folder / f"{name}.stl", data)
     print(f"written: {len(found)} bodies in {arguments.stl}, mm, smaller on each side by the paper's {arguments.paper_thickness * 1e3:g} mm")

@@ -15,7 +15,7 @@ from rig.cli.shared.output_options import SEED, add_driving
 from rig.driving.operator_advice import TRUST
 from rig.errors import PositionLost, RigError
 from rig.formats.output_files import write_bytes
-from rig.formats.number_parsing import number, whole
+from rig.formats.number_parsing import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,7 +34,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_driving(parser)
     parser.add_argument("--plan", required=True, help="as for rig simulate, of parts at whose exposures the struts stand: "
                         "sobol:40,ladder,repeat:20, or commands:FILE (frame,l1..l6 as rig correct and rig plan --for write it)")
-    parser.add_argument("--seed", type=whole, default=SEED, help="of the plan")
+    parser.add_argument("--seed", type=parse_whole_number, default=SEED, help="of the plan")
     parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; a new folder, or with --resume the one to go on with")
     parser.add_argument("--resume", action="store_true", help="go on with REC from where the struts stand")
     parser.add_argument("--dry-run", action="store_true", help="check the plan, say what would be done, and move nothing")
@@ -44,32 +44,32 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--exposure", metavar="SECONDS", help="of all cameras; by default so that markers are bright and do not clip; "
                         '"keep" leaves them as they are')
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="what poses are expected, and held against for drift")
-    parser.add_argument("--tolerance", nargs=2, type=number, metavar=("M", "RAD"), help="drift from the calibration that is said")
+    parser.add_argument("--tolerance", nargs=2, type=parse_number, metavar=("M", "RAD"), help="drift from the calibration that is said")
     parser.add_argument("--stop-on", default="", metavar="WHAT,..", help=f"end the run on {', '.join(KINDS)}; by default they are only said")
     parser.add_argument("--no-measure", action="store_true", help="take images only")
     limb_poses.arguments(parser)
-    parser.add_argument("--page", nargs="?", type=whole, const=0, metavar="PORT",
+    parser.add_argument("--page", nargs="?", type=parse_whole_number, const=0, metavar="PORT",
                         help="show the run on a page of this computer, with a button to stop it")
 
 
 def run(arguments: Namespace) -> int:
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
-    from rig.driving.cameras.settling_check import settling
-    from rig.cli.shared.controller_session import design_of
-    from rig.model.cube_quarter_turns import to_do, turned
-    from rig.planning.plan import build
-    from rig.driving.run_steps import steps
+    from rig.driving.cameras.settling_check import parse_settling
+    from rig.cli.shared.controller_session import design_with_controller
+    from rig.model.cube_quarter_turns import turning_instructions, quarter_turns
+    from rig.planning.plan import build_plan
+    from rig.driving.run_steps import steps_of_plan
 
-    design = design_of(arguments.design, arguments.port)
-    plan = build(design, arguments.plan, arguments.seed)
-    planned = steps(plan)
-    todo = to_do(dict(plan.turned), turned(design))
+    design = design_with_controller(arguments.design, arguments.port)
+    plan = build_plan(design, arguments.plan, arguments.seed)
+    planned = steps_of_plan(plan)
+    todo = turning_instructions(dict(plan.turned), quarter_turns(design))
     if todo:
         raise RigError(f"the plan is for a cube put back turned; {'; '.join(todo)}, and say so in {arguments.design} under [turned]")
-    settle, options = settling(arguments.settle), _options(arguments)
-    limb_poses.refuse_check(arguments)
+    settle, options = parse_settling(arguments.settle), _options(arguments)
+    limb_poses.check_interval(arguments)
     if arguments.limbs is not None:
-        limb_poses.in_force(arguments, design)
+        limb_poses.accepted_limbs_for_run(arguments, design)
     if arguments.dry_run:
         _dry_run(design, planned)
         return 0
@@ -89,7 +89,7 @@ def _options(arguments: Namespace) -> tuple[float | str | None, frozenset[str]]:
     exposure = arguments.exposure
     if exposure not in (None, "keep"):
         try:
-            exposure = number(exposure)
+            exposure = parse_number(exposure)
         except ValueError:
             exposure = 0.0
         if not 0 < exposure <= 10:
@@ -104,12 +104,12 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
     from rig.cli.shared.controller_session import lengths_text
     from rig.driving.emulators.emulator_construction import home_lengths
     from rig.model.mechanism_kinds import struts_of
-    from rig.driving.run_steps import check, distances
+    from rig.driving.run_steps import check_steps, step_distances
 
     c = design.driver()
     start = c.home if c.home is not None else home_lengths(struts_of(design.mechanism))
-    check(planned, start, check_move(design))
-    way = distances(planned, start)
+    check_steps(planned, start, check_move(design))
+    way = step_distances(planned, start)
     for k, step in enumerate(planned):
         exposed = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
         print(f"step {k + 1}: {lengths_text(step.goal)}, {way[k] * 1e3:.1f} mm to go, {exposed}")
@@ -148,14 +148,14 @@ def _place(arguments: Namespace) -> None:
 
 def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle: Settling, options: tuple) -> int:
     from rig.driving.clock import SystemClock
-    from rig.cli.shared.run_equipment import bench_of, set_exposures, shutter_of
-    from rig.cli.shared.controller_session import driving, settled_status
+    from rig.cli.shared.run_equipment import run_equipment, set_exposures, open_cameras
+    from rig.cli.shared.controller_session import open_driver, settled_status
     from rig.cli.shared.run_observation import Stopping
-    from rig.cli.shared.compilation_warm_up import warm
-    from rig.cli.shared.run_observation_options import displays_of, looking_of
+    from rig.cli.shared.compilation_warm_up import warm_up
+    from rig.cli.shared.run_observation_options import run_displays, run_observation
     from rig.driving.run_journal import Began, Journal
     from rig.driving.operator_loop import Operator
-    from rig.driving.run_steps import check
+    from rig.driving.run_steps import check_steps
 
     clock, (exposure, stop_on) = SystemClock(), options
     with ExitStack() as stack:
@@ -165,12 +165,12 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
         fresh = not journal.rows
         if not fresh:
             _same(_began(journal), planned, arguments)
-        shutter = shutter_of(design, clock)
+        shutter = open_cameras(design, clock)
         stack.callback(shutter.close)
         told: list[Callable[[str], None]] = [print]  # who takes what the driver says: the terminal, then the journal too
         if not arguments.no_measure:
-            Thread(target=warm, args=(design,), daemon=True).start()
-        driver = stack.enter_context(driving(design, arguments.trace, lambda text: _tell(told, text), clock))
+            Thread(target=warm_up, args=(design,), daemon=True).start()
+        driver = stack.enter_context(open_driver(design, arguments.trace, lambda text: _tell(told, text), clock))
         status = settled_status(driver, clock)
         if arguments.no_home and not status.known:
             driver.trust()
@@ -181,16 +181,16 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
         if homes:
             print("homing")
             status = driver.home()
-        check(planned, status.lengths, check_move(design))
-        bench = bench_of(design, driver, shutter, settle, clock)
+        check_steps(planned, status.lengths, check_move(design))
+        bench = run_equipment(design, driver, shutter, settle, clock)
         for line in set_exposures(shutter, design, exposure) if exposure != "keep" else ():
             print(line)
         if fresh:
             write_bytes(arguments.out / "rig.toml", arguments.design.read_bytes())
             journal.append(Began(0.0, clock.now(), len(planned), _hash(planned), tuple(map(float, status.lengths))))
         origin = _origin(journal, clock)
-        looking = looking_of(arguments, design, planned, status.lengths, clock, Stopping(stop_on, driver.stop))
-        looking.displays += stack.enter_context(displays_of(arguments, looking))
+        looking = run_observation(arguments, design, planned, status.lengths, clock, Stopping(stop_on, driver.stop))
+        looking.displays += stack.enter_context(run_displays(arguments, looking))
         operator = Operator(bench, planned, journal, design.mechanism.axes, origin, looking)
         looking.note, told[:] = operator.remark, [operator.remark, lambda text: looking.update(phase=text)]
         try:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import user_effects_option
-from rig.cli.shared.output_options import Progress, add_force
+from rig.cli.shared.output_options import Progress, add_overwrite_option
 from rig.errors import RigError
-from rig.formats.number_parsing import number, whole
+from rig.formats.number_parsing import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.model.design import Sensor
@@ -31,35 +31,35 @@ def arguments(parser: ArgumentParser) -> None:
                         "combined:N, ladder:N, payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, "
                         "turn:CUBE (before all others: that cube is put back turned by a quarter turn), commands:FILE; or standard (the default)")
     parser.add_argument("--effect", action="append", default=[], metavar="NAME:PLACE:PARAMETER=VALUE,..", help="left-out physics; may be repeated")
-    user_effects_option.argument(parser)
-    parser.add_argument("--noise", type=number, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)")
+    user_effects_option.add_effects_option(parser)
+    parser.add_argument("--noise", type=parse_number, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--images", action="store_true", help="draw images (needs OpenGL)")
     kind.add_argument("--corners", action="store_true", help="write corners.csv (the default)")
-    parser.add_argument("--seed", type=whole, default=0, help="of the secret machine, the temperatures and the noise")
-    parser.add_argument("--secret", type=number, default=1.0, metavar="SIZE", help="size of the geometry's and cameras' errors (default 1)")
+    parser.add_argument("--seed", type=parse_whole_number, default=0, help="of the secret machine, the temperatures and the noise")
+    parser.add_argument("--secret", type=parse_number, default=1.0, metavar="SIZE", help="size of the geometry's and cameras' errors (default 1)")
     parser.add_argument("--machine", type=Path, metavar="TRUTH", help="take the machine, its cameras and effects from this truth file")
     parser.add_argument("--sensors", metavar="FILE", type=Path, help="sensors.csv of temperatures and payload as they are, in place of drawn ones")
     parser.add_argument("--out", metavar="REC", type=Path, required=True)
     parser.add_argument("--truth", metavar="FILE", type=Path, help="write the truth here (JSON)")
     parser.add_argument("--background", choices=("plain", "cluttered"), default="plain")
-    parser.add_argument("--compression", type=whole, default=1, choices=range(10), metavar="0..9", help="of the PNG files (default 1)")
-    add_force(parser)
+    parser.add_argument("--compression", type=parse_whole_number, default=1, choices=range(10), metavar="0..9", help="of the PNG files (default 1)")
+    add_overwrite_option(parser)
     for name, text in SENSOR.items():
-        parser.add_argument("--" + name.replace("_", "-"), type=whole if name in ("bits", "exposures") else number, help=text)
+        parser.add_argument("--" + name.replace("_", "-"), type=parse_whole_number if name in ("bits", "exposures") else parse_number, help=text)
 
 
 def run(arguments: Namespace) -> None:
     """Simulate a recording and write it, and its truth apart."""
     from rig.formats.rig_toml import design_file
-    from rig.effects.texts.effect_text import parse, placed, sized
+    from rig.effects.texts.effect_text import parse_effect, require_place, require_size
 
     if arguments.source is not None:
         return _again(arguments)
     if arguments.design is None:
         raise RigError("simulating takes a RIG.toml, or --from with the folder of a diagnosis")
-    design, kinds = design_file.load(arguments.design), user_effects_option.known(user_effects_option.plugins(arguments))
-    effects = tuple(sized(placed(parse(text, kinds), design)) for text in arguments.effect)
+    design, kinds = design_file.load(arguments.design), user_effects_option.known_effects(user_effects_option.load_effect_files(arguments))
+    effects = tuple(require_size(require_place(parse_effect(text, kinds), design)) for text in arguments.effect)
     sensor = replace(design.sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})
     _check(arguments, sensor)
     if design.instrument is None and not (design.cameras and design.targets):
@@ -70,23 +70,23 @@ def run(arguments: Namespace) -> None:
 
     import numpy as np
 
-    from rig.planning.plan import build
+    from rig.planning.plan import build_plan
     from rig.recording.recording_folder import load_sensors
     from synthetic import recording_simulation, secret_machine
     from synthetic.image_simulation import Images, check_drawable
 
     if arguments.images:
-        from synthetic.renderer import opengl
+        from synthetic.renderer import import_pyrender
 
         check_drawable(effects)
-        opengl()
+        import_pyrender()
     rng = np.random.default_rng(arguments.seed)
     if arguments.machine:
-        secret = secret_machine.from_truth(arguments.machine, design, kinds)
+        secret = secret_machine.world_from_truth(arguments.machine, design, kinds)
         secret = replace(secret, effects=secret.effects + effects)
     else:
-        secret = secret_machine.draw(design, rng, arguments.secret, effects)
-    plan = build(design, arguments.plan, arguments.seed)
+        secret = secret_machine.draw_machine(design, rng, arguments.secret, effects)
+    plan = build_plan(design, arguments.plan, arguments.seed)
     _places(arguments)
     out = arguments.outputs.folder(arguments.out)
     truth = arguments.outputs.file(arguments.truth) if arguments.truth else None
@@ -94,7 +94,7 @@ def run(arguments: Namespace) -> None:
     text = arguments.design.read_text(encoding="utf-8-sig")
     images = Images(sensor, arguments.background, arguments.compression) if arguments.images else None
     progress = Progress()
-    recording_simulation.write(done, out, text, rng, arguments.noise, images, lambda k, of: progress("drawing", k, of))
+    recording_simulation.write_recording(done, out, text, rng, arguments.noise, images, lambda k, of: progress("drawing", k, of))
     if truth is not None:
         more = {"corners": recording_simulation.truth_corners(done)} if images else {"noise_px": arguments.noise}
         secret_machine.write_truth(truth, secret, done.run.T_base_platform, seed=arguments.seed, **more)
@@ -120,10 +120,10 @@ def _again(arguments: Namespace) -> None:
     import numpy as np
 
     from synthetic import recording_simulation
-    from synthetic.diagnosis_replay import again
+    from synthetic.diagnosis_replay import replay_diagnosis
     from synthetic.image_simulation import Images
 
-    done = again(arguments.source, user_effects_option.known(user_effects_option.plugins(arguments)))
+    done = replay_diagnosis(arguments.source, user_effects_option.known_effects(user_effects_option.load_effect_files(arguments)))
     out = arguments.outputs.folder(arguments.out)
     sensor = next(iter(done.values())).world.true.sensor
     sensor = replace(sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})
@@ -131,7 +131,7 @@ def _again(arguments: Namespace) -> None:
     images = Images(sensor, arguments.background, arguments.compression) if arguments.images else None
     text = (arguments.source / "rig.toml").read_text(encoding="utf-8-sig")
     for kind, part in done.items():
-        recording_simulation.write(part, out / kind, text, np.random.default_rng(arguments.seed), arguments.noise, images)
+        recording_simulation.write_recording(part, out / kind, text, np.random.default_rng(arguments.seed), arguments.noise, images)
     names = ", ".join(f"{effect.name} at {effect.place}" for effect in done["with"].world.effects) or "none was found"
     print(f"{len(done['with'].plan.t)} frames, effects: {names}; written: {arguments.out / 'with'} and {arguments.out / 'without'}")
 

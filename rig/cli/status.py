@@ -13,10 +13,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Say what the controller says; nothing moves."""
-    from rig.cli.shared.controller_session import design_of, driving, print_status
+    from rig.cli.shared.controller_session import design_with_controller, open_driver, print_status
 
-    design = design_of(arguments.design, arguments.port)
-    with driving(design, arguments.trace, print) as driver:
+    design = design_with_controller(arguments.design, arguments.port)
+    with open_driver(design, arguments.trace, print) as driver:
         status = driver.status()
     print_status(status, design)
     arguments.result = {"schema": "status/1", "activity": status.activity, "known": status.known, "fault": status.fault, "said": status.said,

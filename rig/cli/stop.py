@@ -15,12 +15,12 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Stop the struts, and whatever process moves them; its run can be resumed."""
     from rig.driving.clock import SystemClock
-    from rig.cli.shared.controller_session import design_of, driving, print_status
-    from rig.driving.controller_lock import interrupt
+    from rig.cli.shared.controller_session import design_with_controller, open_driver, print_status
+    from rig.driving.controller_lock import stop_lock_holder
 
-    design = design_of(arguments.design, arguments.port)
-    other = interrupt(design.driver().port, SystemClock(), PATIENCE, design.driver().usb)
+    design = design_with_controller(arguments.design, arguments.port)
+    other = stop_lock_holder(design.driver().port, SystemClock(), PATIENCE, design.driver().usb)
     if other is not None:
         print(f"process {other}, which drove them, was stopped")
-    with driving(design, arguments.trace, print, stopping=True) as driver:
+    with open_driver(design, arguments.trace, print, stopping=True) as driver:
         print_status(driver.status(), design)

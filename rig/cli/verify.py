@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared import user_effects_option, refutation_marks
 from rig.cli.shared.output_options import (
-    SEED, Progress, add_json, add_page, add_recording, near, place_of_page, print_comparison, print_json, print_unsolved, read_recording,
+    SEED, Progress, add_json, add_page, add_recording, page_links, page_path, print_comparison, print_json, print_unsolved, read_recording,
 )
 from rig.errors import RigError
 from rig.report.verdict import Verdict, exit_status
@@ -35,7 +35,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_recording(parser)
     add_json(parser)
     add_page(parser)
-    user_effects_option.argument(parser)
+    user_effects_option.add_effects_option(parser)
     parser.add_argument("--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take")
 
 
@@ -46,39 +46,39 @@ def run(arguments: Namespace) -> int:
 
     progress = Progress()
     progress("reading the recording", 0, 1)
-    calibration = user_effects_option.calibration(arguments.calibration, user_effects_option.plugins(arguments))
+    calibration = user_effects_option.load_calibration(arguments.calibration, user_effects_option.load_effect_files(arguments))
     wanted = recordings.load_poses(arguments.wanted, commanded=True) if arguments.wanted else None
     recording = read_recording(arguments)
     calibration.refuse_kind(recording.design.mechanism.kind, str(arguments.recording))
-    page = place_of_page(arguments)
+    page = page_path(arguments)
 
     import numpy as np
 
     from calib.certify import calibration_verdict as words
-    from calib.certify.distinct_configurations import labels, ranges
+    from calib.certify.distinct_configurations import configuration_numbers, axis_ranges
     from calib.certify.calibration_evidence import of_samples
-    from calib.certify.held_out_errors import compare, errors_of
-    from calib.report.verification_page import Verified, judged, refutes, verified_page
-    from calib.samples.confounded_conditions import of_recordings
+    from calib.certify.held_out_errors import compare_errors, errors_before_and_after
+    from calib.report.verification_page import Verified, verification_verdict, refutes_claim, write_verification_page
+    from calib.samples.confounded_conditions import confounds_of_recordings
     from calib.samples.recording_samples import sample_recording
 
     sampled = sample_recording(recording, progress=progress)
     samples = calibration.told(recording, sampled.samples)
-    label = labels(samples.commanded, ranges(calibration.correction.nominal))
-    before, after = errors_of(calibration.correction, samples)
-    held = compare(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
-    same, found = calibration_file.seen_before(calibration, recording), of_samples(calibration, samples, np.random.default_rng(SEED))
+    label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
+    before, after = errors_before_and_after(calibration.correction, samples)
+    held = compare_errors(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
+    same, found = calibration_file.frames_used_in_calibration(calibration, recording), of_samples(calibration, samples, np.random.default_rng(SEED))
     driven = _driven(calibration, recording, sampled.samples, wanted) if wanted is not None else None
-    confounds = of_recordings([recording])
+    confounds = confounds_of_recordings([recording])
     progress.close()
     unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
-    refuted = refutation_marks.known(arguments.calibration)
+    refuted = refutation_marks.read_refutations(arguments.calibration)
     shown = Verified(recording.design, samples, before, after, held, found, calibration, refuted, same, driven, unsolved, confounds)
-    verdict = judged(shown)
+    verdict = verification_verdict(shown)
     if page is not None:
-        verified_page(page, recording.name, shown, near(arguments, arguments.page))
-    if found is not None and refutes(shown):
-        refutation_marks.mark(arguments, arguments.calibration, recording.name, words.refuting(found))
+        write_verification_page(page, recording.name, shown, page_links(arguments, arguments.page))
+    if found is not None and refutes_claim(shown):
+        refutation_marks.write_refutation(arguments, arguments.calibration, recording.name, words.refutation_sentence(found))
     if arguments.json:
         print_json(_verification(shown, verdict, sampled) | {"confounds": confounds and confounds.tree()})
         return exit_status(verdict)
@@ -116,9 +116,9 @@ def _say(shown: Verified, verdict: Verdict, sampled: Sampled) -> None:
 
 def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> Driven:
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference, the differences (n, 6))."""
-    from calib.certify.held_out_errors import error_of, figures
+    from calib.certify.held_out_errors import pose_errors, error_figures
     from calib.models.corrected_pose_covariance import pose_covariance
-    from calib.samples.pose_samples import uncertainty
+    from calib.samples.pose_samples import rms_uncertainty
 
     frames = recording.exposures.times()[0].tolist()
     if len(frames) != len(wanted.frame):
@@ -128,8 +128,8 @@ def _driven(calibration: Calibration, recording: Recording, samples: Samples, wa
     if wanted.covariance is not None:  # as `rig correct` stated it, of what it knew
         of_model = wanted.covariance[[frames.index(frame) for frame in samples.frame]]
     stated = samples.total_covariance() + of_model
-    errors = error_of(T, samples)
-    return figures(errors), uncertainty(stated), errors
+    errors = pose_errors(T, samples)
+    return error_figures(errors), rms_uncertainty(stated), errors
 
 
 def _verification(shown: Verified, verdict: Verdict, sampled: Sampled) -> dict:

@@ -5,22 +5,24 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.output_options import Progress, add_force, add_recording, file_or_stdout, near, read_recording
+from rig.cli.shared.output_options import Progress, add_overwrite_option, add_recording, file_or_stdout, page_links, read_recording
 from rig.errors import RigError
-from rig.formats.number_parsing import number, whole
+from rig.formats.number_parsing import parse_number, parse_whole_number
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
     shown = parser.add_mutually_exclusive_group(required=True)
-    shown.add_argument("--frame", type=whole, help="draw what was read in this frame")
+    shown.add_argument("--frame", type=parse_whole_number, help="draw what was read in this frame")
     shown.add_argument("--page", metavar="FILE", type=Path, help="a page with the rig in three dimensions, its poses played; needs no network")
     shown.add_argument("--rerun", metavar="FILE.rrd", type=Path, help="all frames, for the viewer Rerun (`rerun FILE.rrd`)")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="for --frame, a picture, written here; without it one named after the "
                         "recording is written in the folder where you are, and shown")
-    add_force(parser)
-    parser.add_argument("--enlarge", type=number, default=200.0, help="for --frame, how much longer than they are residuals are drawn (default 200)")
+    add_overwrite_option(parser)
+    parser.add_argument(
+        "--enlarge", type=parse_number, default=200.0, help="for --frame, how much longer than they are residuals are drawn (default 200)"
+    )
     parser.add_argument("--effect", metavar="EFFECT", action="append", default=[], help="for --page, what this effect would do to the poses, at "
                         "several sizes; as for rig simulate; may be given again")
 
@@ -45,13 +47,13 @@ def _frame(arguments: Namespace) -> None:
 
     recording = read_recording(arguments)
 
-    from vision.frame_picture import check_format, frame_picture, save
+    from vision.frame_picture import check_format, frame_picture, save_pictures
 
     shown = arguments.out or Path(f"{recording.folder.resolve().name}-frame-{arguments.frame}.png")
     check_format(shown)
     out = arguments.outputs.file(shown)
 
-    text = save(out, *frame_picture(recording, arguments.frame, arguments.enlarge, Progress()))
+    text = save_pictures(out, *frame_picture(recording, arguments.frame, arguments.enlarge, Progress()))
     print(text)
     arguments.outputs.finish()
     print(f"written: {shown}")
@@ -60,14 +62,14 @@ def _frame(arguments: Namespace) -> None:
 
 
 def _page(arguments: Namespace) -> None:
-    from rig.effects.texts.effect_text import parse, sized
+    from rig.effects.texts.effect_text import parse_effect, require_size
 
-    recording, effects = read_recording(arguments), [sized(parse(text)) for text in arguments.effect]
+    recording, effects = read_recording(arguments), [require_size(parse_effect(text)) for text in arguments.effect]
     out = arguments.outputs.file(arguments.page)
 
-    from calib.report.recording_page import viewed_page
+    from calib.report.recording_page import write_recording_page
 
-    viewed_page(out, recording, effects, near(arguments, arguments.page))
+    write_recording_page(out, recording, effects, page_links(arguments, arguments.page))
     print(f"written: {arguments.page}")
 
 
@@ -75,11 +77,11 @@ def _rerun(arguments: Namespace) -> None:
     """Write the whole recording for Rerun. Raises MissingLibrary without it."""
     from rig.formats.exporters import rerun_recording
 
-    rr = rerun_recording.library()
+    rr = rerun_recording.import_rerun()
     if arguments.out is not None:
         raise RigError("--out is of --frame; --rerun names its own file")
     recording = read_recording(arguments)
-    left_out = rerun_recording.write(recording, arguments.outputs.file(arguments.rerun), rr)
+    left_out = rerun_recording.write_rerun(recording, arguments.outputs.file(arguments.rerun), rr)
     if left_out:
         print(f"{left_out} images are left out: Rerun shows PNG and JPEG")
     print(f"{len(recording.exposures.times()[0])} frames; written: {arguments.rerun}; see them with `rerun {arguments.rerun}`")

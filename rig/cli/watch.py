@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import refutation_marks
-from rig.cli.shared.output_options import SEED, Progress, add_force, add_json, add_page, near, place_of_page, print_json
+from rig.cli.shared.output_options import SEED, Progress, add_overwrite_option, add_json, add_page, page_links, page_path, print_json
 from rig.errors import RigError
 from rig.report.verdict import State, exit_status
-from rig.formats.number_parsing import whole
+from rig.formats.number_parsing import parse_whole_number
 
 if TYPE_CHECKING:
     from calib.certify.calibration import Calibration
@@ -33,10 +33,10 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out images that cannot be used")
     parser.add_argument("--plan", action="store_true", help="choose what a visit visits, instead of looking at visits")
     parser.add_argument("--rig", metavar="RIG.toml", type=Path, help="for --plan: whose platform and gravity tell what a load does")
-    parser.add_argument("--count", type=whole, default=POSES, help=f"for --plan: poses of a visit (default {POSES})")
+    parser.add_argument("--count", type=parse_whole_number, default=POSES, help=f"for --plan: poses of a visit (default {POSES})")
     add_page(parser)
     parser.add_argument("--out", metavar="FILE", type=Path, help="for --plan: frame,l1..l6; `rig run RIG.toml --plan commands:FILE` visits them")
-    add_force(parser)
+    add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> int:
@@ -55,19 +55,19 @@ def run(arguments: Namespace) -> int:
 
 def _watch(arguments: Namespace) -> int:
     from calib.files import calibration_file
-    from calib.certify.calibration_evidence import evidence
-    from calib.samples.confounded_conditions import of_recordings
+    from calib.certify.calibration_evidence import calibration_evidence
+    from calib.samples.confounded_conditions import confounds_of_recordings
     from calib.drift import visit_history_file, change_sentences
-    from calib.drift.visit_history import History, take
-    from calib.report.visits_page import Visit, changed, judged, left_out, watched_page
+    from calib.drift.visit_history import History, add_visit
+    from calib.report.visits_page import Visit, alarm_sentence, last_visit_verdict, first_visit_sentence, write_visits_page
     from rig.recording import recording_folder as recordings
 
     progress = Progress()
-    calibration, own = calibration_file.load(arguments.calibration), visit_history_file.digest(arguments.calibration)
+    calibration, own = calibration_file.load(arguments.calibration), visit_history_file.calibration_digest(arguments.calibration)
     kept = None if arguments.history is None else arguments.outputs.file(arguments.history, own=True)
-    page = place_of_page(arguments)
+    page = page_path(arguments)
     known = arguments.history is not None and arguments.history.exists()
-    history = visit_history_file.load(arguments.history, own) if known else History(own)
+    history = visit_history_file.read_history(arguments.history, own) if known else History(own)
     loaded = [recordings.load(path, arguments.skip_unreadable) for path in arguments.visits]
     told: list[dict] = []
     shown: list[str] = []
@@ -75,27 +75,27 @@ def _watch(arguments: Namespace) -> int:
     for k, recording in enumerate(loaded):
         progress("visits", k, len(loaded))
         scale = history.scale()
-        history, verdict = take(history, recording, calibration)
+        history, verdict = add_visit(history, recording, calibration)
         progress.close()
         assert history.reference is not None
-        confounds = of_recordings([recording])
+        confounds = confounds_of_recordings([recording])
         found = _verified(calibration, recording, verdict)
         claim = None if found is None else {"kept": not found.refutes, "of_limit": found.of_limit}
         told.append(_tree(verdict, history, scale) | {"claim": claim, "confounds": confounds and confounds.tree()})
         seen.append(Visit(history.visits[-1].name, verdict, (), scale, found))
-        lines = change_sentences.lines(verdict, seen[-1].name, _names(history), history.reference, scale, seen[-1].allowed)
+        lines = change_sentences.change_lines(verdict, seen[-1].name, _names(history), history.reference, scale, seen[-1].allowed)
         seen[-1] = replace(seen[-1], lines=lines)
         shown += [*lines, *([] if confounds is None else [f"  {confounds.line()}"])]
-    judgement = judged(seen, evidence(calibration, refutation_marks.known(arguments.calibration)))
+    judgement = last_visit_verdict(seen, calibration_evidence(calibration, refutation_marks.read_refutations(arguments.calibration)))
     if kept is not None:
-        visit_history_file.save(kept, history)
+        visit_history_file.write_history(kept, history)
     if page is not None:
-        watched_page(page, arguments.calibration.name, seen, judgement, near(arguments, arguments.page))
+        write_visits_page(page, arguments.calibration.name, seen, judgement, page_links(arguments, arguments.page))
     last = seen[-1].evidence
     if seen[-1].allowed:
-        refutation_marks.mark(arguments, arguments.calibration, seen[-1].name, left_out(seen[-1]), State.CHECK)
+        refutation_marks.write_refutation(arguments, arguments.calibration, seen[-1].name, first_visit_sentence(seen[-1]), State.CHECK)
     elif last.alarm and (last.named is None or last.named.kind not in MEASURING):
-        refutation_marks.mark(arguments, arguments.calibration, seen[-1].name, changed(last))
+        refutation_marks.write_refutation(arguments, arguments.calibration, seen[-1].name, alarm_sentence(last))
     if not arguments.json:
         print("\n".join([judgement.line, *shown]))
     if arguments.json:
@@ -134,7 +134,7 @@ def _tree(verdict: Verdict, history: History, scale: float) -> dict:
 
 def _plan(arguments: Namespace) -> None:
     from calib.files import calibration_file
-    from calib.drift.visit_configurations import SIGMAS, choose
+    from calib.drift.visit_configurations import SIGMAS, choose_visit_configurations
     from rig.formats.rig_toml import design_file
     from rig.recording import recording_tables
 
@@ -142,7 +142,7 @@ def _plan(arguments: Namespace) -> None:
     design = design_file.load(arguments.rig) if arguments.rig else None
     out = arguments.outputs.file(arguments.out)
     progress = Progress()
-    chosen = choose(calibration, design, arguments.count, SEED, lambda done, of: progress("choosing", done, of))
+    chosen = choose_visit_configurations(calibration, design, arguments.count, SEED, lambda done, of: progress("choosing", done, of))
     progress.close()
     recording_tables.write_configurations(out, calibration.correction.fitted.axes, chosen.commands)
     print(f"{arguments.count} poses; a pose measured to {SIGMAS[0] * 1e6:g} um and {SIGMAS[1] * 1e6:g} urad, one visit knows, all "

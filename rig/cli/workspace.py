@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_force, add_result, near
+from rig.cli.shared.output_options import add_overwrite_option, add_result, page_links
 from rig.errors import FileError, RigError
 
 if TYPE_CHECKING:
@@ -22,18 +22,18 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--certificate", metavar="FILE", type=Path, help="certificate.json of this calibration: what it promises stands beside the "
                         "bound in the cells of its volume")
     parser.add_argument("--out", metavar="DIR", type=Path, help="a folder for workspace.json, workspace.csv (a line a cell) and workspace.html")
-    add_force(parser)
+    add_overwrite_option(parser)
     add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Say what a calibration does to the workspace, and write its map."""
     from calib.files import calibration_file
-    from calib.report.workspace_page import judged
-    from calib.models.corrected_pose_covariance import with_workspace
+    from calib.report.workspace_page import workspace_verdict
+    from calib.models.corrected_pose_covariance import add_workspace
     from calib.workspace import workspace_sentences
-    from calib.workspace.workspace_cells import turned_home
-    from calib.workspace.workspace_file import workspace_out
+    from calib.workspace.workspace_cells import margin_description
+    from calib.workspace.workspace_file import workspace_dict
     from rig.model import mechanisms
 
     if arguments.out is not None and arguments.out.suffix:
@@ -43,20 +43,20 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"{arguments.calibration} is of a chain, which comes to most poses in many ways: it has no map of its workspace")
     if calibration.workspace is None:
         print(f"{arguments.calibration} was made before a calibration held its workspace: worked out now")
-        calibration = with_workspace(calibration)
+        calibration = add_workspace(calibration)
     w, correction = calibration.workspace, calibration.correction
     assert w is not None
     certified = None if arguments.certificate is None else _certified(arguments.certificate, arguments.calibration, w)
-    unit = mechanisms.unit(correction.nominal)
-    verdict = judged(w, workspace_sentences.lines(w, unit)[0].removeprefix("workspace: "))
-    print("\n".join([verdict.line, *workspace_sentences.lines(w, unit)]))
+    unit = mechanisms.travel_unit(correction.nominal)
+    verdict = workspace_verdict(w, workspace_sentences.workspace_lines(w, unit)[0].removeprefix("workspace: "))
+    print("\n".join([verdict.line, *workspace_sentences.workspace_lines(w, unit)]))
     if certified is not None:
         print(workspace_sentences.certified_line(certified))
     if correction.extension is not None or any(correction.remainder):
         print("beyond the recorded configurations what is corrected on top of the geometry is extrapolated; its bound grows there")
-    arguments.result = {"verdict": verdict.tree(), **workspace_out(w), "room_of": turned_home(correction)}
+    arguments.result = {"verdict": verdict.tree(), **workspace_dict(w), "room_of": margin_description(correction)}
     if arguments.out is not None:
-        _write(arguments, w, unit, turned_home(correction), certified)
+        _write(arguments, w, unit, margin_description(correction), certified)
 
 
 def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certified: np.ndarray | None) -> None:
@@ -72,7 +72,7 @@ def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certifie
     write_text(folder / "workspace.json", json.dumps(arguments.result, allow_nan=False) + "\n")
     write_table(folder / "workspace.csv", COLUMNS, workspace_rows(w))
     workspace_page(folder / "workspace.html", arguments.calibration.name, w, unit, room_of, certified,
-                   near(arguments, arguments.out / "workspace.html"))
+                   page_links(arguments, arguments.out / "workspace.html"))
     print(f"written: {arguments.out}; look at {arguments.out / 'workspace.html'}")
 
 
@@ -81,7 +81,7 @@ def _certified(path: Path, calibration: Path, w: Workspace) -> np.ndarray:
 
     Raises FileError for a file that is no certificate, or one of another calibration
     """
-    from calib.workspace.certified_cells import certified
+    from calib.workspace.certified_cells import certified_cell_promises
     from rig.formats import json_file
 
     tree = json_file.load(path, "certificate", "certificate/1")
@@ -89,4 +89,4 @@ def _certified(path: Path, calibration: Path, w: Workspace) -> np.ndarray:
     mine = hashlib.sha256(calibration.read_bytes()).hexdigest()
     if mine not in {marks.table(name).text("file", default=None) for name in marks.tree}:
         raise FileError(path, f"certifies another calibration than {calibration}: its hash is not among inputs_sha256")
-    return certified(w, tree)
+    return certified_cell_promises(w, tree)

@@ -6,9 +6,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.output_options import add_force, add_result, file_or_stdout
+from rig.cli.shared.output_options import add_overwrite_option, add_result, file_or_stdout
 from rig.errors import RigError
-from rig.formats.number_parsing import number
+from rig.formats.number_parsing import parse_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,12 +26,17 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("arm", metavar="ARM.toml", help="a rig.toml with an arm and [dynamics], or the name of a shipped one, as panda")
     parser.add_argument("torques", metavar="torques.csv", type=Path, help="t, q1.., tau1.. (Nm, what the joints exert) or i1.. (A of the motors), "
                         "and v1.. (rad/s) where speeds were read")
-    parser.add_argument("--sigma", nargs=3, type=number, metavar=("NM", "RAD", "RAD/S"), help="standard deviations of a torque, an angle and a speed "
-                        "as read, in place of what [dynamics] states")
-    parser.add_argument("--rate", nargs=2, type=number, metavar=("N", "NM"), help="by how much force and moment wander in a second (standard "
+    parser.add_argument(
+        "--sigma",
+        nargs=3,
+        type=parse_number,
+        metavar=("NM", "RAD", "RAD/S"),
+        help="standard deviations of a torque, an angle and a speed as read, in place of what [dynamics] states",
+    )
+    parser.add_argument("--rate", nargs=2, type=parse_number, metavar=("N", "NM"), help="by how much force and moment wander in a second (standard "
                         "deviation); by default as is likeliest")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="wrench.csv: both estimates with their covariance, in time")
-    add_force(parser)
+    add_overwrite_option(parser)
     add_result(parser)
 
 
@@ -46,7 +51,7 @@ def run(arguments: Namespace) -> None:
     from rig.model.mechanism_kinds import arm_of
     from rig.posture import momentum_observer, torque_table
 
-    path = shipped_arms.path(arguments.arm)
+    path = shipped_arms.shipped_arm_path(arguments.arm)
     design, dynamics = arm_dynamics.load(path)
     arm = arm_of(design.mechanism)
     if arguments.sigma is not None:
@@ -62,11 +67,11 @@ def run(arguments: Namespace) -> None:
     sigma, angle = dynamics.need("torque_sigma", path), dynamics.need("angle_sigma", path)
     arguments.outputs.inputs.append(path)
     out = arguments.outputs.file(arguments.out) if arguments.out else None
-    record = torque_table.load(arguments.torques, arm, dynamics, path)
+    record = torque_table.load_torque_table(arguments.torques, arm, dynamics, path)
     speed = dynamics.need("speed_sigma", path) if record.motion.measured else np.ones(len(arm.axes))
-    model = momentum_observer.model(record.motion, arm, links, design.gravity, (sigma, angle, speed))
-    rates = momentum_observer.likeliest(model) if arguments.rate is None else np.repeat(arguments.rate, 3)
-    seen, plain = momentum_observer.observe(model, rates), _plain(record, design, sigma, links)
+    model = momentum_observer.observer_model(record.motion, arm, links, design.gravity, (sigma, angle, speed))
+    rates = momentum_observer.most_likely_rates(model) if arguments.rate is None else np.repeat(arguments.rate, 3)
+    seen, plain = momentum_observer.observe_wrench(model, rates), _plain(record, design, sigma, links)
     if out:
         _write(out, record.motion.t, seen, plain)
     _tell(record, seen, plain, rates, arguments.rate is None)
@@ -94,10 +99,10 @@ def _plain(record: TorqueRecord, design: Design, sigma: np.ndarray, links: Links
     q, torque = m.q[0], wrench_estimate.external(m.torque[0], m.q[0], m.speed[0], record.acceleration, arm, links, design.gravity)
     mass = arm_momentum.mass_matrix(q, arm, links)
     own = (mass * record.acceleration_sigma**2) @ np.swapaxes(mass, 1, 2) + np.diag(np.square(sigma))
-    felt = wrench_estimate.felt(q, arm, own)
+    felt = wrench_estimate.is_wrench_observable(q, arm, own)
     value, covariance, left = np.full((len(q), 6), np.nan), np.full((len(q), 6, 6), np.nan), np.full(len(q), np.nan)
     if felt.any():
-        found = wrench_estimate.estimate(torque[felt], q[felt], arm, own[felt])
+        found = wrench_estimate.estimate_wrench(torque[felt], q[felt], arm, own[felt])
         value[felt], covariance[felt], left[felt] = found.value, found.covariance, found.left
     return value, covariance, left
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from rig.formats import remote_folders
 from rig.errors import MissingLibrary, RigError
-from rig.compute.worker_processes import parts
+from rig.compute.worker_processes import work_parts
 
 WAIT = 20  # s for a scheduler, and for its first worker
 PATIENCE = 3  # such times for another worker, when the last one is gone
@@ -39,7 +39,7 @@ class Cluster:
         data = cloudpickle.dumps(function)
         with self._said():
             carried = self._client.submit(bytes, data, pure=False)  # a call and no mere data: it is done again where who held it is gone
-            digest, shares = hashlib.sha256(data).hexdigest(), parts(things, max(self._workers(), 1))
+            digest, shares = hashlib.sha256(data).hexdigest(), work_parts(things, max(self._workers(), 1))
             futures = [self._client.submit(_done, carried, digest, share, pure=False) for share in shares]
         out: list = []
         try:
@@ -104,8 +104,8 @@ class Cluster:
 
 
 @contextmanager
-def cluster(address: str | None) -> Iterator[Cluster | None]:
-    """Within it `at_work` is the Cluster of the scheduler at an address, tcp://HOST:PORT; None leaves it at what there is.
+def use_cluster(address: str | None) -> Iterator[Cluster | None]:
+    """Within it `current_cluster` is the Cluster of the scheduler at an address, tcp://HOST:PORT; None leaves it at what there is.
 
     Raises MissingLibrary without Dask, RigError where no scheduler answers or it has no worker
     """
@@ -133,12 +133,12 @@ def cluster(address: str | None) -> Iterator[Cluster | None]:
             _at_work = before
 
 
-def at_work() -> Cluster | None:
+def current_cluster() -> Cluster | None:
     """The cluster that works for this process, None where it has none."""
     return _at_work
 
 
-def everywhere(path: Path) -> Path:
+def shared_path(path: Path) -> Path:
     """A path as workers that stand elsewhere find the same."""
     return path if _at_work is None else remote_folders.absolute(path)
 

@@ -15,7 +15,7 @@ _say: Callable[[], None] | None = None  # to be called when something is compile
 
 
 @contextmanager
-def saying(say: Callable[[], None]) -> Iterator[None]:
+def announce_compilation(say: Callable[[], None]) -> Iterator[None]:
     """Within it `say` is called before anything is compiled that no earlier run left to be loaded, once in a process."""
     global _say
     before, _say = _say, say

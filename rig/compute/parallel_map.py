@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 from rig.compute import dask_cluster
-from rig.compute.worker_processes import cores, done_by
+from rig.compute.worker_processes import worker_count, process_map
 
 FEW = 4  # things for each process, below which it is not worth starting any
 
@@ -31,10 +31,10 @@ def parallel_map(function: Callable[[Any], Any], things: Sequence, progress: Pro
     """
     global _inherited
     nested = _inherited is not None or dask_cluster.is_worker()
-    there = dask_cluster.at_work() if far and not nested and len(things) >= few else None
+    there = dask_cluster.current_cluster() if far and not nested and len(things) >= few else None
     if there is not None:
         return there.map(function, things, progress)
-    count = min(cores(), len(things) // few)
+    count = min(worker_count(), len(things) // few)
     if count < 2 or nested or "fork" not in multiprocessing.get_all_start_methods():
         out = []
         for thing in things:
@@ -44,14 +44,14 @@ def parallel_map(function: Callable[[Any], Any], things: Sequence, progress: Pro
         return out
     _inherited = function, things
     try:
-        return done_by(count, "fork", _call, range(len(things)), progress)
+        return process_map(count, "fork", _call, range(len(things)), progress)
     finally:
         _inherited = None
 
 
-def threaded(function: Callable[[T], R], things: Sequence[T]) -> list[R]:
+def thread_map(function: Callable[[T], R], things: Sequence[T]) -> list[R]:
     """[function(thing)] in the things' order, side by side in threads: for a few large things whose work lets go of the interpreter's lock."""
-    count = min(cores(), len(things))
+    count = min(worker_count(), len(things))
     if count < 2 or _inherited is not None or dask_cluster.is_worker():
         return [function(thing) for thing in things]
     with ThreadPoolExecutor(count) as pool:

@@ -23,7 +23,7 @@ SHARES = 4  # parts of what is left for each worker, so that none is waited for 
 MOST = 4  # things of a part: what is lost with a worker, and by which progress goes on
 PR_SET_PDEATHSIG = 1  # of prctl(2): the signal that comes when the parent is gone
 
-_waited_for: set[subprocess.Popen] = set()  # children of `finished`
+_waited_for: set[subprocess.Popen] = set()  # children of `run_child_process`
 _asked: int | None = None  # workers that the user asked for
 
 
@@ -32,7 +32,7 @@ class WorkerEnded(RigError):
 
 
 @contextmanager
-def workers(count: int | None) -> Iterator[None]:
+def limit_workers(count: int | None) -> Iterator[None]:
     """Within it so many processes work at a time, whatever the machine has; None leaves it at that."""
     global _asked
     before, _asked = _asked, _asked if count is None else count
@@ -42,8 +42,8 @@ def workers(count: int | None) -> Iterator[None]:
         _asked = before
 
 
-def cores() -> int:
-    """How many processes may work at a time: as many as `workers` says, else the cores that this process may use, OMP_NUM_THREADS at most."""
+def worker_count() -> int:
+    """How many processes may work at a time: as many as `limit_workers` says, else the cores that this process may use, OMP_NUM_THREADS at most."""
     if _asked is not None:
         return _asked
     limit = os.environ.get("OMP_NUM_THREADS", "")
@@ -51,7 +51,7 @@ def cores() -> int:
     return min(here, int(limit)) if limit.isdigit() and int(limit) else here
 
 
-def gathered(pool: Executor, function: Callable, things: Iterable, progress: Callable | None = None, futures: list[Future] | None = None) -> list:
+def executor_map(pool: Executor, function: Callable, things: Iterable, progress: Callable | None = None, futures: list[Future] | None = None) -> list:
     """[function(thing)] by an executor, in the things' order; of what they raise the first in that order is raised, and the rest is not begun.
 
     progress : called with (done, of), or None; futures : gets the things' Futures, or None
@@ -71,7 +71,7 @@ def gathered(pool: Executor, function: Callable, things: Iterable, progress: Cal
     return out
 
 
-def parts(things: Sequence, count: int) -> list[Sequence]:
+def work_parts(things: Sequence, count: int) -> list[Sequence]:
     """The things in their order, in parts that `count` workers take in turn: large ones at first, as each costs a message to and fro, and single ones
     at the end, where workers would wait for each other (factoring, Hummel, Schonberg and Flynn 1992)."""
     out, at = [], 0
@@ -82,9 +82,9 @@ def parts(things: Sequence, count: int) -> list[Sequence]:
     return out
 
 
-def done_by(count: int, method: str, function: Callable, things: Iterable, progress: Callable | None = None, start: Callable | None = None,
+def process_map(count: int, method: str, function: Callable, things: Iterable, progress: Callable | None = None, start: Callable | None = None,
             given: tuple = ()) -> list:
-    """`gathered` by a pool as `pool_of` makes it; what a process was at when it was ended from outside, another does once more.
+    """`executor_map` by a pool as `process_pool` makes it; what a process was at when it was ended from outside, another does once more.
 
     Raises WorkerEnded where ENDED pools in turn came to an end with nothing done
     """
@@ -94,7 +94,7 @@ def done_by(count: int, method: str, function: Callable, things: Iterable, progr
 
     while left:
         futures: list[Future] = []
-        shares = parts(left, count)
+        shares = work_parts(left, count)
         ends = list(accumulate(map(len, shares), initial=len(out)))
 
         def told(done: int, _: int, ends: list[int] = ends) -> None:
@@ -102,8 +102,8 @@ def done_by(count: int, method: str, function: Callable, things: Iterable, progr
                 progress(ends[done], total)
 
         try:
-            with pool_of(count, method, start, given) as pool:
-                gathered(pool, partial(_each, function), [[thing for _, thing in share] for share in shares], told, futures)
+            with process_pool(count, method, start, given) as pool:
+                executor_map(pool, partial(_each, function), [[thing for _, thing in share] for share in shares], told, futures)
         except WorkerEnded:
             futile += 1
         kept = [(k, result) for share, future in zip(shares, futures) if future.done() and not future.cancelled() and not future.exception()
@@ -118,7 +118,7 @@ def done_by(count: int, method: str, function: Callable, things: Iterable, progr
 
 
 @contextmanager
-def pool_of(count: int, method: str, start: Callable | None = None, given: tuple = ()) -> Iterator[ProcessPoolExecutor]:
+def process_pool(count: int, method: str, start: Callable | None = None, given: tuple = ()) -> Iterator[ProcessPoolExecutor]:
     """A pool of processes that ends at once where this process is interrupted, and with it where it is killed.
 
     method : "fork" or "spawn"; start : called with `given` in each process at its beginning, or None
@@ -139,10 +139,10 @@ def pool_of(count: int, method: str, start: Callable | None = None, given: tuple
     pool.shutdown()
 
 
-def finished(command: list, env: dict[str, str]) -> subprocess.CompletedProcess:
-    """A child process, once it has ended: what it printed as text. `end_waiting` ends those that threads are waiting for here.
+def run_child_process(command: list, env: dict[str, str]) -> subprocess.CompletedProcess:
+    """A child process, once it has ended: what it printed as text. `end_child_processes` ends those that threads are waiting for here.
 
-    The child itself is to call `end_with` with this process's id, so that it does not outlive it
+    The child itself is to call `end_with_parent` with this process's id, so that it does not outlive it
     """
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env) as child:
         _waited_for.add(child)
@@ -156,13 +156,13 @@ def finished(command: list, env: dict[str, str]) -> subprocess.CompletedProcess:
     return subprocess.CompletedProcess(command, child.returncode, out, error)
 
 
-def end_waiting() -> None:
+def end_child_processes() -> None:
     """End the children that other threads of this process wait for."""
     for child in tuple(_waited_for):
         child.kill()
 
 
-def end_with(parent: int) -> None:
+def end_with_parent(parent: int) -> None:
     """Have this process end when its parent, of this id, does, be that killed; Linux sees to it. Raises OSError where it will not."""
     if sys.platform == "linux" and ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0):
         number = ctypes.get_errno()
@@ -176,11 +176,11 @@ def _each(function: Callable, things: Sequence) -> list:
 
 
 def _begin(parent: int, rest: bytes) -> None:
-    """rest : (start, given) as `pool_of` has them; opened last, as what it takes to do that may have to be imported, which lasts."""
+    """rest : (start, given) as `process_pool` has them; opened last, as what it takes to do that may have to be imported, which lasts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the run ends its processes as well
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    end_with(parent)
+    end_with_parent(parent)
     gc.freeze()  # what was inherited is not gone through again, which would copy it
     start, given = pickle.loads(rest)
     if start is not None:

@@ -91,7 +91,7 @@ class Occupied:
                         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def interrupt(port: str, clock: Clock, patience: float, usb: str = "") -> int | None:
+def stop_lock_holder(port: str, clock: Clock, patience: float, usb: str = "") -> int | None:
     """Have the process that drives the controller at a port stop the struts and end, and wait until it has let go.
 
     patience : s after which one that has not is killed. It is asked by SIGTERM, as a shell's background job ignores SIGINT; one of another user
@@ -99,14 +99,14 @@ def interrupt(port: str, clock: Clock, patience: float, usb: str = "") -> int | 
     Returns its number, or None where nobody drives. Raises RigError where it does not let go
     """
     names = lock_names(port, usb)
-    holder = next((found for name in names if (found := holder_of(name))), None)
+    holder = next((found for name in names if (found := lock_holder(name))), None)
     if holder is None:
         return None
     for number, wait in ((signal.SIGTERM, patience), (signal.SIGKILL, KILLED)):
         _ask(holder, number, port or usb)
         end = clock.now() + wait
         while clock.now() <= end:
-            if holder_of(holder.name) != holder:
+            if lock_holder(holder.name) != holder:
                 return holder.pid
             clock.sleep(LOOK)
     raise RigError(f"{holder} was killed and still holds the controller at {port or usb}: use the rig's own emergency stop")
@@ -116,11 +116,11 @@ def lock_names(port: str, usb: str = "") -> list[bytes]:
     """Names of all locks of the controller at a port, in one order for all processes: by its device, its path, its addresses, its USB number."""
     words = set()
     if usb:
-        from rig.driving.serial_port import found
+        from rig.driving.serial_port import find_port
 
         words.add(f"usb {usb.lower()}")
         try:
-            port = found(port, usb)
+            port = find_port(port, usb)
         except LinkLost:  # not plugged in now; who drives it holds the name by its number
             port = ""
     if "://" in port:
@@ -130,7 +130,7 @@ def lock_names(port: str, usb: str = "") -> list[bytes]:
     return sorted(b"\0rig-driver-" + hashlib.sha256(os.fsencode(word)).hexdigest()[:32].encode() for word in words)
 
 
-def holder_of(name: bytes) -> Holder | None:
+def lock_holder(name: bytes) -> Holder | None:
     """The process that holds a lock, or None. Raises RigError where it does not say which it is."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
         caller.setblocking(False)
@@ -156,7 +156,7 @@ def _bound(name: bytes, port: str) -> socket.socket:
             held.bind(name)
             break
         except OSError:
-            if (holder := holder_of(name)) is not None:
+            if (holder := lock_holder(name)) is not None:
                 held.close()
                 raise RigError(f"{holder} is driving the controller at {port}; `rig stop` ends what it does") from None
         time.sleep(LOOK)  # another is beginning or ending just now

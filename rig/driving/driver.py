@@ -16,9 +16,9 @@ from rig.model.design import Design
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model.mechanism_kinds import struts_of
 from rig.driving.controller_link import Link, Port
-from rig.driving.serial_port import SerialPort, found
+from rig.driving.serial_port import SerialPort, find_port
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
-from rig.driving.straight_move import straight
+from rig.driving.straight_move import straight_move
 
 T = TypeVar("T")
 PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop
@@ -66,7 +66,9 @@ class Driver:
         self.design, self.controller, self.mechanism = design, c, struts_of(design.mechanism)
         self.clock = clock or SystemClock()
         self._protocol = protocols.of(c, len(design.mechanism.axes))
-        self.link = Link(self._protocol, opener or (lambda: SerialPort(found(c.port, c.usb), c.baudrate, self.clock)), self.clock, c.timeout, trace)
+        self.link = Link(
+            self._protocol, opener or (lambda: SerialPort(find_port(c.port, c.usb), c.baudrate, self.clock)), self.clock, c.timeout, trace
+        )
         self._say = say or (lambda text: None)
         self._busy = threading.RLock()
         self._known = False  # whether the lengths can be believed
@@ -91,7 +93,7 @@ class Driver:
         self._say(self.link.greeting())
         state = self._state()
         self._left, self._homed = self._lengths(state), state.homed
-        within = not mechanisms.of(self.mechanism).limits(self._left, self.mechanism).any()
+        within = not mechanisms.kinematics_of(self.mechanism).limits(self._left, self.mechanism).any()
         self._known = bool(state.homed) or (not self.controller.homing and within and state.activity != "alarm")
         return self._status(state)
 
@@ -159,7 +161,7 @@ class Driver:
             self.check(target, start)
             begun = self.clock.now()
             with self._guarded():
-                note = self._go(straight(start, target, share, self.controller, self.mechanism), start, target)
+                note = self._go(straight_move(start, target, share, self.controller, self.mechanism), start, target)
                 self._left = arrived = self.lengths()
             return Arrival(arrived, begun, self.clock.now(), note)
 

@@ -16,7 +16,7 @@ from rig.driving.clock import Clock
 from rig.errors import RigError, Stopped
 from rig.driving.live_recording import Growing
 from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Journal, Readings, Remark, Resumed, Row, sync_folder
-from rig.driving.run_progress import Progress, progress, verdict
+from rig.driving.run_progress import Progress, run_progress, move_verdict
 from rig.driving.run_steps import Step
 from rig.driving.trapezoidal_profile import Way
 
@@ -88,12 +88,12 @@ class Operator:
     def run(self) -> None:
         """Carry on to the end of the plan. Whatever ends it early stops the struts, is written down with its reason, and raised."""
         try:
-            state = progress(self._journal.rows, self.planned)
+            state = run_progress(self._journal.rows, self.planned)
             for index in range(state.step, len(self.planned)):
                 if index != state.step:
                     state = self._next(index)
                 self._do(state)
-                state = progress(self._journal.rows, self.planned)
+                state = run_progress(self._journal.rows, self.planned)
             self.write(Ended(self.now(), ""))
         except BaseException as error:
             self._end(error)
@@ -104,12 +104,12 @@ class Operator:
 
         homed : whether the struts were homed before, so that their position says nothing of it
         """
-        state = progress(self._journal.rows, self.planned)
+        state = run_progress(self._journal.rows, self.planned)
         position = self._read()
         if homed:
             found, there = f"the struts had to be homed; step {state.step + 1} is gone to from there", False
         else:
-            found, there = verdict(state, self.planned, np.array(position), self.bench.tolerance)
+            found, there = move_verdict(state, self.planned, np.array(position), self.bench.tolerance)
         goal = tuple(self.planned[state.step].goal.tolist())
         self.write(Resumed(self.now(), goal if there else position, found))
         if state.pending is not None:
@@ -132,7 +132,7 @@ class Operator:
 
     def _next(self, index: int) -> Progress:
         """Progress at the start of a step."""
-        now = progress(self._journal.rows, self.planned)
+        now = run_progress(self._journal.rows, self.planned)
         return Progress(index, 0, now.number, now.position, None, False, now.t, None)
 
     def _do(self, state: Progress) -> None:
@@ -193,7 +193,7 @@ class Operator:
         reason = str(error) or type(error).__name__
         try:
             self.bench.machine.stop()
-            pending = progress(self._journal.rows, self.planned).pending
+            pending = run_progress(self._journal.rows, self.planned).pending
             if pending is not None:
                 position = self._read()
                 near = bool(np.abs(np.array(position) - np.array(pending.goal)).max() <= self.bench.tolerance)

@@ -19,7 +19,7 @@ def check_lengths(lengths: np.ndarray, mechanism: Hexapod | Planar2) -> np.ndarr
     lengths = np.array(lengths, float)
     if lengths.shape != (len(mechanism.axes),) or not np.isfinite(lengths).all():
         raise ValueError(f"expected {len(mechanism.axes)} finite lengths in m, got {lengths.tolist()}")
-    beyond = mechanisms.of(mechanism).limits(lengths, mechanism)
+    beyond = mechanisms.kinematics_of(mechanism).limits(lengths, mechanism)
     if beyond.any():
         low, high = mechanism.strut_range.T
         lines = [f"strut {i + 1}: {lengths[i]:.6f} m is outside {low[i]:g} .. {high[i]:g} m" for i in np.flatnonzero(beyond)]
@@ -39,7 +39,7 @@ def check_path(start: np.ndarray, target: np.ndarray, mechanism: Hexapod | Plana
     count = int(np.clip(np.ceil(step / SPACING), FEWEST, MOST))
     share = np.linspace(0.0, 1.0, count + 1)
     way = start + share[:, None] * (target - start)
-    module = mechanisms.of(mechanism)
+    module = mechanisms.kinematics_of(mechanism)
     home = mechanism.home if mechanism.kind == "hexapod" else module.forward(mechanism.strut_range.mean(axis=1), mechanism)
     try:
         poses = module.forward(way, mechanism)

@@ -120,7 +120,7 @@ class Journal:
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 raise RigError(f"{self.path} is being written by another run; end that one first") from None
-            self.rows, whole = read(self.path)
+            self.rows, whole = read_journal(self.path)
             self.torn = os.fstat(self._file).st_size - whole
             if self.torn:
                 os.ftruncate(self._file, whole)
@@ -133,7 +133,7 @@ class Journal:
 
     def append(self, row: Row) -> None:
         """Put a row on disk; when this returns it is there to stay. Raises RigError where the disk takes no more."""
-        text = line(len(self.rows), row)
+        text = journal_line(len(self.rows), row)
         try:
             if os.write(self._file, text) != len(text):
                 raise RigError(f"{self.path}: the disk took only part of a row; is it full?")
@@ -153,13 +153,13 @@ class Journal:
         self.close()
 
 
-def line(number: int, row: Row) -> bytes:
+def journal_line(number: int, row: Row) -> bytes:
     """A row as it stands in the file. number : of the row, from 0"""
     body = json.dumps({"row": number, "kind": row.kind, **asdict(row)})
     return f'{body[:-1]}, "crc": "{zlib.crc32(body.encode()):08x}"}}\n'.encode()
 
 
-def read(path: Path) -> tuple[list[Row], int]:
+def read_journal(path: Path) -> tuple[list[Row], int]:
     """(rows, bytes that they take) of a journal; what follows those bytes is a torn last line. Raises FileError for damage, with the line."""
     try:
         data = Path(path).read_bytes()

@@ -25,7 +25,7 @@ class Progress:
     ended: str | None
 
 
-def progress(rows: list[Row], planned: tuple[Step, ...]) -> Progress:
+def run_progress(rows: list[Row], planned: tuple[Step, ...]) -> Progress:
     """Progress of a journal's rows. Raises RigError for rows that no run of this plan leaves."""
     if not rows or not isinstance(rows[0], Began):
         raise RigError("the journal holds no beginning of a run")
@@ -51,7 +51,7 @@ def progress(rows: list[Row], planned: tuple[Step, ...]) -> Progress:
     return Progress(step, frames, number, position, pending, arrived, rows[-1].t, ended)
 
 
-def verdict(state: Progress, planned: tuple[Step, ...], position: np.ndarray, tolerance: float) -> tuple[str, bool]:
+def move_verdict(state: Progress, planned: tuple[Step, ...], position: np.ndarray, tolerance: float) -> tuple[str, bool]:
     """(what a position (axes,) m, read after a crash, says, in words; whether the step's goal is where the struts stand).
 
     tolerance : m, of a read-back

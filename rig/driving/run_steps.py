@@ -20,7 +20,7 @@ class Step:
     frames: int
 
 
-def steps(plan: Plan) -> tuple[Step, ...]:
+def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
     """Steps of a plan: every place where its commands turn or dwell, and how often it is exposed there.
 
     Raises RigError for a plan that exposes while the struts move, or that changes the payload: a run waits until the struts stand,
@@ -43,7 +43,7 @@ def steps(plan: Plan) -> tuple[Step, ...]:
     return tuple(Step(goal, int(count)) for goal, count in zip(goals[: last + 1], exposed))
 
 
-def check(planned: tuple[Step, ...], start: np.ndarray, check_move: Callable[[np.ndarray, np.ndarray], None]) -> None:
+def check_steps(planned: tuple[Step, ...], start: np.ndarray, check_move: Callable[[np.ndarray, np.ndarray], None]) -> None:
     """Check every place and every path between, from start (axes,) m on, before anything moves.
 
     check_move : (start, goal) -> None, raises RigError where the move may not be made. Raises Unreachable listing all that may not.
@@ -60,7 +60,7 @@ def check(planned: tuple[Step, ...], start: np.ndarray, check_move: Callable[[np
                           [k for k, _ in refused], [line for _, line in refused])
 
 
-def distances(planned: tuple[Step, ...], start: np.ndarray) -> np.ndarray:
+def step_distances(planned: tuple[Step, ...], start: np.ndarray) -> np.ndarray:
     """(steps,) m, how far the strut with the longest way goes in each step."""
     goals = np.array([start, *(step.goal for step in planned)])
     return np.abs(np.diff(goals, axis=0)).max(axis=1)

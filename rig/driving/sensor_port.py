@@ -8,7 +8,7 @@ from rig.driving.clock import Clock
 from rig.model.design import SensorPort
 from rig.errors import NoAnswer
 from rig.driving.controller_link import Port
-from rig.formats.number_parsing import numbers
+from rig.formats.number_parsing import parse_numbers
 from rig.driving.serial_port import SerialPort
 
 WAIT = 2.0  # s for a line
@@ -54,7 +54,7 @@ class Sensing:
     def _values(self, line: bytes) -> dict[str, float]:
         cells = line.decode("latin-1").replace(",", " ").replace(";", " ").split()
         try:
-            values = numbers(cells)
+            values = parse_numbers(cells)
         except ValueError:
             values = []
         if len(values) != len(self._stated.channels) or not np.isfinite(values).all():

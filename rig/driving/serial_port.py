@@ -91,7 +91,7 @@ def _ends_with_us(handle: int) -> bool:
     return os.major(os.fstat(handle).st_rdev) not in PSEUDO_TERMINALS
 
 
-def found(url: str, usb: str) -> str:
+def find_port(url: str, usb: str) -> str:
     """The port under which a USB device is plugged in now. url : its port when nothing else is known; usb : its serial number or a part
     of its hardware id, "" where none is stated. Raises LinkLost where it is not plugged in, or several answer to it."""
     if not usb:

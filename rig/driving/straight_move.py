@@ -8,12 +8,12 @@ from rig.model.design import Hexapod, Planar2
 from rig.driving.protocols.protocol_interface import Segment
 
 
-def straight(start: np.ndarray, target: np.ndarray, share: float, controller: Controller, mechanism: Hexapod | Planar2) -> Segment:
+def straight_move(start: np.ndarray, target: np.ndarray, share: float, controller: Controller, mechanism: Hexapod | Planar2) -> Segment:
     """All axes begin and arrive together. start, target : (n,) m, lengths; share : of the greatest speeds, above 0 and at most 1."""
     way = np.abs(target - start)
     duration = max(float((way / (share * controller.max_speed)).max()), 1e-6)
     acceleration = None
     if controller.max_acceleration is not None and way.any():
         acceleration = way * (controller.max_acceleration[way > 0] / way[way > 0]).min()
-    pose = mechanisms.of(mechanism).forward(target, mechanism) if controller.kinematics == "world" else None
+    pose = mechanisms.kinematics_of(mechanism).forward(target, mechanism) if controller.kinematics == "world" else None
     return Segment(start - controller.zero, target - controller.zero, duration, way / duration, acceleration, pose)

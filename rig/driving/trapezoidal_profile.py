@@ -6,7 +6,7 @@ Way = tuple[tuple[float, float], ...]
 PIECES = 8  # straight pieces to a ramp: they leave the curve by less than a five hundredth of what is travelled in it
 
 
-def trapezoid(begun: float, ended: float, cruise: float, ramp: float | None) -> Way:
+def trapezoidal_profile(begun: float, ended: float, cruise: float, ramp: float | None) -> Way:
     """((s, share of the way), ..) between begun and ended (s), first and last left out; straight pieces between them.
 
     cruise : s that the way would take at full speed alone; ramp : s from standing to full speed, or None where the controller

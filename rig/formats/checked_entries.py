@@ -14,9 +14,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 from rig.model.pose import pose
-from rig.formats.schema_version import require
+from rig.formats.schema_version import require_schema
 
 LARGEST_RIG = 50.0  # m; nothing on struts or arms is larger, so a larger figure is in another unit
 LARGEST_NUMBER = 1e100  # beyond it the square of a number is none
@@ -42,7 +42,7 @@ def name_problem(name: str) -> str | None:
     if NAME.fullmatch(name):
         return None
     better = re.sub(r"[^A-Za-z0-9_.-]+", "_", name).strip("._-")[:64]
-    return f"{shown(name)} cannot be a name: names have {NAMES}" + (f"; {better!r} would do" if better else "")
+    return f"{value_text(name)} cannot be a name: names have {NAMES}" + (f"; {better!r} would do" if better else "")
 
 
 @dataclass
@@ -80,7 +80,7 @@ class Entries:
         """A table within this one."""
         value = self.get(key, {} if optional else REQUIRED)
         if not isinstance(value, dict):
-            self.fail(f"{self.name(key)} must be a table, not {shown(value)}", key, value=value)
+            self.fail(f"{self.name(key)} must be a table, not {value_text(value)}", key, value=value)
         return Entries(value, self.path + (key,), self.file, self.places)
 
     def tables(self, key: Key) -> list[Entries]:
@@ -101,27 +101,27 @@ class Entries:
         """Whole numbers of at least `least`, as a tuple."""
         value = self.get(key)
         if not isinstance(value, list):
-            self.fail(f"{self.name(key)} must be a list of whole numbers, not {shown(value)}", key)
+            self.fail(f"{self.name(key)} must be a list of whole numbers, not {value_text(value)}", key)
         inner = Entries(dict(enumerate(value)), (*self.path, key), self.file, self.places)
         return tuple(inner.whole(i, least) for i in range(len(value)))
 
     def schema(self, what: str, known: str) -> None:
         """Raise FileError where a whole file's table does not name the schema known. what : the file should be"""
         self.text("schema")
-        require(self.file, what, self.tree["schema"], (known,), self.places[(*self.path, "schema")])
+        require_schema(self.file, what, self.tree["schema"], (known,), self.places[(*self.path, "schema")])
 
     def texts(self, key: Key) -> tuple[str, ...]:
         """Texts, as a tuple."""
         value = self.get(key)
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            self.fail(f"{self.name(key)} must be a list of texts, not {shown(value)}", key)
+            self.fail(f"{self.name(key)} must be a list of texts, not {value_text(value)}", key)
         return tuple(value)
 
     def flag(self, key: Key, default: Any = REQUIRED) -> bool:
         """True or false."""
         value = self.get(key, default)
         if not isinstance(value, bool):
-            self.fail(f"{self.name(key)} must be true or false, not {shown(value)}", key, value=value)
+            self.fail(f"{self.name(key)} must be true or false, not {value_text(value)}", key, value=value)
         return value
 
     def identifier(self, key: Key) -> str:
@@ -137,9 +137,9 @@ class Entries:
         if value is default and default is not REQUIRED:
             return default
         if not isinstance(value, str) or (not choices and not value):
-            self.fail(f"{self.name(key)} must be text, not {shown(value)}", key, value=value)
+            self.fail(f"{self.name(key)} must be text, not {value_text(value)}", key, value=value)
         if choices and value not in choices:
-            self.fail(f"{self.name(key)} must be one of {', '.join(map(repr, choices))}, not {shown(value)}", key, value=value)
+            self.fail(f"{self.name(key)} must be one of {', '.join(map(repr, choices))}, not {value_text(value)}", key, value=value)
         return value
 
     def whole(self, key: Key, least: int, default: Any = REQUIRED, most: int = LARGEST_WHOLE) -> int:
@@ -147,7 +147,7 @@ class Entries:
         value = self.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
             limits = f"at least {least}" + (f" and at most {most}" if isinstance(value, int) and value > most else "")
-            self.fail(f"{self.name(key)} must be a whole number of {limits}, not {shown(value)}", key, value=value)
+            self.fail(f"{self.name(key)} must be a whole number of {limits}, not {value_text(value)}", key, value=value)
         return value
 
     def number(self, key: Key, default: Any = REQUIRED, least: float | None = None, most: float | None = None, above: float | None = None,
@@ -178,7 +178,7 @@ class Entries:
             limits = [f">= {least}" if least is not None else "", f"> {above}" if above is not None else "",
                       f"<= {most}" if most is not None else ""]
             label = self._label(keys[0], keys[1:])
-            self.fail(f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {shown(value)}", *keys, value=value)
+            self.fail(f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {value_text(value)}", *keys, value=value)
 
     def array(self, key: Key, shape: Shape, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False) -> Any:
         """Numbers nested as shape says (None: any length). length_limit (m) catches figures in another unit; nulls : whether a null
@@ -194,22 +194,22 @@ class Entries:
         """Check that a value is a number, or numbers nested as shape says; index : where within the key's value it stands."""
         if shape:
             if not isinstance(value, list) or (shape[0] is not None and len(value) != shape[0]):
-                got = f"{len(value)} entries" if isinstance(value, list) else shown(value)
+                got = f"{len(value)} entries" if isinstance(value, list) else value_text(value)
                 self.fail(f"{self._label(key, index)} must have {'x'.join('n' if n is None else str(n) for n in shape)} numbers, got {got}",
                           key, *index, value=value)
             for i, item in enumerate(value):
                 self.numbers(item, shape[1:], key, (*index, i), length_limit, nulls)
         elif isinstance(value, bool) or not isinstance(value, int | float):
             if not (nulls and value is None):
-                self.fail(f"{self._label(key, index)} must be a number, not {shown(value)}", key, *index, value=value)
+                self.fail(f"{self._label(key, index)} must be a number, not {value_text(value)}", key, *index, value=value)
         elif nulls and value != value:
             return
         elif not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # true for what is not a number, too
             finite = isinstance(value, int) or math.isfinite(value)
-            self.fail(f"{self._label(key, index)} is {'too large to compute with' if finite else 'not finite'}: {shown(value)}", key, *index,
+            self.fail(f"{self._label(key, index)} is {'too large to compute with' if finite else 'not finite'}: {value_text(value)}", key, *index,
                       value=value)
         elif length_limit is not None and abs(value) > length_limit:
-            self.fail(f"{self._label(key, index)} = {shown(value)} m is implausible (more than {length_limit:g} m): lengths are in metres; "
+            self.fail(f"{self._label(key, index)} = {value_text(value)} m is implausible (more than {length_limit:g} m): lengths are in metres; "
                       f"is this in millimetres ({value / 1000:g} m)?", key, *index, value=value)
 
     def _label(self, key: Key, index: tuple) -> str:
@@ -235,4 +235,4 @@ class Entries:
             if key not in known:
                 near = slip(str(key), known, NEAREST)
                 hint = f"is {near!r} meant?" if near else f"there {'are' if len(known) > 1 else 'is'} {', '.join(known)}"
-                self.fail(f"unknown key {shown(self.name(key))}; {hint}", key, value=key)
+                self.fail(f"unknown key {value_text(self.name(key))}; {hint}", key, value=key)

@@ -12,9 +12,9 @@ import numpy as np
 
 from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
 from rig.errors import FileError
-from rig.formats.number_parsing import LONGEST_NUMBER, NotFinite, number, numbers
-from rig.recording.time_origin import LATEST, Origin, other_unit
-from rig.formats.input_files import read_text, shown
+from rig.formats.number_parsing import LONGEST_NUMBER, NotFinite, parse_number, parse_numbers
+from rig.recording.time_origin import LATEST, Origin, likely_time_unit
+from rig.formats.input_files import read_text, value_text
 
 FOREIGN = {"semicolon": ";", "tab": "\t"}  # separators of other people's tables
 MOST_COLUMNS = 1000
@@ -54,7 +54,7 @@ class Table:
         for i, cell in enumerate(cells):
             problem = _number_problem(cell)
             if problem:
-                self.fail(f"column {shown(column)} {problem}: {shown(cell)}", i, column, cell)
+                self.fail(f"column {value_text(column)} {problem}: {value_text(cell)}", i, column, cell)
         raise AssertionError("unreachable: a bad column without a bad cell")
 
     def times(self, column: str, origin: Origin) -> np.ndarray:
@@ -63,7 +63,7 @@ class Table:
         far = np.flatnonzero(np.abs(values) > LATEST)
         if len(far):
             i = far[0]
-            self.fail(f"column {column!r} is in seconds, and {cells[i]} s is later than any clock shows: is it in {other_unit(values[i])}?", i,
+            self.fail(f"column {column!r} is in seconds, and {cells[i]} s is later than any clock shows: is it in {likely_time_unit(values[i])}?", i,
                       column, cells[i])
         return origin.seconds(cells)
 
@@ -73,7 +73,7 @@ class Table:
         bad = np.flatnonzero((values != np.round(values)) | (values < 0) | (values > LARGEST_WHOLE))
         if len(bad):
             limits = "of at least 0" + (f" and at most {LARGEST_WHOLE}" if values[bad[0]] > LARGEST_WHOLE else "")
-            self.fail(f"column {column!r} must be a whole number {limits}, not {shown(self.text(column)[bad[0]])}", bad[0], column)
+            self.fail(f"column {column!r} must be a whole number {limits}, not {value_text(self.text(column)[bad[0]])}", bad[0], column)
         return values.astype(int)
 
     def matrix(self, columns: Iterable[str]) -> np.ndarray:
@@ -86,7 +86,7 @@ def _number_problem(cell: str) -> str | None:
     if len(cell) > LONGEST_NUMBER:
         return f"has {len(cell)} characters, more than any number needs"
     try:
-        value = number(cell)
+        value = parse_number(cell)
     except NotFinite:
         return "is not finite"
     except ValueError:
@@ -133,15 +133,15 @@ def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optiona
     first: dict[str, int] = {}
     for place, name in enumerate(header, 1):
         if first.setdefault(name, place) != place:
-            raise FileError(path, f"column {shown(name)} is given twice", 1, place, name)
+            raise FileError(path, f"column {value_text(name)} is given twice", 1, place, name)
     missing = [name for name in required if name not in first]
     if missing:
         other = next((name for name, sign in FOREIGN.items() if len(header) == 1 and sign in header[0]), None)
         hint = "" if other is None else f"; it is separated by {other}s, and tables here are by commas with decimal points (docs/tables.md)"
-        raise FileError(path, f"column {missing[0]!r} is missing; the header is {shown(','.join(header))}{hint}", 1)
+        raise FileError(path, f"column {missing[0]!r} is missing; the header is {value_text(','.join(header))}{hint}", 1)
     absent = [name for name in optional if name not in first and len(name) > 2]
     for place, name in enumerate(header, 1):
         near = difflib.get_close_matches(name[:64], absent, n=1, cutoff=0.8) if name not in (*required, *optional) else ()
         if near:
-            raise FileError(path, f"unknown column {shown(name)}; is {near[0]!r} meant?", 1, place, name)
+            raise FileError(path, f"unknown column {value_text(name)}; is {near[0]!r} meant?", 1, place, name)
     return header

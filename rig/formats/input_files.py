@@ -71,7 +71,7 @@ def read_text(path: Path, most: int = LARGEST, missing: str = "no such file") ->
     return text
 
 
-def shown(value: Any) -> str:
+def value_text(value: Any) -> str:
     """A value as a message repeats it: like repr, but never long."""
     try:
         text = repr(value if not isinstance(value, str) else value[: 2 * SHOWN])

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from rig.errors import FileError
 from rig.formats.json_positions import LARGEST as LOOKED_THROUGH
-from rig.formats.json_positions import Doubled, Places, doubled, pairs
-from rig.formats.input_files import read_text, shown
-from rig.formats.schema_version import require
+from rig.formats.json_positions import RepeatedKey, Places, repeated_key, pairs
+from rig.formats.input_files import read_text, value_text
+from rig.formats.schema_version import require_schema
 
 if TYPE_CHECKING:
     from rig.formats.checked_entries import Entries
@@ -30,9 +30,9 @@ def load(path: Path, what: str, *schemas: str) -> Entries:
     text = read_text(path, LARGEST)
     try:
         tree = json.loads(text, object_pairs_hook=pairs)
-    except Doubled:
-        key, place = (doubled(text) if len(text) <= LOOKED_THROUGH else None) or ("some key", (None, None))
-        raise FileError(path, f"key {shown(key)} is there twice in one table: which holds?", *place, key) from None
+    except RepeatedKey:
+        key, place = (repeated_key(text) if len(text) <= LOOKED_THROUGH else None) or ("some key", (None, None))
+        raise FileError(path, f"key {value_text(key)} is there twice in one table: which holds?", *place, key) from None
     except json.JSONDecodeError as error:
         raise FileError(path, f"not valid JSON: {error.msg} (cut off?)", error.lineno, error.colno) from None
     except RecursionError:
@@ -40,17 +40,17 @@ def load(path: Path, what: str, *schemas: str) -> Entries:
     except ValueError as error:  # a number that is none, or of thousands of digits
         raise FileError(path, f"not valid JSON: {error}") from None
     if not isinstance(tree, dict):
-        raise FileError(path, f"is no {what}: it holds {shown(tree)}")
+        raise FileError(path, f"is no {what}: it holds {value_text(tree)}")
     places = Places(text)
     if schemas:
-        require(path, what, tree.get("schema"), schemas, places.get(("schema",), (None, None)))
+        require_schema(path, what, tree.get("schema"), schemas, places.get(("schema",), (None, None)))
     return Entries(tree, (), path, places)
 
 
-def nulls(tree: Any) -> Any:
+def nan_to_null(tree: Any) -> Any:
     """The same with null for figures of what was not measured: JSON has no NaN."""
     if isinstance(tree, dict):
-        return {name: nulls(value) for name, value in tree.items()}
+        return {name: nan_to_null(value) for name, value in tree.items()}
     if isinstance(tree, list | tuple):
-        return [nulls(value) for value in tree]
+        return [nan_to_null(value) for value in tree]
     return None if isinstance(tree, float) and not math.isfinite(tree) else tree

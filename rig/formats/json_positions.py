@@ -41,7 +41,7 @@ class Places(Mapping[Path, Place]):
         return len(self._found)
 
 
-def doubled(text: str) -> tuple[str, Place] | None:
+def repeated_key(text: str) -> tuple[str, Place] | None:
     """(key, place of its second value) of the first key that a table of a JSON text has twice, or None."""
     seen = set()
     for path, at in _values(text):
@@ -52,15 +52,15 @@ def doubled(text: str) -> tuple[str, Place] | None:
 
 
 def pairs(found: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A table of a JSON text, for json's object_pairs_hook. Raises Doubled for a key that is there twice."""
+    """A table of a JSON text, for json's object_pairs_hook. Raises RepeatedKey for a key that is there twice."""
     tree = dict(found)
     if len(tree) < len(found):
-        raise Doubled
+        raise RepeatedKey
     return tree
 
 
-class Doubled(ValueError):
-    """A JSON text has a table with a key that is there twice; see `doubled`."""
+class RepeatedKey(ValueError):
+    """A JSON text has a table with a key that is there twice; see `repeated_key`."""
 
 
 def _values(text: str) -> Iterator[tuple[Path, int]]:

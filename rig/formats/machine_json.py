@@ -11,22 +11,22 @@ from rig.formats import json_file
 from rig.model.design import Arm, Camera, Chain, Design
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text import Kinds, from_dict, placed, to_dict
+from rig.effects.texts.effect_text import Kinds, effect_from_dict, require_place, effect_to_dict
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.errors import FileError, RigError
 from rig.model.mechanism_kinds import Mechanism
-from rig.model.pose import pose, vector
+from rig.model.pose import pose, pose_to_vector
 
 GEOMETRY = {"hexapod": ("base_joints", "platform_joints", "strut_zeros"), "planar2": ("base_joints", "strut_zeros"), "arm": ("joints",), "chain": ()}
 PLACES = ("base", "tool")  # of an arm, as poses
 LIMBS = ("base_joints", "platform_joints", "zeros")
 
 
-def tree(design: Design, effects: Iterable[Effect]) -> dict:
+def machine_dict(design: Design, effects: Iterable[Effect]) -> dict:
     """{"effects", geometry by name, "cameras", "insitu" where there are measuring limbs} of a design as it is."""
     m = design.mechanism
-    out = {"effects": [to_dict(effect) for effect in effects], **_geometry(m)}
-    out["cameras"] = [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": vector(c.pose).tolist()}
+    out = {"effects": [effect_to_dict(effect) for effect in effects], **_geometry(m)}
+    out["cameras"] = [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": pose_to_vector(c.pose).tolist()}
                       for c in design.cameras]
     return out | ({"insitu": {name: getattr(design.insitu, name).tolist() for name in LIMBS}} if design.insitu is not None else {})
 
@@ -36,10 +36,10 @@ def _geometry(m: Mechanism) -> dict[str, Any]:
     if isinstance(m, Chain):
         return {"stages": [_geometry(stage) for stage in m.stages]}
     own = {name: getattr(m, name).tolist() for name in GEOMETRY.get(m.kind, ())}
-    return own | {"joints": m.rows.tolist(), **{name: vector(getattr(m, name)).tolist() for name in PLACES}} if isinstance(m, Arm) else own
+    return own | {"joints": m.rows.tolist(), **{name: pose_to_vector(getattr(m, name)).tolist() for name in PLACES}} if isinstance(m, Arm) else own
 
 
-def load(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> tuple[Design, tuple[Effect, ...]]:
+def load_machine(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> tuple[Design, tuple[Effect, ...]]:
     """(the design as it is, effects at work) of such a file, the rest as stated. kinds : effects that there are
 
     Raises FileError for a file that is none of this rig
@@ -90,7 +90,7 @@ def _effects(table: Entries, design: Design, kinds: Kinds) -> tuple[Effect, ...]
     found = []
     for number, entry in enumerate(table.tables("effects"), 1):
         try:
-            found.append(placed(from_dict(entry.tree, kinds), design))
+            found.append(require_place(effect_from_dict(entry.tree, kinds), design))
         except FileError:
             raise
         except RigError as error:

@@ -14,7 +14,7 @@ class NotFinite(ValueError):
     """A text that is no finite number, in words or by its size."""
 
 
-def number(text: str) -> float:
+def parse_number(text: str) -> float:
     """The finite number that a text is. Raises NotFinite, ValueError for anything else, spaces around it included."""
     if text.lower().lstrip("+-") in UNBOUNDED:
         raise NotFinite(f"not finite: {text!r}")
@@ -26,13 +26,13 @@ def number(text: str) -> float:
     return value
 
 
-def whole(text: str) -> int:
+def parse_whole_number(text: str) -> int:
     """The whole number that a text is. Raises ValueError for anything else, spaces around it included."""
     if len(text) > LONGEST_NUMBER or not _WHOLE.fullmatch(text):
         raise ValueError(f"not a whole number: {text[:LONGEST_NUMBER]!r}")
     return int(text)
 
 
-def numbers(texts: Iterable[str]) -> list[float]:
+def parse_numbers(texts: Iterable[str]) -> list[float]:
     """The same of many. Raises ValueError where one is no finite number."""
-    return [number(text) for text in texts]
+    return [parse_number(text) for text in texts]

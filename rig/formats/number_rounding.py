@@ -11,49 +11,49 @@ UNITS = {"m": ((1e6, "µm"), (1e3, "mm"), (1.0, "m")), "rad": ((1e6, "µrad"), (
          "1": ((1.0, ""),), "1/K": ((1e6, "ppm/K"),)}  # as people read them: the first in which a value is below 1000, or the last
 
 
-def rounded(value: float, digits: int = 3) -> str:
+def round_to_digits(value: float, digits: int = 3) -> str:
     """A value to so many significant digits; one above 10^digits to its last digit before the point.
 
-    >>> rounded(1139.6), rounded(0.0123456), rounded(-0.5)
+    >>> round_to_digits(1139.6), round_to_digits(0.0123456), round_to_digits(-0.5)
     ('1140', '0.0123', '-0.5')
     """
     text = f"{value:.{digits}g}"
     return f"{float(text):.0f}" if "e+" in text and abs(value) < PLAIN else text
 
 
-def apart(low: float, high: float, digits: int = 3) -> int:
+def separating_digits(low: float, high: float, digits: int = 3) -> int:
     """The fewest significant digits, `digits` or more, that tell two values apart.
 
-    >>> apart(199.81, 200.3), apart(1.0, 2.0)
+    >>> separating_digits(199.81, 200.3), separating_digits(1.0, 2.0)
     (4, 3)
     """
-    return next((n for n in range(digits, MOST) if rounded(low, n) != rounded(high, n)), digits)
+    return next((n for n in range(digits, MOST) if round_to_digits(low, n) != round_to_digits(high, n)), digits)
 
 
-def quantity(values: float | Sequence[float], unit: str) -> str:
+def quantity_text(values: float | Sequence[float], unit: str) -> str:
     """One value in an SI unit, or several beside each other, in the unit in which people read the largest.
 
-    >>> quantity(2078.46, "s"), quantity(4.2e-5, "m"), quantity((0.001, -0.0005), "rad"), quantity(3, "")
+    >>> quantity_text(2078.46, "s"), quantity_text(4.2e-5, "m"), quantity_text((0.001, -0.0005), "rad"), quantity_text(3, "")
     ('2080 s', '42 µm', '1 -0.5 mrad', '3')
     """
     numbers = values if isinstance(values, Sequence) else (values,)
     scale, name = _read(max(map(abs, numbers)), unit)
-    return f"{' '.join(rounded(v * scale) for v in numbers)} {name}".strip()
+    return f"{' '.join(round_to_digits(v * scale) for v in numbers)} {name}".strip()
 
 
-def between(low: float, high: float, unit: str) -> str:
+def range_text(low: float, high: float, unit: str) -> str:
     """What lies between two values in an SI unit, or in several, each in the unit in which people read it; high may be infinite.
 
-    >>> between(5e-6, 2e-4, "m"), between(1e-3, 60, "s"), between(0, 0.05, "m"), between(1e4, float("inf"), "N/m")
+    >>> range_text(5e-6, 2e-4, "m"), range_text(1e-3, 60, "s"), range_text(0, 0.05, "m"), range_text(1e4, float("inf"), "N/m")
     ('5 to 200 µm', '1 ms to 60 s', '0 to 50 mm', '0.01 N/µm and more')
     """
     if ", " in unit:
-        return ", ".join(between(low, high, one) for one in unit.split(", "))
+        return ", ".join(range_text(low, high, one) for one in unit.split(", "))
     if math.isinf(high):
-        return f"{quantity(low, unit)} and more"
+        return f"{quantity_text(low, unit)} and more"
     first, last = (_read(abs(end or other), unit) for end, other in ((low, high), (high, low)))
-    left = rounded(low * first[0]) if first == last else quantity(low, unit)
-    return f"{left} to {rounded(high * last[0])} {last[1]}".strip()
+    left = round_to_digits(low * first[0]) if first == last else quantity_text(low, unit)
+    return f"{left} to {round_to_digits(high * last[0])} {last[1]}".strip()
 
 
 def _read(size: float, unit: str) -> tuple[float, str]:

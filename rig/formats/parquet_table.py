@@ -15,7 +15,7 @@ def is_parquet(path: Path) -> bool:
     return path.suffix.lower() in (".parquet", ".pq")
 
 
-def cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
+def read_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
     """(header, rows of texts) of a Parquet file; timestamps become nanoseconds since 1970.
 
     Raises MissingLibrary without pyarrow, FileError for what is no such file, for other types and for cells that are empty
@@ -41,7 +41,7 @@ def cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
     return tuple(name for name, _ in columns), [list(row) for row in zip(*(values for _, values in columns))]
 
 
-def content(columns: Mapping[str, Sequence[int] | Sequence[float] | Sequence[str]]) -> bytes:
+def parquet_bytes(columns: Mapping[str, Sequence[int] | Sequence[float] | Sequence[str]]) -> bytes:
     """The bytes of a Parquet file of {name: values}. Raises MissingLibrary without pyarrow."""
     pa, parquet = _library()
     buffer = pa.BufferOutputStream()

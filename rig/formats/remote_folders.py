@@ -52,15 +52,15 @@ def is_folder(path: Path) -> bool:
 
 def is_empty(folder: Path) -> bool:
     """Whether nothing is in a folder."""
-    return not names(folder)
+    return not list_folder(folder)
 
 
-def names(folder: Path) -> list[str]:
+def list_folder(folder: Path) -> list[str]:
     """What is in a folder, sorted."""
     return sorted(_entries(url(folder)) if is_remote(folder) else os.listdir(folder))
 
 
-def size(path: Path) -> int | None:
+def file_size(path: Path) -> int | None:
     """Bytes of a file as its folder's listing says, None where there is no such file. Raises FileError where that cannot be asked."""
     if is_remote(path):
         return _entries(url(path.parent)).get(path.name)
@@ -81,7 +81,7 @@ def read(path: Path, most: int | None = None) -> bytes:
         raise _refused(url(path), error) from error
 
 
-def look_anew() -> None:
+def clear_listing_cache() -> None:
     """Forget what folders listed: another recording is read, or the same one again."""
     _entries.cache_clear()
 

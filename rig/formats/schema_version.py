@@ -10,7 +10,7 @@ NAMED = re.compile(r"([a-z_]+)/([1-9][0-9]{0,8})")
 MOST = 80  # characters of what a file names that are shown
 
 
-def require(path: Path | str, what: str, found: object, known: Sequence[str], place: tuple[int | None, int | None] = (None, None)) -> None:
+def require_schema(path: Path | str, what: str, found: object, known: Sequence[str], place: tuple[int | None, int | None] = (None, None)) -> None:
     """Raise FileError where a file does not name a known schema.
 
     what : the file should be, as in "calibration"; found : whatever it names; known : as "calibration/1", the oldest first; place : line and column

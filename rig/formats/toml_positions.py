@@ -11,7 +11,7 @@ _STRING = re.compile(r'''"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}|"(?:[^"\\\n]|
 _SCALAR = re.compile(r"[^,\]}\s#]+(?: [0-9:.]+)?")
 
 
-def positions(text: str) -> dict[tuple, tuple[int, int]]:
+def value_positions(text: str) -> dict[tuple, tuple[int, int]]:
     """{path: (line, column)} of every table, array element and value of a TOML text that tomllib has accepted.
 
     A path is a tuple of keys and indices, as in ("camera", 0, "matrix", 2, 1); lines and columns count from 1.

@@ -26,7 +26,7 @@ def cube_named(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
     return found.name, None
 
 
-def permitted(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
+def parse_permission(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
     """(what an owner allows experiments, a cube that may be turned by its name, None), or ("", what is wrong with that cube, in words)."""
     if not word.startswith(TURN):
         return word, None
@@ -34,12 +34,12 @@ def permitted(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
     return TURN + name if problem is None else "", problem
 
 
-def turned(design: Design) -> dict[str, int]:
+def quarter_turns(design: Design) -> dict[str, int]:
     """{cube: quarter turns} of the cubes of a design that were taken off and put back; of several recordings together, as they stood last."""
     return {target.name.partition("@")[0]: target.turned for target in design.targets if target.turned is not None}
 
 
-def with_turned(design: Design, quarters: Mapping[str, int]) -> Design:
+def design_with_turned_cubes(design: Design, quarters: Mapping[str, int]) -> Design:
     """The Design with cubes put back turned. Raises RigError for a cube that there is not."""
     for name in quarters:
         _, problem = cube_named(name, design.targets)
@@ -48,7 +48,7 @@ def with_turned(design: Design, quarters: Mapping[str, int]) -> Design:
     return replace(design, targets=tuple(replace(t, turned=quarters.get(t.name, t.turned)) for t in design.targets))
 
 
-def text_with(text: str, quarters: Mapping[str, int]) -> str:
+def rig_toml_with_turns(text: str, quarters: Mapping[str, int]) -> str:
     """The rig.toml text saying how cubes stand; all else, comments too, as it was."""
     import tomlkit
 
@@ -62,7 +62,7 @@ def text_with(text: str, quarters: Mapping[str, int]) -> str:
     return tomlkit.dumps(document)
 
 
-def to_do(quarters: Mapping[str, int], before: Mapping[str, int]) -> list[str]:
+def turning_instructions(quarters: Mapping[str, int], before: Mapping[str, int]) -> list[str]:
     """What an operator is asked to do so that cubes stand as they are to, in words. before : how they stand now"""
     out = []
     for name, quarter in quarters.items():

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.controller_settings import Controller
 from rig.errors import RigError
-from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2, freeze
+from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2, freeze_array
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -54,7 +54,7 @@ class MeasuringLimbs:
         if not len(self.zeros):
             object.__setattr__(self, "zeros", np.zeros(n))
         for name, shape in (("base_joints", (n, 3)), ("platform_joints", (n, 3)), ("zeros", (n,))):
-            freeze(self, name, shape)
+            freeze_array(self, name, shape)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -126,8 +126,8 @@ class Camera:
     source: str | None = None
 
     def __post_init__(self) -> None:
-        freeze(self, "matrix", (3, 3))
-        freeze(self, "distortion", (None,))
+        freeze_array(self, "matrix", (3, 3))
+        freeze_array(self, "distortion", (None,))
         if len(self.distortion) not in DISTORTION_TERMS:
             raise ValueError(f"distortion: expected {DISTORTION_TERMS} terms, got {len(self.distortion)}")
 

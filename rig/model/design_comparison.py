@@ -16,7 +16,7 @@ FREE = re.compile(r"actuator\.max_speed|targets \d+\.turned")  # what an owner m
 PAYLOAD = "a payload is no part of the platform: log it as payload_mass_kg in sensors.csv"
 
 
-def contradictions(a: Design, b: Design) -> list[str]:
+def design_contradictions(a: Design, b: Design) -> list[str]:
     """What two Designs state of the machine itself that cannot both be true, in words; cameras may be moved, and are not asked for."""
     found = [text for name in STATED for where, text in _differences(getattr(a, name), getattr(b, name), name) if not FREE.fullmatch(where)]
     return [*found, PAYLOAD] if any(text.startswith("platform.mass") for text in found) else found

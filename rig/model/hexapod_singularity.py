@@ -9,7 +9,7 @@ SINGULAR = 1e-6  # of the largest singular value of the Jacobian, rotations weig
 MOVES = np.array([[0.1, 0, 0, 0, 0, 0], [0, 0.1, 0, 0.1, 0, 0], [0, 0, 0.1, 0, 0.1, 0], [0, 0, 0, 0, 0, 0.1]])  # platform sizes, rad
 
 
-def singular(hexapod: Hexapod) -> str | None:
+def singularity_text(hexapod: Hexapod) -> str | None:
     """What makes a hexapod's platform loose at home, in words, or None where its struts hold it.
 
     Joints on similar hexagons, one plate turned against the other or not, leave it loose wherever it stands.

@@ -17,7 +17,7 @@ def _array(value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
     return array
 
 
-def freeze(self: Any, name: str, shape: tuple[int | None, ...]) -> None:
+def freeze_array(self: Any, name: str, shape: tuple[int | None, ...]) -> None:
     """Make a frozen dataclass' field an unwritable float array of a shape. Raises ValueError for another shape or what is not finite."""
     object.__setattr__(self, name, _array(getattr(self, name), shape, name))
 
@@ -40,7 +40,7 @@ class Hexapod:
 
     def __post_init__(self) -> None:
         for name, shape in (("base_joints", (6, 3)), ("platform_joints", (6, 3)), ("strut_range", (6, 2)), ("strut_zeros", (6,))):
-            freeze(self, name, shape)
+            freeze_array(self, name, shape)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -62,7 +62,7 @@ class Planar2:
 
     def __post_init__(self) -> None:
         for name, shape in (("base_joints", (2, 2)), ("strut_range", (2, 2)), ("strut_zeros", (2,))):
-            freeze(self, name, shape)
+            freeze_array(self, name, shape)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -88,10 +88,10 @@ class Arm:
     kind: ClassVar[Literal["arm"]] = "arm"
 
     def __post_init__(self) -> None:
-        freeze(self, "joints", (None, None))
+        freeze_array(self, "joints", (None, None))
         if self.joints.shape[1] not in (4, 5):
             raise ValueError(f"joints: expected rows of 4 or 5 figures, got {self.joints.shape[1]}")
-        freeze(self, "limits", (len(self.joints), 2))
+        freeze_array(self, "limits", (len(self.joints), 2))
         slides = self.slides if np.size(self.slides) else np.zeros(len(self.joints))
         object.__setattr__(self, "slides", _array(slides, (len(self.joints),), "slides") > 0)
 

@@ -13,7 +13,7 @@ from rig.effects.framework.machine_motion import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_kinds import axes_of
 from rig.model.mechanisms import chain, hexapod, two_strut_plane
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from rig.recording.recording_folder import Commands, Sensors
 
 MAX_ITERATIONS = 50
@@ -37,7 +37,7 @@ class Run:
     stages: tuple[RigidTransform, ...] = ()
 
 
-def motion(design: Design, commands: Commands, t: np.ndarray, effects: Iterable[Effect] = (), sensors: Sensors | None = None) -> Motion:
+def motion_of_commands(design: Design, commands: Commands, t: np.ndarray, effects: Iterable[Effect] = (), sensors: Sensors | None = None) -> Motion:
     """Motion of a design (as it really is) at exposures logged at t (n,) s: clock and path as the effects make them.
 
     commands : Commands; effects : Effects; sensors : Sensors or None
@@ -51,12 +51,12 @@ def motion(design: Design, commands: Commands, t: np.ndarray, effects: Iterable[
     lengths = np.stack([np.interp(knots, commands.t, column) for column in commands.values.T], axis=1)
     path = Path(knots, lengths, np.searchsorted(knots, t), commands.starts)
     for effect in effects:
-        path = effect.follow(path, mechanisms.places(design.mechanism))
-    home = mechanisms.of(design.mechanism).home(design.mechanism)
+        path = effect.follow(path, mechanisms.axis_places(design.mechanism))
+    home = mechanisms.kinematics_of(design.mechanism).home(design.mechanism)
     return Motion(axes_of(design.mechanism), design.platform, design.actuator, design.gravity, t, path, sensors, home, None)
 
 
-def run(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect] = (), sensors: Sensors | None = None,
+def run_machine(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect] = (), sensors: Sensors | None = None,
         rates: bool = False) -> Run:
     """Run of a machine under commands, with effects.
 
@@ -67,8 +67,8 @@ def run(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Eff
     """
     if rates:
         return _with_rates(design, commands, np.asarray(t, float), effects, sensors)
-    state = motion(design, commands, t, effects, sensors)
-    module, m = mechanisms.of(design.mechanism), design.mechanism
+    state = motion_of_commands(design, commands, t, effects, sensors)
+    module, m = mechanisms.kinematics_of(design.mechanism), design.mechanism
     for effect in effects:
         reason = effect.needs(state)
         if reason:
@@ -90,32 +90,32 @@ def run(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Eff
             raise NotConverged(f"no balance between pose and {', '.join(e.name for e in bound)} at {len(failed)} exposures", failed,
                                state.lengths[failed], left[failed])
     sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
-    stages = chain.standing(state.lengths + deviation, m)[:-1] if isinstance(m, Chain) else []
+    stages = chain.stage_poses(state.lengths + deviation, m)[:-1] if isinstance(m, Chain) else []
     return Run(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
 
 
-def effective(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
+def effective_commands(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
               sensors: Sensors | None = None) -> np.ndarray:
     """(n, axes) m that commands become under effects at exposures logged at t (n,) s; what depends on the pose is taken at T (n,).
 
-    Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as `motion`
+    Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as `motion_of_commands`
     """
-    out, sway = reached(design, commands, t, T, effects, sensors)
-    return out + swayed(design, T, sway) if sway.any() else out
+    out, sway = effective_commands_and_sway(design, commands, t, T, effects, sensors)
+    return out + apparent_strut_lengths(design, T, sway) if sway.any() else out
 
 
-def reached(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
+def effective_commands_and_sway(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
             sensors: Sensors | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """((n, axes) m or rad that commands become, (n, 6) sway of the platform beyond that) under effects, taken at T (n,) as in `effective`.
+    """((n, axes) m or rad that commands become, (n, 6) sway of the platform beyond that) under effects, taken at T (n,) as in `effective_commands`.
 
-    What joints hold is displaced along with them in ways that no joint may make up for. Raises as `motion`
+    What joints hold is displaced along with them in ways that no joint may make up for. Raises as `motion_of_commands`
     """
-    state = replace(motion(design, commands, t, effects, sensors), T=T)
+    state = replace(motion_of_commands(design, commands, t, effects, sensors), T=T)
     out = state.lengths + sum((e.deviation(state) for e in effects), np.zeros(state.lengths.shape))
     return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
 
 
-def swayed(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
+def apparent_strut_lengths(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
     """(n, axes) m by which struts seem longer where the platform at T (n,) is displaced by tangents (n, 6). Raises RigError without struts."""
     m = design.mechanism
     if isinstance(m, Hexapod):
@@ -125,7 +125,7 @@ def swayed(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
     raise RigError(f"a {m.kind} has no struts")
 
 
-def rolls(design: Design, effects: Iterable[Effect]) -> bool:
+def has_rolling_shutter(design: Design, effects: Iterable[Effect]) -> bool:
     """Whether the rows of some camera's images are exposed one after the other, so that velocities matter to what is seen."""
     return any(camera.shutter == "rolling" for camera in design.cameras) or any(effect.rolls for effect in effects)
 
@@ -133,15 +133,15 @@ def rolls(design: Design, effects: Iterable[Effect]) -> bool:
 def _with_rates(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect], sensors: Sensors | None) -> Run:
     around = np.concatenate([t - ABOUT, t, t + ABOUT])
     order = np.argsort(around, kind="stable")
-    done = run(design, commands, around[order], effects, sensors)
+    done = run_machine(design, commands, around[order], effects, sensors)
     back = np.empty(len(order), int)
     back[order] = np.arange(len(order))
     before, at, after = np.split(back, 3)
     T = done.T_base_platform
-    return Run(T[at], done.deviation[at], *rates(T[at], T[before], T[after]), tuple(stage[at] for stage in done.stages))
+    return Run(T[at], done.deviation[at], *pose_rates(T[at], T[before], T[after]), tuple(stage[at] for stage in done.stages))
 
 
-def rates(T: RigidTransform, before: RigidTransform, after: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
+def pose_rates(T: RigidTransform, before: RigidTransform, after: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
     """(rate (n, 6) tangent per s, curvature (n, 6) per s^2) of poses (n,), and where they were ABOUT s before and after."""
-    minus, plus = difference(T, before), difference(T, after)
+    minus, plus = pose_difference(T, before), pose_difference(T, after)
     return (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2

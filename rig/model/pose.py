@@ -28,7 +28,7 @@ def pose(position: ArrayLike, rotvec: ArrayLike) -> RigidTransform:
     return RigidTransform.from_components(np.asarray(position, float), Rotation.from_rotvec(rotvec))
 
 
-def vector(T: RigidTransform) -> np.ndarray:
+def pose_to_vector(T: RigidTransform) -> np.ndarray:
     """(..., 6) position (m) and rotation vector (rad) of a RigidTransform (...), as files write it."""
     return np.concatenate([T.translation, T.rotation.as_rotvec()], axis=-1)
 
@@ -45,18 +45,18 @@ def log(T: RigidTransform) -> np.ndarray:
     return np.concatenate([coords[..., 3:], coords[..., :3]], axis=-1)
 
 
-def as_entry(T: RigidTransform) -> dict[str, list[float]]:
+def pose_entry_text(T: RigidTransform) -> dict[str, list[float]]:
     """A pose as files hold it: position (m) and rotation vector (rad)."""
-    position, rotvec = np.split(vector(T), 2)
+    position, rotvec = np.split(pose_to_vector(T), 2)
     return {"position": position.tolist(), "rotvec": rotvec.tolist()}
 
 
-def difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
+def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
     """(..., 6) position (m) and rotation vector (rad) of T_from^-1 T_to: how far apart two poses are, seen in the first.
 
     The parts are taken separately (no coupling of rotation into position), the definition used for every pose error.
     """
-    return vector(T_from.inv() * T_to)
+    return pose_to_vector(T_from.inv() * T_to)
 
 
 def adjoint(T: RigidTransform) -> np.ndarray:

@@ -6,7 +6,7 @@ from rig.compute.numba_kernels import njit
 
 
 @njit(cache=True, nogil=True)
-def turned(R: np.ndarray, w: np.ndarray) -> None:
+def rotate_increment(R: np.ndarray, w: np.ndarray) -> None:
     """R (3, 3) becomes R exp(w) for a rotation vector w (3,)."""
     x, y, z = w[0], w[1], w[2]
     angle = np.sqrt(x * x + y * y + z * z)

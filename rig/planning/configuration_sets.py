@@ -12,7 +12,7 @@ from rig.planning import sobol_points
 from rig.formats import csv_table
 from rig.model.design import Design, Hexapod
 from rig.errors import FileError, RigError
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 from rig.model.pose import pose
 
 FILL = 0.8  # of the strokes that plans use
@@ -22,7 +22,7 @@ DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its pose
 
 def low_discrepancy(strokes: np.ndarray, count: int, fill: float = FILL, seed: int = 0) -> np.ndarray:
     """(count, axes) configurations that cover the middle `fill` of the strokes (axes, 2) evenly (scrambled Sobol points)."""
-    return scaled(strokes, 2 * sobol_points.points(len(strokes), count, seed) - 1, fill)
+    return scale_to_strokes(strokes, 2 * sobol_points.sobol_points(len(strokes), count, seed) - 1, fill)
 
 
 def grid(strokes: np.ndarray, per_axis: int, fill: float = FILL) -> np.ndarray:
@@ -32,7 +32,7 @@ def grid(strokes: np.ndarray, per_axis: int, fill: float = FILL) -> np.ndarray:
     """
     if per_axis < 2:
         raise RigError(f"a grid has at least 2 points an axis, got {per_axis}")
-    return scaled(strokes, np.array(_serpentine(len(strokes), np.linspace(-1, 1, per_axis))), fill)
+    return scale_to_strokes(strokes, np.array(_serpentine(len(strokes), np.linspace(-1, 1, per_axis))), fill)
 
 
 def _serpentine(axes: int, levels: np.ndarray) -> list[tuple]:
@@ -48,7 +48,7 @@ def _vertices(levels: Sequence[np.ndarray]) -> list[tuple]:
     return [(level, *rest) for k, level in enumerate(levels[0]) for rest in (inner if k % 2 == 0 else inner[::-1])]
 
 
-def division(strokes: np.ndarray, text: str) -> np.ndarray:
+def grid_division(strokes: np.ndarray, text: str) -> np.ndarray:
     """(vertices, axes) of the grid that divides every actuator's interval into Q parts, a sample set PM, serpentine.
 
     strokes : (axes, 2); text : "3", parts of every axis, or "3x3x2x3x3x2", of each, evenly over the middle FILL of the strokes, or over
@@ -59,7 +59,7 @@ def division(strokes: np.ndarray, text: str) -> np.ndarray:
     return np.array(_vertices(_levels_of_file(strokes, Path(text)) if text.endswith(".csv") else _levels_of_text(strokes, text)))
 
 
-def parts(axes: int, text: str) -> tuple[list[int], float]:
+def parse_division(axes: int, text: str) -> tuple[list[int], float]:
     """(Q of each axis, share of the strokes) of a division's text. Raises RigError where it is none."""
     numbers, _, share = text.partition("@")
     found = numbers.split("x")
@@ -70,12 +70,12 @@ def parts(axes: int, text: str) -> tuple[list[int], float]:
         fill = 0.0
     if not whole or len(found) not in (1, axes) or not 0 < fill <= 1:
         raise RigError(f"a division is the parts of every axis (3), of each of the {axes} (3x2x..), with a share of the strokes (3@0.5) up to 1 or "
-                       f"not, or a table axis,level (FILE.csv), not {shown(text)}")
+                       f"not, or a table axis,level (FILE.csv), not {value_text(text)}")
     return [int(one) for one in (found * axes if len(found) == 1 else found)], fill
 
 
 def _levels_of_text(strokes: np.ndarray, text: str) -> list[np.ndarray]:
-    counts, fill = parts(len(strokes), text)
+    counts, fill = parse_division(len(strokes), text)
     middle, half = strokes.mean(axis=1), fill * np.ptp(strokes, axis=1) / 2
     return [middle[i] + half[i] * np.linspace(-1, 1, count + 1) for i, count in enumerate(counts)]
 
@@ -104,17 +104,17 @@ def simplices(strokes: np.ndarray, shells: int = 2, fill: float = FILL) -> np.nd
     ends = np.concatenate([np.eye(axes), -np.eye(axes)])
     corners = np.array([signs for signs in product((-1, 1), repeat=axes) if np.prod(signs) > 0])
     shell = np.concatenate([ends, corners])
-    return scaled(strokes, np.concatenate([np.zeros((1, axes)), *[shell * (k + 1) / shells for k in range(shells)]]), fill)
+    return scale_to_strokes(strokes, np.concatenate([np.zeros((1, axes)), *[shell * (k + 1) / shells for k in range(shells)]]), fill)
 
 
-def along_and_about(design: Design, per_axis: int = 9) -> np.ndarray:
+def axis_moves(design: Design, per_axis: int = 9) -> np.ndarray:
     """(6 per_axis, 6) commands of the translations along and rotations about X, Y and Z through home, as far as the struts reach
     (on-line learning patent, [0011]-[0015]). Raises RigError for a mechanism that is no hexapod."""
     mechanism = _hexapod(design, "axes plans are for hexapods")
     return _through_home(mechanism, np.eye(6), per_axis)
 
 
-def combined(design: Design, per_pair: int = 6) -> np.ndarray:
+def combined_moves(design: Design, per_pair: int = 6) -> np.ndarray:
     """(18 per_pair, 6) commands through home that turn about X, Y or Z while they move along X, Y or Z, both ways: each pair on two diagonals, as far
     as the struts reach; a turn of a radian goes with as many m as each reaches alone (on-line learning patent, [0015]).
 
@@ -135,12 +135,12 @@ def _hexapod(design: Design, what: str) -> Hexapod:
 def _through_home(mechanism: Hexapod, ways: np.ndarray, count: int) -> np.ndarray:
     """(k count, 6) m, commands along ways (k, 6) m, rad through home, one after the other, as far as the struts reach on either side."""
     steps = np.linspace(-_reach(mechanism, -ways), _reach(mechanism, ways), count, axis=1)
-    return mechanisms.of(mechanism).inverse(_shifted(mechanism, (steps[..., None] * ways[:, None]).reshape(-1, 6)), mechanism)
+    return mechanisms.kinematics_of(mechanism).inverse(_shifted(mechanism, (steps[..., None] * ways[:, None]).reshape(-1, 6)), mechanism)
 
 
 def _reach(mechanism: Hexapod, ways: np.ndarray) -> np.ndarray:
     """(k,) how many times each way (k, 6) m, rad from home the struts reach, within the middle part FILL of their strokes; at most FARTHEST."""
-    module, middle = mechanisms.of(mechanism), mechanism.strut_range.mean(axis=1)
+    module, middle = mechanisms.kinematics_of(mechanism), mechanism.strut_range.mean(axis=1)
     low, high = np.zeros(len(ways)), np.full(len(ways), FARTHEST)
     for _ in range(40):
         half = (low + high) / 2
@@ -150,14 +150,14 @@ def _reach(mechanism: Hexapod, ways: np.ndarray) -> np.ndarray:
     return low
 
 
-def iso9283(design: Design) -> np.ndarray:
+def iso9283_test_poses(design: Design) -> np.ndarray:
     """(5, 6) commands of ISO 9283's test poses: P1 in the middle of the largest cube of positions that the struts reach about home, P2 to P5 on the
     diagonals of a plane through four of its corners, a tenth of the diagonal from each. Raises RigError for a mechanism that is no hexapod."""
     mechanism = _hexapod(design, "ISO 9283's poses are planned for hexapods")
     corners = np.pad(list(product((-1.0, 1.0), repeat=3)), ((0, 0), (0, 3)))
     half = _reach(mechanism, corners).min()
     plane = corners[corners[:, 1] == corners[:, 2]]
-    return mechanisms.of(mechanism).inverse(_shifted(mechanism, half * np.concatenate([np.zeros((1, 6)), DIAGONAL * plane])), mechanism)
+    return mechanisms.kinematics_of(mechanism).inverse(_shifted(mechanism, half * np.concatenate([np.zeros((1, 6)), DIAGONAL * plane])), mechanism)
 
 
 def _shifted(mechanism: Hexapod, offset: np.ndarray) -> RigidTransform:
@@ -165,6 +165,6 @@ def _shifted(mechanism: Hexapod, offset: np.ndarray) -> RigidTransform:
     return pose(offset[:, :3], np.zeros((len(offset), 3))) * mechanism.home * pose(np.zeros((len(offset), 3)), offset[:, 3:])
 
 
-def scaled(strokes: np.ndarray, unit: np.ndarray, fill: float) -> np.ndarray:
+def scale_to_strokes(strokes: np.ndarray, unit: np.ndarray, fill: float) -> np.ndarray:
     """(count, axes) configurations (m or rad) of numbers -1..1 (count, axes), which span the middle `fill` of the strokes (axes, 2)."""
     return strokes.mean(axis=1) + fill * np.ptp(strokes, axis=1) / 2 * unit

@@ -12,12 +12,23 @@ import numpy as np
 
 from rig.model import mechanisms
 from rig.formats import csv_table
-from rig.planning.configuration_sets import FILL, along_and_about, combined, division, grid, iso9283, low_discrepancy, parts, scaled, simplices
+from rig.planning.configuration_sets import (
+    FILL,
+    axis_moves,
+    combined_moves,
+    grid_division,
+    grid,
+    iso9283_test_poses,
+    low_discrepancy,
+    parse_division,
+    scale_to_strokes,
+    simplices,
+)
 from rig.model.cube_quarter_turns import cube_named
 from rig.model.design import Design
 from rig.errors import FileError, RigError
-from rig.formats.input_files import shown
-from rig.planning.plan_table import MOST, in_time, within
+from rig.formats.input_files import value_text
+from rig.planning.plan_table import MOST, plan_of_time_table, commands_within_range
 from rig.planning.plan_construction import STEP, Approach, Plan, Writer
 from rig.recording.recording_folder import PAYLOAD, Sensors
 
@@ -31,7 +42,7 @@ BELOW = 0.05  # of the stroke, from which a one-sided plan comes up to every con
 STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
 
 
-def settled(configurations: np.ndarray, start: np.ndarray, speed: float | np.ndarray) -> Plan:
+def settled_plan(configurations: np.ndarray, start: np.ndarray, speed: float | np.ndarray) -> Plan:
     """Plan that goes to each configuration (n, axes) in turn from start (axes,), dwells, and exposes once settled.
 
     speed : of the axes, one or (axes,) m/s or rad/s
@@ -42,7 +53,7 @@ def settled(configurations: np.ndarray, start: np.ndarray, speed: float | np.nda
     return writer.plan()
 
 
-def build(design: Design, text: str, seed: int = 0, one_sided: bool = False, own: Mapping[str, np.ndarray] | None = None) -> Plan:
+def build_plan(design: Design, text: str, seed: int = 0, one_sided: bool = False, own: Mapping[str, np.ndarray] | None = None) -> Plan:
     """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD. one_sided : whether every
     configuration at which the struts settle is reached from shorter struts; own : {part: configurations (n, axes) that it visits in that order},
     besides these
@@ -50,7 +61,7 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False, own
     Scattered configurations (sobol, division, grid, simplices, axes, combined, payload, warmup, repeat) are shuffled and approached from sides so
     that neither time nor direction is a function of place (see rig.planning.approach_balance). A ladder, iso9283 and commands keep their order and go
     straight.
-    Parts: sobol:N, division:Q (see rig.planning.configuration_sets.division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR,
+    Parts: sobol:N, division:Q (see rig.planning.configuration_sets.grid_division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR,
     ladder:STEPS,
     payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, turn:CUBE (before all others: the cube is taken off and
     put back turned by a quarter turn from where its pose is stated)
@@ -60,13 +71,13 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False, own
     if not design.mechanism.axes:
         raise RigError(f"a mechanism of kind {design.mechanism.kind!r} cannot be planned for: there is nothing to command")
     if text.startswith("commands:") and "," not in text:
-        found = in_time(design, text.removeprefix("commands:"))
+        found = plan_of_time_table(design, text.removeprefix("commands:"))
         if found is not None:
             return found
-    strokes = strokes_of(design)
+    strokes = axis_strokes(design)
     below = BELOW * np.ptp(strokes, axis=1) if one_sided else None
     approach = Approach(strokes, below, np.random.default_rng((seed, 1)))  # apart from rng: which configurations a part visits stays the same
-    writer = Writer(strokes.mean(axis=1), speed_of(design), approach)
+    writer = Writer(strokes.mean(axis=1), plan_speed(design), approach)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
         name, _, count = part.strip().partition(":")
@@ -74,14 +85,14 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False, own
             writer.follow(np.asarray(own[part.strip()]))
             continue
         if name not in PARTS:
-            raise RigError(f"plan {shown(text)}: there is no part {shown(name)}; there are {', '.join(PARTS)}")
+            raise RigError(f"plan {value_text(text)}: there is no part {value_text(name)}; there are {', '.join(PARTS)}")
         if name not in TEXTS and count and not (count.isascii() and count.isdigit() and count.strip("0")):
-            raise RigError(f"plan {shown(text)}: {name} takes a whole number of at least 1, not {shown(count)}")
+            raise RigError(f"plan {value_text(text)}: {name} takes a whole number of at least 1, not {value_text(count)}")
         if name not in TEXTS:
             _refuse_endless(name, int(count.lstrip("0")[:12] or 0), len(strokes), len(writer.exposures), text)
         PARTS[name](writer, design, count if name in TEXTS else int(count or 0), rng)
     if not writer.exposures:
-        raise RigError(f"plan {shown(text)} exposes nothing")
+        raise RigError(f"plan {value_text(text)} exposes nothing")
     return writer.plan()
 
 
@@ -95,7 +106,7 @@ def _refuse_endless(name: str, count: int, axes: int, before: int, text: str) ->
 
 def _refuse_beyond(name: str, count: str, each: float, before: int, text: str) -> None:
     if before + each > MOST:
-        raise RigError(f"plan {shown(text)}: with {name}:{count} it exposes {before + each:.3g} times; a plan may {MOST} times")
+        raise RigError(f"plan {value_text(text)}: with {name}:{count} it exposes {before + each:.3g} times; a plan may {MOST} times")
 
 
 def _visit(configurations: Callable[[Design, int, np.random.Generator], np.ndarray]) -> Callable[[Writer, Design, int, np.random.Generator], None]:
@@ -107,7 +118,7 @@ def _visit(configurations: Callable[[Design, int, np.random.Generator], np.ndarr
 
 def _ladder(writer: Writer, design: Design, steps: int, rng: np.random.Generator) -> None:
     """Every strut alone, out and back in growing amplitudes: each rung is approached from both sides."""
-    strokes = strokes_of(design)
+    strokes = axis_strokes(design)
     middle, half = strokes.mean(axis=1), FILL * np.ptp(strokes, axis=1) / 2
     reaches = np.geomspace(1 / 64, 1, steps or 4)
     for axis in range(len(strokes)):
@@ -120,7 +131,7 @@ def _ladder(writer: Writer, design: Design, steps: int, rng: np.random.Generator
 
 def _payload(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """The same configurations without and with a load of 0.6 of the platform's mass, from other sides."""
-    goals = writer.shuffled(low_discrepancy(strokes_of(design), count or 12, seed=int(rng.integers(1 << 30))))
+    goals = writer.shuffled(low_discrepancy(axis_strokes(design), count or 12, seed=int(rng.integers(1 << 30))))
     masses = (0.0, 0.6 * (design.platform.mass or 1.0), 0.0)
     moves = writer.approaches(np.tile(goals, (3, 1)), [np.repeat(masses, len(goals))]).reshape(3, *goals.shape)
     for mass, lasts in zip(masses, moves):
@@ -133,7 +144,7 @@ def _payload(writer: Writer, design: Design, count: int, rng: np.random.Generato
 
 def _moving(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """Exposures on the way: two waves per strut, slow enough for its top speed, command rows every STEP seconds."""
-    strokes = strokes_of(design)
+    strokes = axis_strokes(design)
     middle, half = strokes.mean(axis=1), 0.5 * FILL * np.ptp(strokes, axis=1) / 2
     seconds = (count or 60) * EXPOSE_EVERY + 2.0
     rates = rng.uniform(0.2, 0.6, (2, len(strokes)))
@@ -154,7 +165,7 @@ def _moving(writer: Writer, design: Design, count: int, rng: np.random.Generator
 
 def _zigzag(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """Exposures soon after all struts have turned round at full speed: what lags shows there, what only reads the clock wrong does not."""
-    strokes = strokes_of(design)
+    strokes = axis_strokes(design)
     leg = EXPOSE_EVERY * writer.speed * rng.choice([-1, 1], len(strokes))
     writer.go(strokes.mean(axis=1) - leg / 2)
     writer.dwell(1.0)
@@ -166,8 +177,8 @@ def _zigzag(writer: Writer, design: Design, count: int, rng: np.random.Generator
 
 def _warmup(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """One configuration in twelve comes back all along, minutes apart: four hours in all."""
-    goals = low_discrepancy(strokes_of(design), 11, seed=int(rng.integers(1 << 30)))
-    route = np.array([strokes_of(design).mean(axis=1) if k % 2 else goals[k // 2 % len(goals)] for k in range(count or 48)])
+    goals = low_discrepancy(axis_strokes(design), 11, seed=int(rng.integers(1 << 30)))
+    route = np.array([axis_strokes(design).mean(axis=1) if k % 2 else goals[k // 2 % len(goals)] for k in range(count or 48)])
     for goal, last in zip(route, writer.approaches(route)):
         writer.settle(goal, last)
         writer.dwell(4 * 3600 / (count or 48))
@@ -175,7 +186,7 @@ def _warmup(writer: Writer, design: Design, count: int, rng: np.random.Generator
 
 def _dwell(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """From one end to the other at once, and exposures during ten minutes there, often at first: what arrives late, and what only goes with time."""
-    strokes = strokes_of(design)
+    strokes = axis_strokes(design)
     middle, half = strokes.mean(axis=1), FILL * np.ptp(strokes, axis=1) / 2
     sides = rng.choice([-1, 1], len(strokes))
     writer.go(middle - half * sides)
@@ -193,11 +204,11 @@ def _wait(writer: Writer, design: Design, minutes: int, rng: np.random.Generator
 
 def _repeat(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """Three configurations approached again and again from everywhere, by every axis as often from below as from above: what repeatability is."""
-    strokes = strokes_of(design)
+    strokes = axis_strokes(design)
     goals = low_discrepancy(strokes, 3, seed=1)
     route = goals[np.arange(count or 30) % 3]
     for goal, last in zip(route, writer.approaches(route)):
-        writer.go(scaled(strokes, rng.uniform(-1, 1, len(strokes)), FILL))
+        writer.go(scale_to_strokes(strokes, rng.uniform(-1, 1, len(strokes)), FILL))
         writer.settle(goal, last)
 
 
@@ -213,7 +224,7 @@ def _turn(writer: Writer, design: Design, cube: str, rng: np.random.Generator) -
 
 def _iso9283(writer: Writer, design: Design, cycles: int, rng: np.random.Generator) -> None:
     """ISO 9283's five poses, one after the other and that thirty times: accuracy and repeatability of poses."""
-    poses = iso9283(design)
+    poses = iso9283_test_poses(design)
     for _ in range(cycles or 30):
         for goal in poses[::-1]:
             writer.settle(goal)
@@ -223,24 +234,24 @@ def _commands(writer: Writer, design: Design, file: str, rng: np.random.Generato
     rows = csv_table.read(Path(file), ("frame", *design.mechanism.axes))
     if "t" in rows.columns:
         raise FileError(file, "is in time (it has a column t), so it is a plan by itself and no part of one")
-    for goal in within(rows, design):
+    for goal in commands_within_range(rows, design):
         writer.settle(goal)
 
 
 def _division(writer: Writer, design: Design, text: str, rng: np.random.Generator) -> None:
-    strokes = strokes_of(design)
+    strokes = axis_strokes(design)
     if not text.endswith(".csv"):
-        each = float(np.prod([count + 1.0 for count in parts(len(strokes), text or "2")[0]]))
+        each = float(np.prod([count + 1.0 for count in parse_division(len(strokes), text or "2")[0]]))
         _refuse_beyond("division", text, each, len(writer.exposures), f"division:{text}")
-    writer.visit(division(strokes, text or "2"))
+    writer.visit(grid_division(strokes, text or "2"))
 
 
 PARTS: dict[str, Callable[..., None]] = {
-    "sobol": _visit(lambda design, count, rng: low_discrepancy(strokes_of(design), count or 100, seed=int(rng.integers(1 << 30)))),
-    "grid": _visit(lambda design, count, rng: grid(strokes_of(design), count or 2)),
-    "simplices": _visit(lambda design, count, rng: simplices(strokes_of(design), count or 2)),
-    "axes": _visit(lambda design, count, rng: along_and_about(design, count or 9)),
-    "combined": _visit(lambda design, count, rng: combined(design, count or 6)),
+    "sobol": _visit(lambda design, count, rng: low_discrepancy(axis_strokes(design), count or 100, seed=int(rng.integers(1 << 30)))),
+    "grid": _visit(lambda design, count, rng: grid(axis_strokes(design), count or 2)),
+    "simplices": _visit(lambda design, count, rng: simplices(axis_strokes(design), count or 2)),
+    "axes": _visit(lambda design, count, rng: axis_moves(design, count or 9)),
+    "combined": _visit(lambda design, count, rng: combined_moves(design, count or 6)),
     "ladder": _ladder, "payload": _payload, "moving": _moving, "zigzag": _zigzag, "warmup": _warmup, "repeat": _repeat, "dwell": _dwell,
     "wait": _wait, "turn": _turn, "commands": _commands,
     "division": _division, "iso9283": _iso9283,
@@ -248,18 +259,18 @@ PARTS: dict[str, Callable[..., None]] = {
 TEXTS = ("commands", "division", "turn")  # parts that take more than a number
 
 
-def strokes_of(design: Design) -> np.ndarray:
+def axis_strokes(design: Design) -> np.ndarray:
     """(axes, 2) m or rad between which the axes of a design may be commanded."""
-    return mechanisms.of(design.mechanism).travel(design.mechanism)
+    return mechanisms.kinematics_of(design.mechanism).travel(design.mechanism)
 
 
-def speed_of(design: Design) -> np.ndarray:
+def plan_speed(design: Design) -> np.ndarray:
     """(axes,) m/s or rad/s at which a plan moves the axes of a design. The top speed that a rig.toml states is that of struts and slides."""
     top = design.actuator.max_speed
-    return np.array([SPEED * top if top and unit == "m" else UNSTATED_SPEED[unit] for unit in mechanisms.units(design.mechanism)])
+    return np.array([SPEED * top if top and unit == "m" else UNSTATED_SPEED[unit] for unit in mechanisms.axis_units(design.mechanism)])
 
 
-def logged(plan: Plan, sensors: Sensors) -> Sensors:
+def add_payload_channel(plan: Plan, sensors: Sensors) -> Sensors:
     """Sensors with the plan's payload as a channel, a row at each step so that it stays one."""
     if not (plan.payload[:, 1] > 0).any():
         return replace(sensors, channels={**sensors.channels, PAYLOAD: np.zeros(len(sensors.t))})

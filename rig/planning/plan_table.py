@@ -9,8 +9,8 @@ from rig.formats import csv_table
 from rig.model.cube_quarter_turns import COLUMN, QUARTERS, cube_named
 from rig.model.design import Design
 from rig.errors import FileError
-from rig.recording.time_origin import Origin, decimal
-from rig.formats.input_files import shown
+from rig.recording.time_origin import Origin, exact_decimal
+from rig.formats.input_files import value_text
 from rig.planning.plan_construction import Plan
 from rig.recording.recording_folder import PAYLOAD, Commands
 from rig.recording.recording_tables import write_table
@@ -20,14 +20,14 @@ DIGITS = 4  # of a time in a plan's table
 ROWS = 5  # of a table in time for each exposure: leave, turn, arrive, hold
 
 
-def in_time(design: Design, file: str) -> Plan | None:
+def plan_of_time_table(design: Design, file: str) -> Plan | None:
     """Plan of a table frame,t,l1..l6 as it stands, exposed at the rows that have a frame, with the payload of each row where it has a column of
     it; None for a table without times. Raises FileError with line and column for what is no such table."""
     rows = csv_table.read(Path(file), ("frame", *design.mechanism.axes), (PAYLOAD,))
     if "t" not in rows.columns:
         return None
     rows.times("t", Origin())  # which checks them
-    origin = Origin(decimal(rows.text("t")[0]))
+    origin = Origin(exact_decimal(rows.text("t")[0]))
     t, exposed = rows.times("t", origin), np.array([bool(cell) for cell in rows.text("frame")])
     back = np.flatnonzero(np.diff(t) <= 0)
     if len(back):
@@ -36,7 +36,7 @@ def in_time(design: Design, file: str) -> Plan | None:
         raise FileError(file, "has no row with a frame, so that nothing is exposed")
     mass = rows.numbers(PAYLOAD) if PAYLOAD in rows.columns else np.zeros(len(t))
     steps = [(0.0, float(mass[0])), *((float(t[k]), float(mass[k])) for k in np.flatnonzero(np.diff(mass)) + 1)]
-    return Plan(Commands(t, within(rows, design)), t[exposed], np.array(steps), origin, _cubes(rows, design))
+    return Plan(Commands(t, commands_within_range(rows, design)), t[exposed], np.array(steps), origin, _cubes(rows, design))
 
 
 def _cubes(rows: csv_table.Table, design: Design) -> tuple[tuple[str, int], ...]:
@@ -47,7 +47,7 @@ def _cubes(rows: csv_table.Table, design: Design) -> tuple[tuple[str, int], ...]
             continue
         name, problem = cube_named(column.removeprefix(COLUMN), design.targets)
         if problem:
-            raise FileError(rows.path, f"column {shown(column)}: {problem}", 1, rows.columns.index(column) + 1, column)
+            raise FileError(rows.path, f"column {value_text(column)}: {problem}", 1, rows.columns.index(column) + 1, column)
         quarters = rows.whole(column)
         for row in np.flatnonzero((quarters != quarters[0]) | (quarters >= QUARTERS))[:1]:
             rows.fail(f"cube {name} is turned by 0 to 3 quarter turns, and stands so for the whole plan, not by {quarters[row]}", row, column)
@@ -55,18 +55,18 @@ def _cubes(rows: csv_table.Table, design: Design) -> tuple[tuple[str, int], ...]
     return tuple(out)
 
 
-def within(rows: csv_table.Table, design: Design) -> np.ndarray:
+def commands_within_range(rows: csv_table.Table, design: Design) -> np.ndarray:
     """(n, axes) m or rad that a table commands. Raises FileError with the line of what is out of the axes' range."""
     values = rows.matrix(design.mechanism.axes)
     if len(rows) > MOST * ROWS:
         raise FileError(rows.path, f"has {len(rows)} rows; a plan exposes at most {MOST} times")
-    beyond = mechanisms.of(design.mechanism).limits(values, design.mechanism)
+    beyond = mechanisms.kinematics_of(design.mechanism).limits(values, design.mechanism)
     for i in np.flatnonzero(beyond.any(axis=1)):
-        rows.fail(f"{mechanisms.places(design.mechanism)[np.flatnonzero(beyond[i])[0]]} is commanded out of its range", i)
+        rows.fail(f"{mechanisms.axis_places(design.mechanism)[np.flatnonzero(beyond[i])[0]]} is commanded out of its range", i)
     return values
 
 
-def write(path: Path, plan: Plan, axes: tuple[str, ...]) -> None:
+def write_plan(path: Path, plan: Plan, axes: tuple[str, ...]) -> None:
     """Write a Plan as a table in time, which `build` reads as commands:FILE. axes : names of their columns, which stand last"""
     loaded, exposed = np.round(plan.payload[:, 0], DIGITS), np.round(plan.t, DIGITS)
     t = np.union1d(np.round(plan.commands.t, DIGITS), np.r_[exposed, loaded])

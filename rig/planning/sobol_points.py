@@ -14,7 +14,7 @@ KNOWN = ((3, (1,)), (7, (1, 3)), (11, (1, 3, 1)), (13, (1, 1, 1)), (19, (1, 1, 3
          (41, (1, 1, 5, 5, 5)), (47, (1, 1, 7, 11, 19)), (55, (1, 1, 5, 1, 1)), (59, (1, 1, 1, 3, 11)))
 
 
-def points(axes: int, count: int, seed: int) -> np.ndarray:
+def sobol_points(axes: int, count: int, seed: int) -> np.ndarray:
     """(count, axes) points of the unit cube, 0 to 1, evenly spread."""
     whole = int(np.ceil(np.log2(max(count, 2))))
     if axes > len(KNOWN) + 1:

@@ -62,7 +62,7 @@ class Exertion:
     def value(self, q: np.ndarray, arm: Arm) -> np.ndarray:
         """(...,) the multiple at joint values q (..., n) rad; negative, by how much of a limit, where the arm's own weight is too much."""
         low, high = self.strength.box(q, arm)
-        return np.where((low <= 0).all(axis=-1) & (high >= 0).all(axis=-1), greatest(loads(q, arm, self.wrench), low, high),
+        return np.where((low <= 0).all(axis=-1) & (high >= 0).all(axis=-1), greatest_load_multiple(joint_loads(q, arm, self.wrench), low, high),
                         (np.minimum(high, -low) / self.strength.limits).min(axis=-1))
 
     def slope(self, q: np.ndarray, arm: Arm) -> np.ndarray:
@@ -72,12 +72,12 @@ class Exertion:
         return (ahead - behind) / (2 * DIFFERENCE)
 
 
-def loads(q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
+def joint_loads(q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
     """(..., n) N m with which the joints exert a wrench (6,) N, Nm on the surroundings, weight aside, at joint values q (..., n) rad."""
     return np.swapaxes(mechanism.jacobian(q, arm, "base"), -1, -2) @ wrench
 
 
-def greatest(load: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def greatest_load_multiple(load: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """(...,) greatest multiple of loads (..., n) within boxes low, high (..., n) N m about nothing; infinite where no joint is loaded."""
     size = np.abs(load)
     loaded = size > FELT * size.max(axis=-1, keepdims=True)
@@ -85,7 +85,7 @@ def greatest(load: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.min(np.where(loaded, room / np.where(loaded, size, 1.0), np.inf), axis=-1)
 
 
-def corners(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def force_polytope_corners(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """(k, 3) N: the corners of the forces f with low <= A f <= high, A (n, 3) m, low and high (n,) N m.
 
     Raises RigError where some force loads no joint, so that the posture bears any amount of it
@@ -107,7 +107,7 @@ def corners(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return every[((torque >= low - slack) & (torque <= high + slack)).all(axis=1)]
 
 
-def weakest(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, np.ndarray]:
+def weakest_force_direction(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, np.ndarray]:
     """(N that can be exerted in every direction, (3,) the direction in which no more can). A (n, 3) m; low, high (n,) N m"""
     size = np.linalg.norm(A, axis=1)
     bearing = np.where(size > FELT * size.max(), np.minimum(high, -low) / np.maximum(size, 1e-300), np.inf)

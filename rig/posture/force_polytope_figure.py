@@ -12,7 +12,7 @@ NAMES = ("fx", "fy", "fz")
 ROUND = 181  # points of an ellipse
 
 
-def svg(A: np.ndarray, limits: np.ndarray, corners: np.ndarray, wanted: np.ndarray) -> str:
+def force_polytope_svg(A: np.ndarray, limits: np.ndarray, corners: np.ndarray, wanted: np.ndarray) -> str:
     """SVG of forces alone, no moment. A : (n, 3) m, torques per force; limits : (n,) N m; corners : (k, 3) N of the polytope, weight borne
     wanted : (3,) N"""
     figure = Figure(figsize=(11, 3.9), layout="constrained")

@@ -49,20 +49,20 @@ def scaled_jacobian(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
     return mechanism.jacobian(q, arm, "base") * np.repeat([1.0, wish.length], 3)[:, None]
 
 
-def value(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> np.ndarray:
+def transmission_measure(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> np.ndarray:
     """(...,) the measure at joint angles q (..., n) rad."""
     if isinstance(wish, Exertion):
         return wish.value(q, arm)
     return _value(scaled_jacobian(q, arm, wish), wish)
 
 
-def columns(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
+def direction_norms(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
     """(..., k) norm of each chosen direction's column of J^T (all six where none is chosen), m."""
     J = scaled_jacobian(q, arm, wish)
     return np.linalg.norm(J[..., wish.rows or list(range(6)), :], ord=wish.norm, axis=-1)
 
 
-def gradient(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> np.ndarray:
+def transmission_gradient(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> np.ndarray:
     """(..., n) derivative of the measure with the joint angles, analytic (of the smallest column, where several are chosen)."""
     if isinstance(wish, Exertion):
         return wish.slope(q, arm)

@@ -64,15 +64,15 @@ class Observed:
     innovation: float
 
 
-def model(motion: Motion, arm: Arm, links: Links, gravity: np.ndarray, sigmas: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Model:
+def observer_model(motion: Motion, arm: Arm, links: Links, gravity: np.ndarray, sigmas: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Model:
     """Model of a Motion. gravity : (3,) m/s^2 in the axes of poses; sigmas : (n,) each of torque (N m), angle (rad) and speed (rad/s) readings"""
     inverse = np.linalg.inv(arm_momentum.mass_matrix(motion.q, arm, links))
-    push = motion.torque + arm_momentum.drift(motion.q, motion.speed, arm, links, gravity)
+    push = motion.torque + arm_momentum.momentum_drift(motion.q, motion.speed, arm, links, gravity)
     torque, angle, speed = (np.square(sigma) for sigma in sigmas)
     return Model(motion, inverse, push, mechanism.jacobian(motion.q, arm, "base"), torque, angle, speed)
 
 
-def observe(m: Model, rates: np.ndarray) -> Observed:
+def observe_wrench(m: Model, rates: np.ndarray) -> Observed:
     """Observed of a Model. rates : (6,) N/sqrt(s), Nm/sqrt(s), by which the wrench wanders: its spread after a second"""
     records, count, n = m.motion.q.shape
     size = 3 * n + 6
@@ -135,13 +135,13 @@ def _corrected(m: Model, k: int, state: np.ndarray, P: np.ndarray) -> tuple[np.n
     return state, P, (told, squares)
 
 
-def likeliest(m: Model) -> np.ndarray:
+def most_likely_rates(m: Model) -> np.ndarray:
     """(6,) N/sqrt(s), Nm/sqrt(s): the rates, moments' over forces' being LENGTH, under which a Model's readings are likeliest."""
     motion = m.motion
     part = slice(0, PART)
     short = Model(Motion(motion.t[part], motion.q[:, part], motion.speed[:, part], motion.measured, motion.torque[:, part]), m.inverse[:, part],
                   m.push[:, part], m.jacobian[:, part], m.torque, m.angle, m.speed)
-    found = scipy.optimize.minimize_scalar(lambda decades: -observe(short, _rates(decades)).likelihood, bounds=RATES, method="bounded",
+    found = scipy.optimize.minimize_scalar(lambda decades: -observe_wrench(short, _rates(decades)).likelihood, bounds=RATES, method="bounded",
                                            options={"xatol": 0.05})
     return _rates(float(found.x))
 

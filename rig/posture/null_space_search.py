@@ -14,7 +14,7 @@ from rig.model import mechanisms
 from rig.model.design import Arm
 from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from rig.posture import force_transmission
 from rig.posture.exertable_wrench import Exertion
 from rig.posture.force_transmission import Wish
@@ -43,10 +43,10 @@ class Found:
     steps: int
 
 
-def solutions(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> Found:
+def given_postures(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> Found:
     """Found : postures q (m, n) rad as they are, where there is nothing to search about them. Raises RigError outside the joint limits"""
     q = np.array(q, float, ndmin=2)
-    value = force_transmission.value(q, arm, wish)
+    value = force_transmission.transmission_measure(q, arm, wish)
     return _found(q, value, value, q, arm, 0)
 
 
@@ -57,7 +57,7 @@ def gradient_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = 
     Raises RigError where a start lies outside the joint limits, or where the arm has no freedom to spare
     """
     q = _starts(q, arm, held)
-    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.value(q, arm, wish)
+    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.transmission_measure(q, arm, wish)
     first, now, step = q.copy(), start.copy(), np.full(len(q), 0.05)
     low, high = arm.limits.T
     done = np.zeros(len(q), bool) if above is None else now > above
@@ -68,12 +68,12 @@ def gradient_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = 
         way = _uphill(q[todo], arm, wish, held)
         size = np.linalg.norm(way, axis=1)
         trial = q[todo] + way / np.maximum(size, 1e-300)[:, None] * step[todo, None]
-        trial = bring_back(np.clip(trial, low, high), target[todo], arm, held)
-        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (left(trial, target[todo], arm, held) < STILL)
+        trial = return_hand_to_target(np.clip(trial, low, high), target[todo], arm, held)
+        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (hand_deviation(trial, target[todo], arm, held) < STILL)
         ok &= np.linalg.norm(trial - q[todo], axis=1) < 2 * step[todo] + SHORTEST  # no jump to another branch
         reached = np.full(len(todo), -np.inf)
         if ok.any():
-            reached[ok] = force_transmission.value(trial[ok], arm, wish)
+            reached[ok] = force_transmission.transmission_measure(trial[ok], arm, wish)
         better = reached > now[todo]
         q[todo[better]], now[todo[better]] = trial[better], reached[better]
         step[todo] = np.where(better, np.minimum(1.6 * step[todo], LONGEST), 0.4 * step[todo])
@@ -88,16 +88,16 @@ def sampled_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, rng: np.rando
     """Found : the best of `count` postures simulated about each start (m, n) rad by random steps in the null space, kept where
     joint limits and hand are. spread : rad, of one step; rng : numpy Generator"""
     q = _starts(q, arm, held)
-    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.value(q, arm, wish)
+    target, start = mechanism.frames(q, arm)[:, -1], force_transmission.transmission_measure(q, arm, wish)
     first, walker, best, now = q.copy(), q.copy(), q.copy(), start.copy()
     for _ in range(count):
         N = null_space(walker, arm, held)
         way = np.einsum("mij,mj->mi", N, rng.normal(size=q.shape))
         trial = walker + spread * rng.uniform(size=(len(q), 1)) * way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
-        trial = bring_back(trial, target, arm, held)
-        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (left(trial, target, arm, held) < STILL)
+        trial = return_hand_to_target(trial, target, arm, held)
+        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (hand_deviation(trial, target, arm, held) < STILL)
         walker[ok] = trial[ok]
-        reached = force_transmission.value(walker, arm, wish)
+        reached = force_transmission.transmission_measure(walker, arm, wish)
         better = reached > now
         best[better], now[better] = walker[better], reached[better]
     return _found(best, now, start, first, arm, count)
@@ -109,20 +109,20 @@ def global_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "p
     Steps of TRACE rad; the best one is polished by the gradient. Raises RigError where the null space is not one-dimensional
     """
     q = _starts(q, arm, held)
-    if spare(arm, held) != 1:
-        raise RigError(f"the self-motion has {spare(arm, held)} dimensions; it is traced where it has one; take the sampled search")
-    start = force_transmission.value(q, arm, wish)
+    if redundant_joint_count(arm, held) != 1:
+        raise RigError(f"the self-motion has {redundant_joint_count(arm, held)} dimensions; it is traced where it has one; take the sampled search")
+    start = force_transmission.transmission_measure(q, arm, wish)
     best, now, steps = q.copy(), start.copy(), 0
     for side in (1.0, -1.0):
         for index, walker in _walk(q, arm, held, side):
-            reached = force_transmission.value(walker, arm, wish)
+            reached = force_transmission.transmission_measure(walker, arm, wish)
             better = reached > now[index]
             best[index[better]], now[index[better]], steps = walker[better], reached[better], steps + 1
     polished = gradient_search(best, arm, wish, held)
     return _found(polished.q, polished.value, start, q, arm, steps + polished.steps)
 
 
-def trace(q: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
+def trace_self_motion(q: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
     """(k, n) rad, the self-motion through one posture q (n,) from end to end (or once round), every TRACE rad."""
     q = _starts(np.atleast_2d(q), arm, held)
     ahead, behind = [[walker[0] for _, walker in _walk(q, arm, held, side)] for side in (1.0, -1.0)]
@@ -138,8 +138,8 @@ def _walk(q: np.ndarray, arm: Arm, held: str, side: float) -> Iterator[tuple[np.
         way = _tangent(walker, arm, held)
         way *= (side * np.sign(way[np.arange(len(way)), np.abs(way).argmax(axis=1)]) if before is None else
                 np.where(np.einsum("mi,mi->m", way, before) < 0, -1.0, 1.0))[:, None]
-        trial = bring_back(walker + size[:, None] * way, target[index], arm, held)
-        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (left(trial, target[index], arm, held) < STILL)
+        trial = return_hand_to_target(walker + size[:, None] * way, target[index], arm, held)
+        ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (hand_deviation(trial, target[index], arm, held) < STILL)
         ok &= np.linalg.norm(trial - walker, axis=1) < 2 * TRACE  # no jump to another branch
         walker = np.where(ok[:, None], trial, walker)
         size = np.where(ok, size, size / 4)
@@ -159,18 +159,20 @@ def _starts(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     q = np.array(q, float, ndmin=2)
     if held not in HELD:
         raise ValueError(f"held must be one of {', '.join(HELD)}, not {held!r}")
-    if spare(arm, held) < 1:
+    if redundant_joint_count(arm, held) < 1:
         raise RigError(f"{q.shape[1]} joints hold the hand's {held} with none to spare: there is no other posture nearby")
     outside = np.argwhere(mechanism.limits(q, arm) != 0)
     if len(outside):
         i, j = outside[0]
         scale, unit = (1e3, "mm") if arm.slides[j] else (np.degrees(1), "degrees")
         low, high = scale * arm.limits[j]
-        raise RigError(f"posture {i} has {mechanisms.places(arm)[j]} at {scale * q[i, j]:.3f} {unit}, outside its limits {low:.3f} .. {high:.3f}")
+        raise RigError(
+            f"posture {i} has {mechanisms.axis_places(arm)[j]} at {scale * q[i, j]:.3f} {unit}, outside its limits {low:.3f} .. {high:.3f}"
+        )
     return q
 
 
-def spare(arm: Arm, held: str) -> int:
+def redundant_joint_count(arm: Arm, held: str) -> int:
     """How many joints an arm has beyond those that hold what of the hand is held; 0 or less where no other posture is nearby."""
     return len(arm.axes) - (HELD[held].stop - HELD[held].start)
 
@@ -194,7 +196,7 @@ def _tangent(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
 
 def _uphill(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str) -> np.ndarray:
     """(m, n) projected gradient; joints at a limit that it would leave are held, and the projection is made anew."""
-    slope = force_transmission.gradient(q, arm, wish)
+    slope = force_transmission.transmission_gradient(q, arm, wish)
     low, high = arm.limits.T
     fixed = np.zeros(q.shape, bool)
     for _ in range(q.shape[1]):
@@ -207,14 +209,14 @@ def _uphill(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str) -> np.nda
     return np.where(fixed, 0.0, way)
 
 
-def bring_back(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+def return_hand_to_target(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     """Joint angles near q (m, n) at which the hand is at its target (m, 4, 4) again: Newton with the pseudo-inverse."""
     for _ in range(6):
         chain = mechanism.frames(q, arm)
         e = _error(chain[:, -1], target, held)
         if np.abs(e).max(initial=0) < 0.1 * STILL:
             break
-        J = mechanism.geometric(chain, "base", arm.slides)[:, HELD[held]]
+        J = mechanism.geometric_jacobian(chain, "base", arm.slides)[:, HELD[held]]
         T = np.swapaxes(J, 1, 2)
         q = q + (T @ np.linalg.solve(J @ T + DAMPING * np.eye(T.shape[2]), e[..., None]))[..., 0]
     return q
@@ -227,13 +229,13 @@ def _error(now: np.ndarray, target: np.ndarray, held: str) -> np.ndarray:
     return np.concatenate([move, turn], axis=1)[:, HELD[held]]
 
 
-def left(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+def hand_deviation(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     """(m,) what the hand at postures q (m, n) misses of its targets (m, 4, 4), m or rad."""
     return np.abs(_error(mechanism.frames(q, arm)[:, -1], target, held)).max(axis=1)
 
 
 def _found(q: np.ndarray, value: np.ndarray, start: np.ndarray, first: np.ndarray, arm: Arm, steps: int) -> Found:
-    moved = difference(mechanism.forward(first, arm), mechanism.forward(q, arm))
+    moved = pose_difference(mechanism.forward(first, arm), mechanism.forward(q, arm))
     lengths = np.stack([np.linalg.norm(moved[:, :3], axis=1), np.linalg.norm(moved[:, 3:], axis=1)], axis=1)
     low, high = arm.limits.T
     return Found(q, value, start, lengths, (q <= low + 1e-6) | (q >= high - 1e-6), steps)

@@ -16,13 +16,13 @@ STEPS = 200  # of a motion on the way
 THERE = 1e-9  # rad; end of a motion
 
 
-def at_the_end(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
+def motion_with_hand_still(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
     """(k, n) rad: the motion from q (n,) to goal (n,), what is held of the hand still. Raises RigError where none within the limits leads there."""
     if np.abs(goal - q).max() < THERE:
         return np.array([q])
-    if null_space_search.spare(arm, held) != 1:
+    if null_space_search.redundant_joint_count(arm, held) != 1:
         return _within(q, goal, arm, held)
-    path = null_space_search.trace(q, arm, held)
+    path = null_space_search.trace_self_motion(q, arm, held)
     start = int(np.abs(path - q).max(axis=1).argmin())
     far = np.linalg.norm(path - goal, axis=1)
     stop = int(far.argmin())
@@ -39,10 +39,10 @@ def _within(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     for k in range(STEPS):
         now = rows[-1][None]
         pull = (null_space_search.null_space(now, arm, held)[0] @ (goal - now[0])) / (STEPS - k)
-        new = null_space_search.bring_back(now + pull, target, arm, held)
+        new = null_space_search.return_hand_to_target(now + pull, target, arm, held)
         beyond = np.abs(mechanism.limits(new[0], arm))
-        if null_space_search.left(new, target, arm, held)[0] > 1e-9 or beyond.any() or np.abs(new - now).max() > 0.5:
-            where = f"leaves the limits of {mechanisms.places(arm)[int(beyond.argmax())]}" if beyond.any() else "is near a singularity"
+        if null_space_search.hand_deviation(new, target, arm, held)[0] > 1e-9 or beyond.any() or np.abs(new - now).max() > 0.5:
+            where = f"leaves the limits of {mechanisms.axis_places(arm)[int(beyond.argmax())]}" if beyond.any() else "is near a singularity"
             raise RigError(f"the motion to the posture, the hand's {held} held, {where} at {k / STEPS:.0%} of the way; take it on the way")
         rows.append(new[0])
     if np.abs(rows[-1] - goal).max() > 2 * null_space_search.TRACE:
@@ -58,7 +58,7 @@ def _told(apart: np.ndarray, arm: Arm) -> str:
     return " and ".join([*words, f"{slid.max() * 1e3:.2f} mm"] if len(slid) else words)
 
 
-def on_the_way(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: int = STEPS) -> np.ndarray:
+def motion_with_straight_hand(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: int = STEPS) -> np.ndarray:
     """(k, n) rad from q (n,) to goal (n,): the hand goes straight and turns evenly, the elbow turns towards the goal meanwhile.
 
     What the elbow has not done when the hand arrives, it does at the end. Raises RigError where the way leaves the joint limits
@@ -72,17 +72,17 @@ def on_the_way(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: int = STEPS) ->
     for k in range(1, steps + 1):
         now = rows[-1][None]
         pull = (null_space_search.null_space(now, arm, "pose")[0] @ (goal - now[0])) / (steps - k + 1)
-        new = null_space_search.bring_back(now + pull, hands[k : k + 1], arm, "pose")
+        new = null_space_search.return_hand_to_target(now + pull, hands[k : k + 1], arm, "pose")
         beyond = mechanism.limits(new[0], arm)
-        if null_space_search.left(new, hands[k : k + 1], arm, "pose")[0] > 1e-9 or np.abs(new - now).max() > 0.5:
+        if null_space_search.hand_deviation(new, hands[k : k + 1], arm, "pose")[0] > 1e-9 or np.abs(new - now).max() > 0.5:
             raise RigError(f"the straight way cannot be followed beyond {share[k]:.0%}: the arm is near a singularity there")
         if beyond.any():
             j = int(np.abs(beyond).argmax())
-            raise RigError(f"the straight way leaves the limits of {mechanisms.places(arm)[j]} at {share[k]:.0%} of it")
+            raise RigError(f"the straight way leaves the limits of {mechanisms.axis_places(arm)[j]} at {share[k]:.0%} of it")
         rows.append(new[0])
-    return np.vstack([rows, at_the_end(rows[-1], goal, arm)[1:]])
+    return np.vstack([rows, motion_with_hand_still(rows[-1], goal, arm)[1:]])
 
 
-def timed(rows: np.ndarray, speed: float) -> np.ndarray:
+def row_times(rows: np.ndarray, speed: float) -> np.ndarray:
     """(k,) s at which rows (k, n) rad are reached when the fastest joint turns at speed (rad/s)."""
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.abs(np.diff(rows, axis=0)).max(axis=1) / speed, 1e-6))])

@@ -31,7 +31,7 @@ class TorqueRecord:
     current: bool
 
 
-def load(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path) -> TorqueRecord:
+def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path) -> TorqueRecord:
     """TorqueRecord of a table t, q1.., tau1.. (N m) or i1.. (A), and speeds v1.. (rad/s) where there are any.
 
     source : the arm's file, for what its [dynamics] lacks. Raises FileError with line and column for what cannot be used, RigError

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.model.design import Arm
 from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from rig.posture import force_transmission
 from rig.posture.exertable_wrench import Exertion
 from rig.posture.force_transmission import Wish
@@ -35,7 +35,7 @@ class Visited:
     back: np.ndarray
 
 
-def among(recording: Recording, arm: Arm, wish: Wish | Exertion, held: str, wanted: RigidTransform | None = None) -> Visited:
+def best_visited_posture(recording: Recording, arm: Arm, wish: Wish | Exertion, held: str, wanted: RigidTransform | None = None) -> Visited:
     """Visited of the postures commanded at a recording's exposures. held : what of the hand must be the same, as of rig.posture.null_space_search
     wanted : T_base_platform of the hand, by default that of the first exposure
 
@@ -45,11 +45,11 @@ def among(recording: Recording, arm: Arm, wish: Wish | Exertion, held: str, want
     if q.shape[1] != len(arm.axes):
         raise RigError(f"{recording.folder} commands {q.shape[1]} axes; the arm has {len(arm.axes)} joints")
     T = mechanism.forward(q, arm)
-    apart = np.abs(difference(T[0] if wanted is None else wanted, T))
+    apart = np.abs(pose_difference(T[0] if wanted is None else wanted, T))
     there = (apart <= SAME)[:, HELD[held]].all(axis=1)
     if there.sum() < 2:
         raise RigError(f"{recording.folder}: {there.sum()} of {len(q)} postures have the hand's {held} where it is wanted; comparing takes two")
-    value = force_transmission.value(q[there], arm, wish)
+    value = force_transmission.transmission_measure(q[there], arm, wish)
     best = int(value.argmax())
     return Visited(frames[there], t[there], q[there], value, best, int((~there).sum()), _back(recording, float(t[there][best])))
 

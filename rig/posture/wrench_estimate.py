@@ -34,11 +34,11 @@ def external(measured: np.ndarray, q: np.ndarray, speed: np.ndarray, acceleratio
 
     measured : (..., n) Nm, what the joints exert; f is what the surroundings do to the hand. Others as of dynamics.torques
     """
-    return arm_dynamics.torques(q, speed, acceleration, arm, links, gravity) - measured
+    return arm_dynamics.joint_torques(q, speed, acceleration, arm, links, gravity) - measured
 
 
-def felt(q: np.ndarray, arm: Arm, covariance: np.ndarray) -> np.ndarray:
-    """(...,) bool: whether every wrench shows in the torques at joint values q (..., n) rad. covariance : as for `estimate`"""
+def is_wrench_observable(q: np.ndarray, arm: Arm, covariance: np.ndarray) -> np.ndarray:
+    """(...,) bool: whether every wrench shows in the torques at joint values q (..., n) rad. covariance : as for `estimate_wrench`"""
     S = np.linalg.svd(_whitened(mechanism.jacobian(q, arm, "base"), covariance)[1], compute_uv=False)
     return S[..., -1] >= FELT * S[..., 0] if q.shape[-1] >= 6 else np.zeros(S.shape[:-1], bool)
 
@@ -49,7 +49,7 @@ def _whitened(J: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.nda
     return W, W @ np.swapaxes(J, -1, -2)
 
 
-def estimate(external_torques: np.ndarray, q: np.ndarray, arm: Arm, covariance: np.ndarray) -> Wrench:
+def estimate_wrench(external_torques: np.ndarray, q: np.ndarray, arm: Arm, covariance: np.ndarray) -> Wrench:
     """Wrench that explains the external torques (..., n) Nm at joint angles q (..., n) rad.
 
     covariance : (n, n) or (..., n, n) Nm^2 of the torques, sensors and what is not known of weight and motion together; torques

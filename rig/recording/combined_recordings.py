@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.formats import remote_folders
-from rig.model.design_comparison import contradictions, same_lens
+from rig.model.design_comparison import design_contradictions, same_lens
 from rig.model.design import Camera, Design, Target
 from rig.errors import RigError
 from rig.recording.exposures import Exposures
@@ -23,7 +23,7 @@ HELD = 30.0  # s of it for which the axes are where the next recording begins
 Owners = tuple[dict[str, int], ...]  # of each recording: {camera, or target: number (from 0) of the recording in which it came to stand there}
 
 
-def refuse_strangers(recordings: Sequence[Recording]) -> None:
+def require_one_rig(recordings: Sequence[Recording]) -> None:
     """Raise RigError for recordings that are not of one rig, each of whose contradictions is named, or not of one kind of data."""
     first = recordings[0]
     seen: set[str] = set()
@@ -32,7 +32,7 @@ def refuse_strangers(recordings: Sequence[Recording]) -> None:
         if place in seen:
             raise RigError(f"{recording.folder} is named twice; the same poses do not count twice")
         seen.add(place)
-        found = contradictions(first.design, recording.design)
+        found = design_contradictions(first.design, recording.design)
         if found:
             raise RigError(f"{recording.folder} is not of the rig of {first.folder}, as their rig.toml state it; these differ:\n"
                            + "\n".join(f"  {text}" for text in found))
@@ -43,7 +43,7 @@ def refuse_strangers(recordings: Sequence[Recording]) -> None:
             raise RigError(f"{first.folder} has {_data(first)} and {recording.folder} {_data(recording)}: let rig measure make the same of both")
 
 
-def unmoved(recordings: Sequence[Recording]) -> Owners:
+def stated_camera_owners(recordings: Sequence[Recording]) -> Owners:
     """Owners by what is stated alone: a camera of another lens, sensor or mount than the recordings before it is a camera of its own."""
     out: list[dict[str, int]] = []
     for k, recording in enumerate(recordings):
@@ -56,13 +56,13 @@ def _is(recording: Recording, camera: Camera, owners: dict[str, int], number: in
     return owners.get(camera.name) == number and same_lens(recording.design.camera(camera.name), camera)
 
 
-def joined(recordings: Sequence[Recording], owners: Owners) -> Recording:
+def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recording:
     """One Recording of several, whose `parts` they are.
 
     Frames of the k-th (from 0) count on from k times a power of ten, its cameras and cubes with a place of their own are called "NAME@k+1"
-    Raises RigError as `refuse_strangers`
+    Raises RigError as `require_one_rig`
     """
-    refuse_strangers(recordings)
+    require_one_rig(recordings)
     first, parts, end = recordings[0], [], 0.0
     step = 10 ** len(str(max(int(r.exposures.frame.max()) for r in recordings)))
     for k, recording in enumerate(recordings):
@@ -72,9 +72,9 @@ def joined(recordings: Sequence[Recording], owners: Owners) -> Recording:
     cameras: dict[str, Camera] = {}
     for recording, own in zip(recordings, owners):
         for camera in recording.design.cameras:
-            name = called(camera.name, own)
+            name = camera_name(camera.name, own)
             cameras.setdefault(name, replace(camera, name=name))
-    seats = seated([recording.design for recording in recordings])
+    seats = target_seats([recording.design for recording in recordings])
     design = replace(first.design, cameras=tuple(cameras.values()), targets=_targets(recordings, seats))
     skipped = tuple(one for r in recordings for one in r.skipped)
     return replace(first, design=design, commands=_commands(parts), exposures=_exposures(parts, owners), sensors=_sensors(parts),
@@ -82,19 +82,19 @@ def joined(recordings: Sequence[Recording], owners: Owners) -> Recording:
                    stages={k: poses for k in first.stages if (poses := _poses(parts, k)) is not None})
 
 
-def called(camera: str, owners: dict[str, int]) -> str:
+def camera_name(camera: str, owners: dict[str, int]) -> str:
     """What a camera of a recording is called among all; owners : of its recording."""
     return camera if owners[camera] == 0 else f"{camera}@{owners[camera] + 1}"
 
 
-def by_instrument(recording: Recording) -> bool:
+def is_measured_by_instrument(recording: Recording) -> bool:
     """Whether poses of an outside instrument are what measures a recording."""
     return recording.poses is not None and (recording.design.instrument is not None or (recording.corners is None and not recording.has_images))
 
 
 def _data(recording: Recording) -> str:
     """What measures a recording, in words."""
-    if by_instrument(recording):
+    if is_measured_by_instrument(recording):
         return "poses of an instrument"
     if recording.corners is not None:
         return "corners" if recording.corners.covariance is None else "corners with their covariance"
@@ -126,11 +126,11 @@ def _commands(parts: Sequence[Part]) -> Commands | None:
 def _exposures(parts: Sequence[Part], owners: Owners) -> Exposures:
     seen = [(part, part.recording.exposures) for part in parts]
     return Exposures(np.concatenate([part.frames + e.frame for part, e in seen]), np.concatenate([part.t + e.t for part, e in seen]),
-                     [called(name, own) if name else "" for (_, e), own in zip(seen, owners) for name in e.camera],
+                     [camera_name(name, own) if name else "" for (_, e), own in zip(seen, owners) for name in e.camera],
                      [str(remote_folders.absolute(part.recording.folder) / name) if name else "" for part, e in seen for name in e.image])
 
 
-def seated(designs: Sequence[Design]) -> Owners:
+def target_seats(designs: Sequence[Design]) -> Owners:
     """Of each recording {target: number (from 0) of the recording in which it was put where it stands}: a cube that stands otherwise turned than
     in the recording before was taken off and put back between them; one that no rig.toml says was taken off stands where it stood."""
     out: list[dict[str, int]] = []
@@ -148,7 +148,7 @@ def _targets(recordings: Sequence[Recording], seats: Owners) -> tuple[Target, ..
     step, out = _shift(recordings), dict[str, Target]()
     for recording, own in zip(recordings, seats):
         for target in recording.design.targets:
-            name = called(target.name, own)
+            name = camera_name(target.name, own)
             out.setdefault(name, replace(target, name=name, shift=step * own[target.name]))
     return tuple(out.values())
 
@@ -164,10 +164,14 @@ def _corners(parts: Sequence[Part], owners: Owners, seats: Owners) -> Corners | 
     if len(seen) < len(found):
         return None
     covariance = [c.covariance for _, c, _ in seen if c.covariance is not None]
-    return Corners(np.concatenate([part.frames + c.frame for part, c, _ in seen]), [called(name, own) for _, c, own in seen for name in c.camera],
-                   np.concatenate([_keys(c.marker, part, seat, parts) for (part, c, _), seat in zip(seen, seats)]),
-                   np.concatenate([c.corner for _, c, _ in seen]),
-                   np.concatenate([c.uv for _, c, _ in seen]), np.concatenate(covariance) if len(covariance) == len(seen) else None)
+    return Corners(
+        np.concatenate([part.frames + c.frame for part, c, _ in seen]),
+        [camera_name(name, own) for _, c, own in seen for name in c.camera],
+        np.concatenate([_keys(c.marker, part, seat, parts) for (part, c, _), seat in zip(seen, seats)]),
+        np.concatenate([c.corner for _, c, _ in seen]),
+        np.concatenate([c.uv for _, c, _ in seen]),
+        np.concatenate(covariance) if len(covariance) == len(seen) else None,
+    )
 
 
 def _keys(markers: np.ndarray, part: Part, seat: dict[str, int], parts: Sequence[Part]) -> np.ndarray:
@@ -194,7 +198,7 @@ def _poses(parts: Sequence[Part], stage: int | None) -> Poses | None:
                  RigidTransform.concatenate([p.T_base_platform for _, p in seen]), np.concatenate(covariance) if covariance else None)
 
 
-def dropped(recordings: Sequence[Recording]) -> list[str]:
+def dropped_channels(recordings: Sequence[Recording]) -> list[str]:
     """Channels that some recordings logged and others did not, which can be asked of none; a payload that was not logged is none."""
     own = [set(r.sensors.channels) if r.sensors is not None else set() for r in recordings]
     return sorted(name for name in set[str]().union(*own) - {PAYLOAD} if any(name not in one for one in own))
@@ -203,7 +207,7 @@ def dropped(recordings: Sequence[Recording]) -> list[str]:
 def _sensors(parts: Sequence[Part]) -> Sensors | None:
     """The logs one after the other, of the channels that all have."""
     recordings = [part.recording for part in parts]
-    lost = dropped(recordings)
+    lost = dropped_channels(recordings)
     names = [n for n in dict.fromkeys(n for r in recordings if r.sensors is not None for n in r.sensors.channels) if n not in lost]
     if not names:
         return None

@@ -21,33 +21,34 @@ from pathlib import Path
 import numpy as np
 
 from rig.errors import FileError
-from rig.formats.output_files.folder_manifest import digest, load
-from rig.model.pose import vector
-from rig.compute.worker_processes import cores
+from rig.formats.output_files.folder_manifest import file_digest, load_manifest
+from rig.model.pose import pose_to_vector
+from rig.compute.worker_processes import worker_count
 from rig.recording.recording_folder import LIMB, Recording
 
 LENGTH = 16  # hexadecimal digits of a mark: two of a million alike in one case of 4e7
 Marks = dict[int, frozenset[str]]  # of each frame that has any
 
 
-def marks(recording: Recording) -> Marks:
+def content_marks(recording: Recording) -> Marks:
     """The marks of a recording's frames, its own and those of what it was measured from. Raises FileError for an image that cannot be read."""
     if recording.parts:
-        return {part.frames + frame: own for part in recording.parts for frame, own in marks(part.recording).items()}
-    with meanwhile(recording) as marked:
+        return {part.frames + frame: own for part in recording.parts for frame, own in content_marks(part.recording).items()}
+    with content_marks_in_background(recording) as marked:
         return marked()
 
 
 @contextmanager
-def meanwhile(recording: Recording) -> Iterator[Callable[[], Marks]]:
-    """A function that gives the `marks` of one recording, whose images threads beside this one begin to read at once, where it may have any."""
+def content_marks_in_background(recording: Recording) -> Iterator[Callable[[], Marks]]:
+    """A function that gives the `content_marks` of one recording, whose images threads beside this one begin to read at once, where it may have
+    any."""
     paths = [recording.folder / name for name in recording.exposures.image if name]
-    if cores() < 2:
-        yield lambda: _marks(recording, dict(zip(paths, map(digest, paths))))
+    if worker_count() < 2:
+        yield lambda: _marks(recording, dict(zip(paths, map(file_digest, paths))))
         return
-    pool = ThreadPoolExecutor(cores())
+    pool = ThreadPoolExecutor(worker_count())
     try:
-        digests = pool.map(digest, paths)
+        digests = pool.map(file_digest, paths)
         yield lambda: _marks(recording, dict(zip(paths, digests)))
     finally:
         pool.shutdown(cancel_futures=True)
@@ -61,7 +62,7 @@ def _marks(recording: Recording, digests: dict[Path, str]) -> Marks:
     for frame, mark in found:
         if often[mark] == 1:
             out[frame].add(mark)
-    origin = load(recording.folder).origin
+    origin = load_manifest(recording.folder).origin
     for line in origin.data if origin is not None else ():
         number, _, mark = line.partition(" ")
         if number.isdigit():
@@ -69,17 +70,17 @@ def _marks(recording: Recording, digests: dict[Path, str]) -> Marks:
     return {frame: frozenset(own) for frame, own in out.items()}
 
 
-def lines(of: Marks) -> tuple[str, ...]:
+def mark_lines(of: Marks) -> tuple[str, ...]:
     """The marks as a manifest keeps them, "frame mark" each."""
     return tuple(f"{frame} {mark}" for frame, own in sorted(of.items()) for mark in sorted(own))
 
 
-def flat(of: Marks, frames: Iterable[int] | None = None) -> list[str]:
+def marks_of_frames(of: Marks, frames: Iterable[int] | None = None) -> list[str]:
     """The marks of some frames, all by default, in order."""
     return sorted(set().union(*(own for frame, own in of.items() if frames is None or frame in set(frames))))
 
 
-def shared(of: Marks, known: Collection[str]) -> list[int]:
+def frames_with_known_data(of: Marks, known: Collection[str]) -> list[int]:
     """The frames whose data are among those known by their marks."""
     known = frozenset(known)
     return sorted(frame for frame, own in of.items() if own & known)
@@ -110,7 +111,7 @@ def _poses(recording: Recording) -> list[tuple[int, str]]:
     p = recording.poses
     if p is None:
         return []
-    rows = np.atleast_2d(vector(p.T_base_platform))
+    rows = np.atleast_2d(pose_to_vector(p.T_base_platform))
     return [(frame, _mark("pose", [f"{value:.9f}" for value in row])) for frame, row in zip(p.frame.tolist(), rows)]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from rig.formats import remote_folders
 from rig.model.design import Camera, Design
 from rig.errors import FileError
-from rig.recording.image_file_check import MOST_PIXELS, check_image, check_opened, inside
+from rig.recording.image_file_check import MOST_PIXELS, check_image, check_open_image, check_image_path
 from rig.recording.time_origin import Origin
 from rig.formats.input_files import read_bytes
 from rig.formats.csv_table import Table
@@ -44,14 +44,14 @@ class Unreadable:
     problem: str
 
 
-def refused(bad: list[Unreadable]) -> FileError:
+def unusable_images_error(bad: list[Unreadable]) -> FileError:
     """The error that names all of some images, at most LISTED of them."""
     more = [f"  {b.path}: {b.problem}" for b in bad[1:LISTED]] + ([f"  and {len(bad) - LISTED} more"] if len(bad) > LISTED else [])
     first = bad[0].problem + (f"; {len(bad)} images cannot be used (--skip-unreadable leaves them out):" if more else "")
     return FileError(bad[0].path, "\n".join([first, *more]))
 
 
-def undecodable(folder: Path, exposures: Exposures) -> list[Unreadable]:
+def undecodable_images(folder: Path, exposures: Exposures) -> list[Unreadable]:
     """The images among exposures that cannot be decoded."""
     found = []
     for frame, camera, name in zip(exposures.frame.tolist(), exposures.camera, exposures.image):
@@ -99,7 +99,7 @@ def load_exposures(folder: Path, design: Design, rows: Table, origin: Origin, sk
     looked_at = (_unusable(folder, image[i], frame[i], cameras[camera[i]], rows.lines[i], skip) for i in range(len(rows)) if image[i])
     bad = [found for found in looked_at if found]
     if bad and (not skip or len(bad) == sum(map(bool, image))):
-        raise refused(bad)
+        raise unusable_images_error(bad)
     out = {(b.frame, b.camera) for b in bad}
     return Exposures(frame, t, camera, ["" if (f, c) in out else name for f, c, name in zip(frame.tolist(), camera, image)]), bad
 
@@ -107,7 +107,7 @@ def load_exposures(folder: Path, design: Design, rows: Table, origin: Origin, sk
 def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, decode: bool) -> Unreadable | None:
     """Unreadable of an image named in a line of frames.csv, or None. decode : whether it is decoded too"""
     look = _listed if remote_folders.is_remote(folder) else check_image
-    problem = inside(folder, name) or look(folder / name, camera) or (_undecodable(folder / name) if decode else None)
+    problem = check_image_path(folder, name) or look(folder / name, camera) or (_undecodable(folder / name) if decode else None)
     if problem is None:
         return None
     return Unreadable(int(frame), camera.name, folder / name, f"{problem} (frames.csv, line {line})")
@@ -115,7 +115,7 @@ def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, de
 
 def _listed(path: Path, _: Camera) -> str | None:
     """What is wrong with an image behind a URL, as far as its folder's listing tells; the rest is seen when it is fetched to be measured."""
-    size = remote_folders.size(path)
+    size = remote_folders.file_size(path)
     return "no such image" if size is None else "is an empty file" if not size else None
 
 
@@ -127,7 +127,7 @@ def read_image(path: Path, most: int = MOST_PIXELS) -> np.ndarray:
     import cv2
 
     data = read_bytes(path, LARGEST_IMAGE_FILE, "no such image")
-    problem = check_opened(BytesIO(data), most=most)
+    problem = check_open_image(BytesIO(data), most=most)
     if problem:
         raise FileError(path, problem)
     try:

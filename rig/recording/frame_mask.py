@@ -7,30 +7,30 @@ from itertools import compress
 import numpy as np
 
 from rig.errors import NotEnoughData, RigError
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 from rig.recording.recording_folder import Poses, Recording
 
 FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 
 
-def ranges(text: str) -> tuple[tuple[int, int], ...]:
+def parse_frame_ranges(text: str) -> tuple[tuple[int, int], ...]:
     """((first, last), ..) of a list of frames like 3,7-9. Raises RigError for anything else."""
     parts = [FRAME.fullmatch(part) for part in text.split(",")]
     if not all(parts):
-        raise RigError(f"--mask takes frames, for example 3,7-9, not {shown(text)}")
+        raise RigError(f"--mask takes frames, for example 3,7-9, not {value_text(text)}")
     out = tuple((int(part[1]), int(part[2] or part[1])) for part in parts if part)
     if any(first > last for first, last in out):
-        raise RigError(f"--mask {shown(text)}: a range runs from small to large")
+        raise RigError(f"--mask {value_text(text)}: a range runs from small to large")
     return out
 
 
-def masked(recording: Recording, text: str) -> Recording:
+def remove_frames(recording: Recording, text: str) -> Recording:
     """The Recording without the frames that a list like 3,7-9 names; what was commanded then stays, since it moved the rig.
 
     Raises RigError for what is no such list and for what names no frame of the recording, NotEnoughData where no frame is left
     """
     frames, gone = recording.exposures.times()[0], []
-    for first, last in ranges(text):
+    for first, last in parse_frame_ranges(text):
         own = frames[(frames >= first) & (frames <= last)]
         if not len(own):
             name = f"frame {first}" if first == last else f"frames {first} to {last}"
@@ -42,7 +42,7 @@ def masked(recording: Recording, text: str) -> Recording:
     return _without(recording, out)
 
 
-def only(recording: Recording, frames: np.ndarray) -> Recording:
+def select_frames(recording: Recording, frames: np.ndarray) -> Recording:
     """The Recording with these frames (f,) alone; what was commanded then stays. Raises NotEnoughData where it has none of them."""
     every = recording.exposures.times()[0]
     if not np.isin(every, frames).any():

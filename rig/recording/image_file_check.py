@@ -29,14 +29,14 @@ def check_image(path: Path, camera: Camera | None = None) -> str | None:
     """
     try:
         with open_file(path, "no such image") as file:
-            return check_opened(file, camera)
+            return check_open_image(file, camera)
     except FileError as error:
         return str(error).split(": ", 1)[1]
     except OSError as error:
         return f"cannot be read: {error.strerror}"
 
 
-def check_opened(file: BinaryIO, camera: Camera | None = None, most: int = MOST_PIXELS) -> str | None:
+def check_open_image(file: BinaryIO, camera: Camera | None = None, most: int = MOST_PIXELS) -> str | None:
     """The same of an image that is open. most : px that it may have. Raises OSError where it cannot be read."""
     head = file.read(HEAD)
     size = file.seek(0, os.SEEK_END)
@@ -112,7 +112,7 @@ def _size_of_tiff(file: BinaryIO, order: str, head: bytes) -> tuple[int, int] | 
     return (found[256], found[257]) if len(found) == 2 else None
 
 
-def inside(folder: Path, name: str) -> str | None:
+def check_image_path(folder: Path, name: str) -> str | None:
     """What is wrong with the name of an image of a recording, in words, or None: its file lies in the folder, links followed."""
     if not name.isprintable() or len(name) > 1000:
         return "is no name of a file"

@@ -14,11 +14,11 @@ from rig.model.design import Design
 from rig.formats.checked_entries import name_problem
 from rig.errors import FileError, RigError
 from rig.recording.exposures import Exposures, Unreadable, load_exposures
-from rig.formats.output_files import complete
+from rig.formats.output_files import require_complete
 from rig.model.mechanism_kinds import bodies_of
-from rig.report.notebook_display import shown
+from rig.report.notebook_display import result_html
 from rig.recording.corner_and_pose_tables import Corners, Poses, load_corners, load_measured, load_poses
-from rig.recording.time_origin import Origin, decimal
+from rig.recording.time_origin import Origin, exact_decimal
 from rig.formats.csv_table import Table
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
@@ -98,7 +98,7 @@ class Recording:
         parts = [name for name, part in (("commands", self.commands), ("sensors", self.sensors), ("corners", self.corners), ("poses", self.poses))
                  if part is not None] + (["images"] if self.has_images else [])
         cameras = ", ".join(f"{c.name} ({c.width} x {c.height})" for c in self.design.cameras) or "none"
-        return shown(f"{self.folder.name}: {len(frames)} frames over {np.ptp(t):.4g} s", [
+        return result_html(f"{self.folder.name}: {len(frames)} frames over {np.ptp(t):.4g} s", [
             f"a {self.design.mechanism.kind}; cameras: {cameras}; {len(self.design.targets)} targets", f"it has {', '.join(parts) or 'nothing'}"])
 
     @property
@@ -134,10 +134,10 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     ('hexapod', (14, 6))
     """
     folder = Path(folder)
-    remote_folders.look_anew()
+    remote_folders.clear_listing_cache()
     if not remote_folders.is_folder(folder):
         raise FileError(folder, "is a file, not a recording folder" if remote_folders.exists(folder) else "no such folder")
-    complete(folder)
+    require_complete(folder)
     if remote_folders.is_empty(folder):
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
     design = design_file.load(folder / "rig.toml")
@@ -157,7 +157,7 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
     """{number: Poses} of a folder's poses_stage1.csv .. Raises FileError for one of a stage that rig.toml does not have below the last."""
     bodies = bodies_of(design.mechanism)
     out = {}
-    for name in remote_folders.names(folder):
+    for name in remote_folders.list_folder(folder):
         if not name.startswith("poses_stage") or not name.endswith(".csv"):
             continue
         body = name.removesuffix(".csv").replace("poses_stage", "stage ")
@@ -177,7 +177,7 @@ class Wanted:
     origin: Origin
 
 
-def load_wanted(path: str | Path) -> Wanted:
+def load_wanted_poses(path: str | Path) -> Wanted:
     """Wanted of a table frame,x,y,z,rx,ry,rz with or without a column t. Raises FileError with line and column."""
     poses, rows = load_poses(path, commanded=True), csv_table.read(path, ("frame",))
     if "t" not in rows.columns:
@@ -194,7 +194,7 @@ def load_sensors(path: str | Path, origin: Origin) -> Sensors:
 def _origin(rows: Table) -> Origin:
     """The Origin that stands at 0 at the first row of a table with times."""
     rows.times("t", Origin())  # which checks them
-    return Origin(decimal(rows.text("t")[0]))
+    return Origin(exact_decimal(rows.text("t")[0]))
 
 
 def _command_rows(path: Path, design: Design) -> Table | None:

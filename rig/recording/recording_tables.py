@@ -11,7 +11,7 @@ from rig.formats.output_files import write_bytes, write_text
 from rig.recording.corner_and_pose_tables import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS, Corners, Poses
 from rig.recording.time_origin import Origin
 from rig.formats.input_files import read_bytes
-from rig.model.pose import TRIANGLE, angle_sigmas, roll_pitch_yaw, vector
+from rig.model.pose import TRIANGLE, angle_sigmas, roll_pitch_yaw, pose_to_vector
 
 ANGLES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -30,7 +30,7 @@ def write_poses(path: Path, poses: Poses) -> None:
     """Write a poses.csv, with covariance where there is one; the figures keep 1e-10 m and rad."""
     header = ["frame", *POSE_COLUMNS, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())]
     lines = [",".join(header)]
-    for i, (frame, values) in enumerate(zip(poses.frame, vector(poses.T_base_platform))):
+    for i, (frame, values) in enumerate(zip(poses.frame, pose_to_vector(poses.T_base_platform))):
         cells = [str(frame), *(f"{value:.10f}" for value in values)]
         if poses.covariance is not None:
             cells += [f"{value:.9e}" for value in poses.covariance[i][TRIANGLE]]

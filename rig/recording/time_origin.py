@@ -24,7 +24,7 @@ class Origin:
         """(n,) s from the recording's start, of n times as the owner's clock shows them: texts that are finite numbers."""
         if not self.offset:
             return np.array(texts, float)
-        return np.array([float(DIGITS.subtract(decimal(text), self.offset)) for text in texts], float)
+        return np.array([float(DIGITS.subtract(exact_decimal(text), self.offset)) for text in texts], float)
 
     def text(self, t: float) -> str:
         """A time t (s from the recording's start) as the owner's clock shows it, with all the digits that it had."""
@@ -35,7 +35,7 @@ class Origin:
         return float(self.text(t)) if self.offset else float(t)
 
 
-def decimal(text: str) -> Decimal:
+def exact_decimal(text: str) -> Decimal:
     """A finite number's text, exactly."""
     try:
         return Decimal(text)
@@ -43,6 +43,6 @@ def decimal(text: str) -> Decimal:
         return Decimal(float(text))
 
 
-def other_unit(t: float) -> str:
+def likely_time_unit(t: float) -> str:
     """What a time too large for seconds is likely to be in, in words."""
     return next((name for name, scale in UNITS if abs(t) / scale < LATEST / 10), UNITS[-1][0])

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 
-def shown(heading: str, lines: Iterable[str] = (), table: Sequence[Sequence[str]] = ()) -> str:
+def result_html(heading: str, lines: Iterable[str] = (), table: Sequence[Sequence[str]] = ()) -> str:
     """HTML of a result: heading, sentences, rows of a table, the first of which heads it; all of it text as it is."""
     parts = [f"<strong>{escape(heading)}</strong>", *(f"<p style='margin:.2em 0'>{escape(line)}</p>" for line in lines)]
     if table:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from rig.errors import FileError
 from rig.formats.output_files import write_text
-from rig.formats.output_files.folder_manifest import digest
+from rig.formats.output_files.folder_manifest import file_digest
 from rig.report.verdict import State
-from rig.formats.schema_version import require
+from rig.formats.schema_version import require_schema
 
 NAME = "refutations.json"
 SCHEMA = "refutations/1"
@@ -39,12 +39,12 @@ class Refutation:
         return f"{verb} on {self.date} by {self.recording} (rig {self.command}): {self.finding}"
 
 
-def load(folder: Path) -> tuple[Refutation, ...]:
+def load_refutations(folder: Path) -> tuple[Refutation, ...]:
     """The entries of a folder, none where nothing in it was refuted. Raises FileError for a file that holds none."""
     path = folder / NAME
     try:
         tree = json.loads(path.read_bytes().decode("utf-8"))
-        require(path, "list of refuted results", tree["schema"], (SCHEMA,))
+        require_schema(path, "list of refuted results", tree["schema"], (SCHEMA,))
         return tuple(Refutation(**{name: str(row[name]) for name in FIELDS}, state=State(row["state"])) for row in tree["refutations"])
     except (FileNotFoundError, NotADirectoryError):
         return ()
@@ -52,17 +52,17 @@ def load(folder: Path) -> tuple[Refutation, ...]:
         raise FileError(path, f"is no list of refuted results ({type(error).__name__}: {error})") from None
 
 
-def of_file(path: Path) -> tuple[Refutation, ...]:
-    """The entries of a result's file, by its SHA-256, oldest first. Raises FileError as `load` does."""
-    known = load(path.parent)
-    own = digest(path) if known else ""
+def refutations_of_file(path: Path) -> tuple[Refutation, ...]:
+    """The entries of a result's file, by its SHA-256, oldest first. Raises FileError as `load_refutations` does."""
+    known = load_refutations(path.parent)
+    own = file_digest(path) if known else ""
     return tuple(one for one in known if one.sha256 == own)
 
 
-def add(place: Path, folder: Path, new: Refutation) -> None:
+def add_refutation(place: Path, folder: Path, new: Refutation) -> None:
     """Write the entries of a folder with a new one, which replaces an earlier one of the same file by the same command and recording.
 
     place : where the file waits to be put into the folder as NAME
     """
-    kept = [one for one in load(folder) if (one.sha256, one.command, one.recording) != (new.sha256, new.command, new.recording)]
+    kept = [one for one in load_refutations(folder) if (one.sha256, one.command, one.recording) != (new.sha256, new.command, new.recording)]
     write_text(place, json.dumps({"schema": SCHEMA, "refutations": [asdict(one) for one in (*kept, new)]}, indent=1) + "\n")

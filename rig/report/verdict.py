@@ -76,7 +76,7 @@ class Evidence:
     named: bool = False
 
 
-def judge(evidence: Evidence) -> Verdict:
+def judge_evidence(evidence: Evidence) -> Verdict:
     """The Verdict of evidence."""
     beyond = [f"held-out error is {evidence.held_out:.3g} times what noise and claim allow"] if _beyond(evidence, AGREES) else []
     refuted = [*evidence.refuted, *(beyond if _beyond(evidence, REFUTES) else [])]
@@ -94,7 +94,7 @@ def judge(evidence: Evidence) -> Verdict:
     return Verdict(State.GOOD, evidence.statement, evidence.steps, rests_on)
 
 
-def worst(states: Sequence[State]) -> State:
+def worst_state(states: Sequence[State]) -> State:
     """The worst of states, check where there is none."""
     return next((state for state in WORST if state in states), State.CHECK)
 

@@ -14,10 +14,10 @@ from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout
 from rig.planning import plan
 from rig.model.design import Sensor
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from synthetic import rig_meshes, recording_simulation, secret_machine
 from synthetic.renderer import SAMPLES
-from synthetic.image_sensor import expose
+from synthetic.image_sensor import expose_image
 from tests.cli import RIG
 from tests.conftest import ROOT
 from tests.rig.effects.test_effects import SOME
@@ -28,7 +28,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        text = hexapod_layout.layout(0.3)
+        text = hexapod_layout.hexapod_layout(0.3)
         (folder / "rig.toml").write_text(text)
         design = design_file.load(folder / "rig.toml")
         yield from _accuracy(design)
@@ -61,7 +61,7 @@ def _speed(folder, design):
     yield "rig simulate, 300 images of 1280 x 1024, eight cubes, struts, noise, PNG, start included", f"{300 / seconds:.1f} images/s", ">= 8"
     from synthetic.renderer import Renderer
 
-    renderer = Renderer(rig_meshes.parts(design), design)
+    renderer = Renderer(rig_meshes.rig_parts(design), design)
     rng, sensor, parts = np.random.default_rng(0), Sensor(blur=0.5, read_noise=1.5), {"draw": [], "lens": [], "sensor": [], "PNG": []}
     pinhole = renderer.cameras["cam0"]
     picture = np.zeros((pinhole.size[1], pinhole.size[0], 3), np.uint8)
@@ -71,7 +71,7 @@ def _speed(folder, design):
         marks.append(time.perf_counter())
         radiance = renderer.draw("cam0", design.mechanism.home)
         marks.append(time.perf_counter())
-        image = expose(radiance, sensor, rng, SAMPLES)
+        image = expose_image(radiance, sensor, rng, SAMPLES)
         marks.append(time.perf_counter())
         cv2.imwrite(str(folder / "x.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
         marks.append(time.perf_counter())
@@ -86,10 +86,10 @@ def _speed(folder, design):
 def _corner_level(design, folder, text):
     start = time.perf_counter()
     rng = np.random.default_rng(1)
-    effects = tuple(parse(f"{name}:{place}") for name, place in SOME.items() if name != "marker_swap")
-    secret = secret_machine.draw(design, rng, effects=effects)
-    done = recording_simulation.simulate(secret, plan.build(design, "sobol:190,moving:154,payload:12", 1), rng)
-    recording_simulation.write(done, folder / "corners", text, rng, noise=0.04)
+    effects = tuple(parse_effect(f"{name}:{place}") for name, place in SOME.items() if name != "marker_swap")
+    secret = secret_machine.draw_machine(design, rng, effects=effects)
+    done = recording_simulation.simulate(secret, plan.build_plan(design, "sobol:190,moving:154,payload:12", 1), rng)
+    recording_simulation.write_recording(done, folder / "corners", text, rng, noise=0.04)
     count = f"{len(done.plan.t)} frames x 3 cameras at corner level, {len(effects)} effects at once"
     yield count, f"{time.perf_counter() - start:.1f} s", "<= 5 s"
 

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.models.arm import error_model
-from calib.models.arm.certification import certify, promised
-from calib.models.wanted_pose_commands import command
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose
-from calib.diagnose.arm_findings_refit import of_arm_diagnosis, take_arm
-from calib.files.calibration_from_recording import kept
+from calib.models.arm.certification import certify, workspace_claim_of
+from calib.models.wanted_pose_commands import commands_along_route
+from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm
+from calib.diagnose.arm_findings_refit import findings_of_arm_diagnosis, refit_arm_with_findings
+from calib.files.calibration_from_recording import calibration_with_provenance
 from calib.samples.recording_samples import sample_recording
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
@@ -26,8 +26,8 @@ from rig.recording import recording_folder
 from rig.planning.layout import shipped_arms
 from rig.planning.configuration_sets import low_discrepancy
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text import parse
-from rig.model.pose import difference
+from rig.effects.texts.effect_text import parse_effect
+from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
 from synthetic.secret_machine import World
@@ -63,13 +63,20 @@ def effect_of(name: str, rng: np.random.Generator) -> Effect:
     profile = 3e-4 * np.cumsum(rng.normal(size=8)) / np.sqrt(8)
     moments = np.zeros((6, 4))
     moments[2, 1:] = 3e-5 * rng.uniform(0.5, 2) * rng.normal(size=3)
-    return parse(text.format(joint=rng.integers(1, 6), heavy=rng.integers(2, 4), profile="/".join(f"{x:.6g}" for x in profile - profile.mean()),
-                             moments="/".join(f"{x:.6g}" for x in moments.ravel()), **values))
+    return parse_effect(
+        text.format(
+            joint=rng.integers(1, 6),
+            heavy=rng.integers(2, 4),
+            profile="/".join(f"{x:.6g}" for x in profile - profile.mean()),
+            moments="/".join(f"{x:.6g}" for x in moments.ravel()),
+            **values,
+        )
+    )
 
 
 def ways(folder: Path, name: str, seed: int) -> Ways:
     """Ways of one arm."""
-    text = shipped_arms.design("puma560")
+    text = shipped_arms.shipped_arm_rig_toml("puma560")
     if name.endswith("positions"):
         text = "\n".join(line for line in text.splitlines() if not line.startswith("rotation_sigma")) + "\n"
     effect = effect_of(name, np.random.default_rng([seed, 7]))
@@ -84,27 +91,29 @@ def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(text)
     design, rng = design_file.load(folder / "rig.toml"), np.random.default_rng(seed)
-    secret = secret_machine.draw(design, rng, 1.0, effects)
-    recording_simulation.write(recording_simulation.simulate(secret, plan.build(design, ROUTE, seed), rng), folder / "rec", text, rng)
+    secret = secret_machine.draw_machine(design, rng, 1.0, effects)
+    recording_simulation.write_recording(recording_simulation.simulate(secret, plan.build_plan(design, ROUTE, seed), rng), folder / "rec", text, rng)
     return recording_folder.load(folder / "rec"), secret
 
 
 def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, np.ndarray]:
     """((2,) RMS error of driven poses, (2,) its stated standard uncertainty, NaN without physics), m and rad."""
     sampled, rng = sample_recording(rec), np.random.default_rng(0)
-    taken = take_arm(rec, sampled, of_arm_diagnosis(diagnose(rec))) if physics else None
+    taken = refit_arm_with_findings(rec, sampled, findings_of_arm_diagnosis(diagnose_arm(rec))) if physics else None
     done = certify(sampled.samples, rec.design.mechanism, sampled.instrument, rng, physics=None if taken is None else taken.together)
     samples = sampled.samples if taken is None else taken.together.samples
-    calibration = kept(rec, sampled, done, promised(samples, done, rng), (), None if taken is None else taken.with_geometry(done))
+    calibration = calibration_with_provenance(
+        rec, sampled, done, workspace_claim_of(samples, done, rng), (), None if taken is None else taken.with_geometry(done)
+    )
     seen = np.stack([sampled.samples.commanded.min(axis=0), sampled.samples.commanded.max(axis=0)], axis=1)
     q = low_discrepancy(seen, 2 * POSES, REACH, 17)
     values = np.linalg.svd(error_model.joint_jacobian(q, secret.true.mechanism), compute_uv=False)
     T = error_model.predicted(
         q[values[:, -1] > NEAR_SINGULAR * values[:, 0]][:POSES], done.correction.fitted
     )  # its own idea of how the hand is turned
-    made = command(calibration, T, np.zeros(len(seen)))
-    run = motion_simulation.run(secret.true, made.route.commands(np.round(made.values, 10)), made.route.times, secret.effects)
-    error = _rms((difference(T, run.T_base_platform) ** 2).reshape(-1, 2, 3))
+    made = commands_along_route(calibration, T, np.zeros(len(seen)))
+    run = motion_simulation.run_machine(secret.true, made.route.commands(np.round(made.values, 10)), made.route.times, secret.effects)
+    error = _rms((pose_difference(T, run.T_base_platform) ** 2).reshape(-1, 2, 3))
     return error, np.full(2, np.nan) if made.covariance is None else _rms(np.einsum("nii->ni", made.covariance).reshape(-1, 2, 3))
 
 

@@ -51,7 +51,7 @@ def _forward():
 def _closed_forms():
     rng = np.random.default_rng(2)
     for name, arm in ARMS.items():
-        six = six_joint_inverse.six(arm)
+        six = six_joint_inverse.six_joint_arm(arm)
         q = near_singular(rng.uniform(-np.pi, np.pi, (100_000, 6)), rng)
         closure, missed, found = check(six, q)
         yield (f"{name} ({six.kind}): round trip, 100 000 poses, 25 000 within 1e-6 of singular", f"{closure.max():.1e} m, {missed.sum()} missed",
@@ -72,7 +72,7 @@ def _identification():
             rng = np.random.default_rng(seed)
             true = worlds.secret(nominal, rng)
             seen = of_poses(worlds.tracked(true, nominal, 80, rng))
-            found = identify(seen, instrument_placement.placed(seen, nominal, True, True))
+            found = identify(seen, instrument_placement.place_arm(seen, nominal, True, True))
             z.append(worlds.scores(found, true, nominal, free))
             steps.append(found.iterations)
         z = np.array(z)
@@ -88,7 +88,7 @@ def _identification():
                        ("vision, 50 um and 0.1 mrad shared 20 um", of_poses(worlds.tracked(true, UR10, 120, rng, (5e-5, 1e-4), (2e-5, 2e-5)))),
                        ("drawn wire, 50 um, 400 lengths", worlds.wired(true, UR10, 400, rng))):
         start = UR10 if seen.kind != "distance" else type(UR10)(UR10.joints, UR10.limits, tool=worlds.TOOL)
-        found = identify(seen, instrument_placement.placed(seen, start, True, seen.kind != "distance"))
+        found = identify(seen, instrument_placement.place_arm(seen, start, True, seen.kind != "distance"))
         got = error_model.predicted(q, found.arm)
         error = np.linalg.norm(got.translation, axis=1) - np.linalg.norm(want.translation, axis=1)
         error = np.abs(error) if seen.kind == "distance" else np.linalg.norm(got.translation - want.translation, axis=1)
@@ -146,14 +146,14 @@ def _postures():
 def _wrenches():
     rng = np.random.default_rng(5)
     q = configurations(PANDA, 20_000, rng, 0.9)
-    q = q[force_transmission.value(q, PANDA, Wish()) > 1e-4]
+    q = q[force_transmission.transmission_measure(q, PANDA, Wish()) > 1e-4]
     own = arm_dynamics.Links(rng.uniform(1, 4, 7), 0.1 * rng.normal(size=(7, 3)), np.tile(0.02 * np.eye(3), (7, 1, 1)))
     gravity, (v, a) = np.array([0, 0, -9.80665]), rng.normal(size=(2, *q.shape))
     true = rng.normal(size=(len(q), 6)) * [20, 20, 20, 3, 3, 3]
     half = 0.1 * (np.eye(7) + 0.3 * rng.normal(size=(7, 7)))
     pushed = np.einsum("mai,ma->mi", mechanism.jacobian(q, PANDA, "base"), true)
-    measured = arm_dynamics.torques(q, v, a, PANDA, own, gravity) - pushed + rng.normal(size=q.shape) @ half.T
-    found = wrench_estimate.estimate(wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T)
+    measured = arm_dynamics.joint_torques(q, v, a, PANDA, own, gravity) - pushed + rng.normal(size=q.shape) @ half.T
+    found = wrench_estimate.estimate_wrench(wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T)
     error = found.value - true
     inside = np.einsum("mi,mij,mj->m", error, np.linalg.inv(found.covariance), error) < chi2.ppf(0.95, 6)
     each = (np.abs(error) < 1.96 * np.sqrt(np.einsum("mii->mi", found.covariance))).mean(axis=0)

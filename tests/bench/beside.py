@@ -27,7 +27,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
                 yield f"{recording} ({kind})", _told(SHARED / "recordings" / recording, folder / recording), ""
             else:
                 yield f"{recording} ({kind})", "skipped", "the shared recordings are not beside the project"
-        (folder / "rig.toml").write_text(hexapod_layout.layout(0.3, width=640, height=512))
+        (folder / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, width=640, height=512))
         for number, (hidden, options) in enumerate(OWN.items()):
             drawn = folder / f"own{number}"
             how = ["--plan", PLAN, "--seed", str(SEED), "--images", *SENSOR, *options, "--out", drawn]

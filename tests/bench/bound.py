@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from tests.vision.pictures import camera, picture, quad
-from vision.corners.marker_detection import place
+from vision.corners.marker_detection import fit_read_markers
 from vision.corners.marker_reader import Read
 
 NAME = "DICT_5X5_100"
@@ -72,7 +72,7 @@ def _fitted(clean, scenes, noise, exact, view, markers, rng):
         for _ in range(DRAWS):
             image = clean[k] + rng.normal(0, noise, clean[k].shape)
             image = image if exact else np.clip(np.rint(image), 0, 255)
-            found = place(image.astype(np.float32), view, markers, Read([k], (corners + rng.normal(0, 0.3, (4, 2)))[None]))
+            found = fit_read_markers(image.astype(np.float32), view, markers, Read([k], (corners + rng.normal(0, 0.3, (4, 2)))[None]))
             theirs.append(subpix(image, corners) - corners)
             if not len(found.marker):
                 lost += 1

@@ -26,7 +26,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.layout(0.3))
+        path.write_text(hexapod_layout.hexapod_layout(0.3))
         design = design_file.load(path)
     for name, (level, kinds, noise) in CASES.items():
         start = time.process_time()

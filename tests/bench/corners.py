@@ -17,12 +17,12 @@ from rig.planning.layout import hexapod_layout
 from rig.recording import recording_folder
 from rig.model.design import Marker, Sensor, Target
 from rig.recording.exposures import read_image
-from rig.model.pose import difference, pose
+from rig.model.pose import pose_difference, pose
 from tests.bench import bound
 from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.vision.scenes import nees, scene
-from vision.corners.marker_detection import detect
+from vision.corners.marker_detection import detect_markers
 from vision.recording_adjustment import measure
 from vision.targets import marker_map
 
@@ -35,7 +35,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.layout(0.3))
+        path.write_text(hexapod_layout.hexapod_layout(0.3))
         design = design_file.load(path)
         if SHARED.is_dir():
             yield from _first_light(Path(folder) / "first-light")
@@ -70,7 +70,7 @@ def _first_light(out):
     yield "first-light: bias along the marker's own diagonal, outward", f"{along.mean():+.4f} px", "<= 0.005 px"
     yield "first-light: true corners in their stated 95 % ellipse", f"{100 * inside.mean():.1f} %", "93-97 %"
     poses = recording_folder.load_poses(out / "poses.csv")
-    errors = difference(poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4))[poses.frame])
+    errors = pose_difference(poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4))[poses.frame])
     size = [np.sqrt((errors[:, part] ** 2).sum(axis=1).mean()) * 1e6 for part in (slice(0, 3), slice(3, 6))]
     stated = [np.sqrt(np.einsum("nii->n", poses.covariance[:, part, part]).mean()) * 1e6 for part in (slice(0, 3), slice(3, 6))]
     yield "first-light: pose, RMS of the error's length", f"{size[0]:.2f} um, {size[1]:.1f} urad", "<= 7 um, 26 urad"
@@ -121,7 +121,7 @@ def _recordings(design):
     for seed in range(RECORDINGS):
         observations, stated, _, T = scene(design, 5000 + seed, frames=FRAMES)
         m = measure(observations, stated, marker_map(design))
-        inside.append(nees(difference(m.T_base_platform, T[m.frames]), m.covariance) < INSIDE[6])
+        inside.append(nees(pose_difference(m.T_base_platform, T[m.frames]), m.covariance) < INSIDE[6])
         common.append(inside[-1].mean())
     share, spread = 100 * np.mean(common), 100 * np.std(common) / np.sqrt(RECORDINGS)
     yield f"{RECORDINGS} simulated recordings: true poses in their 95 % ellipsoid", f"{share:.1f} +- {spread:.1f} %", "93-97 %"
@@ -131,21 +131,23 @@ def _speed(folder):
     from rig.errors import MissingLibrary
     from synthetic import rig_meshes as scenes
     from synthetic.renderer import SAMPLES, Renderer
-    from synthetic.image_sensor import expose
+    from synthetic.image_sensor import expose_image
 
     detector, rng = _subpix(), np.random.default_rng(0)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     for width, height in ((1280, 1024), (2448, 2048)):
-        (folder / "rig.toml").write_text(hexapod_layout.layout(0.3, width=width, height=height))
+        (folder / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, width=width, height=height))
         design = design_file.load(folder / "rig.toml")
         markers, home = marker_map(design), design.mechanism.home
         try:
-            renderer = Renderer(scenes.parts(design), design)
+            renderer = Renderer(scenes.rig_parts(design), design)
         except MissingLibrary as error:
             yield f"{width} x {height}: speed", "skipped", str(error)
             continue
-        images = [(camera, expose(renderer.draw(camera.name, home), Sensor(blur=0.5, read_noise=1.5), rng, SAMPLES)) for camera in design.cameras]
+        images = [
+            (camera, expose_image(renderer.draw(camera.name, home), Sensor(blur=0.5, read_noise=1.5), rng, SAMPLES)) for camera in design.cameras
+        ]
         renderer.close()
         seconds, seen = [], [0, 0, 0]
         for repeat in range(REPEATS + 1):
@@ -153,9 +155,9 @@ def _speed(folder):
                 marks = [time.thread_time()]
                 theirs = detector.detectMarkers(image)[1]
                 marks.append(time.thread_time())
-                cold = detect(image, camera, markers).marker
+                cold = detect_markers(image, camera, markers).marker
                 marks.append(time.thread_time())
-                warm = detect(image, camera, markers, T_base_platform=home).marker
+                warm = detect_markers(image, camera, markers, T_base_platform=home).marker
                 marks.append(time.thread_time())
                 if repeat:  # the first one warms up
                     seconds.append(np.diff(marks))

@@ -7,7 +7,7 @@ import interpn
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from calib.correct.correction import Correction, reachable
+from calib.correct.correction import Correction, require_reachable
 from calib.correct.interpolation.simplex import Simplex
 from rig.model.mechanisms import hexapod
 from tests.bench.forward import mechanism_of_bench
@@ -61,7 +61,7 @@ def _chain():
     one = wanted[0]
 
     def chain(T):
-        reachable(np.atleast_2d(correction.inverse(T)), mechanism, [])
+        require_reachable(np.atleast_2d(correction.inverse(T)), mechanism, [])
 
     chain(wanted), chain(one)
     batch = len(middle) / best(lambda: chain(wanted))

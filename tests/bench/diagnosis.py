@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from synthetic.diagnosis_score import case
+from synthetic.diagnosis_score import score_case
 from tests.cli import RIG
 from tests.conftest import SHARED
 
@@ -48,7 +48,7 @@ def _known(name, path):
     with tempfile.NamedTemporaryFile("w", suffix=".json") as whole:
         json.dump({"effects": hidden, "strengths": [0.0] * len(hidden), "kind": "nothing", "disturbance": None}, whole)
         whole.flush()
-        found = case(0, Path(whole.name), path)
+        found = score_case(0, Path(whole.name), path)
     wanted = [(h.effect, h.place) for h in found.hidden]
     named = [(f.effect, f.place) for f in found.found]
     yield f"{name}: effect and place", ", ".join(map(" ".join, named)) or "nothing", ", ".join(map(" ".join, wanted)) or "nothing"

@@ -24,7 +24,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        text = hexapod_layout.layout(0.3)
+        text = hexapod_layout.hexapod_layout(0.3)
         path.write_text(text + "\n[controller]\nprotocol = \"grblhal\"\nport = \"set below\"\nmax_speed = 0.01\n")
         zero = home_lengths(design_file.load(path).mechanism).tolist()
         path.write_text(path.read_text() + f"zero = {zero}\n")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout
 from tests.calib import laws
@@ -32,14 +32,14 @@ def rows() -> Iterator[tuple[str, str, str]]:
     right, worst = 0, []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(text := hexapod_layout.layout(0.3))
+        path.write_text(text := hexapod_layout.hexapod_layout(0.3))
         design = design_file.load(path)
         for number, law in enumerate(laws.LAWS):
             hits, ratios = [], []
             for k in range(RIGS):
                 seen = float(np.random.default_rng([9, number, k]).uniform(2e-5, 3.2e-5))
                 rec, effect, wanted = laws.recorded(Path(folder) / f"law{number}{k}", design, text, number, 10 * number + k, seen)
-                found = diagnose(rec)
+                found = diagnose_platform(rec)
                 names, ratio = suggested(found)
                 hits.append(names == wanted)
                 ratios.append(ratio)
@@ -49,8 +49,8 @@ def rows() -> Iterator[tuple[str, str, str]]:
             worst.append(float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else np.inf)
             yield f"{law}: right covariates of {RIGS} rigs; held-out error over the noise, median", f"{sum(hits)}; {worst[-1]:.3f}", f"<= {HELD_OUT}"
         yield "laws of six with the right covariates in most rigs", str(right), f">= {RIGHT}"
-        quiet = [len(diagnose(recorded(Path(folder) / f"quiet{k}", design, (), 60 + k, laws.PLAN)).suggestions) for k in range(RIGS)]
+        quiet = [len(diagnose_platform(recorded(Path(folder) / f"quiet{k}", design, (), 60 + k, laws.PLAN)).suggestions) for k in range(RIGS)]
         yield f"nothing hidden: formulas suggested over {RIGS} rigs", str(sum(quiet)), "0"
-        named = [diagnose(recorded(Path(folder) / f"named{k}", design, (text,), 70 + k, laws.PLAN)) for k, text in enumerate(NAMED)]
+        named = [diagnose_platform(recorded(Path(folder) / f"named{k}", design, (text,), 70 + k, laws.PLAN)) for k, text in enumerate(NAMED)]
         yield f"effects of the catalogue: formulas suggested over {len(NAMED)}, named of them", (
             f"{sum(len(d.suggestions) for d in named)}, {sum(bool(d.effects) for d in named)}"), "0"

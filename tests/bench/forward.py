@@ -19,7 +19,7 @@ def mechanism_of_bench() -> Hexapod:
     """The Hexapod of `rig design --radius 0.3`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.layout(0.3))
+        path.write_text(hexapod_layout.hexapod_layout(0.3))
         return design_file.load(path).mechanism
 
 

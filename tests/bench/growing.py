@@ -15,19 +15,19 @@ from calib.online.run_learning import Learner
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout
 from rig.recording import recording_folder
-from rig.driving.cameras.settling_check import settling
+from rig.driving.cameras.settling_check import parse_settling
 from rig.driving.cameras.camera_interface import Frame
 from rig.driving.cameras.camera_synchronisation import Shutter
 from rig.driving.clock import SystemClock
 from rig.cli.shared.run_equipment import save_image
 from rig.cli.shared.run_observation import Looking, Stopping
 from rig.cli.shared.run_page import Page
-from rig.cli.shared.compilation_warm_up import warm
+from rig.cli.shared.compilation_warm_up import warm_up
 from rig.model.design import Sensor
 from rig.driving.run_journal import Began, Journal
 from rig.driving.operator_loop import Bench, Operator
-from rig.planning.plan import build
-from rig.driving.run_steps import steps
+from rig.planning.plan import build_plan
+from rig.driving.run_steps import steps_of_plan
 from synthetic import recording_simulation, secret_machine
 from synthetic.image_simulation import Images
 from vision.reading.recording_corners import read_image
@@ -68,20 +68,20 @@ def rows() -> Iterator[tuple[str, str, str]]:
 
 def _run(folder):
     """{frame: s from its exposure to its event at the page}"""
-    text = hexapod_layout.layout(0.3, cameras=3, width=1280, height=1024)
+    text = hexapod_layout.hexapod_layout(0.3, cameras=3, width=1280, height=1024)
     (folder / "rig.toml").write_text(text)
     design, rng, plan = design_file.load(folder / "rig.toml"), np.random.default_rng(1), f"sobol:{FRAMES}"
-    done = recording_simulation.simulate(secret_machine.draw(design, rng), build(design, plan), rng)
-    recording_simulation.write(done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0)))
+    done = recording_simulation.simulate(secret_machine.draw_machine(design, rng), build_plan(design, plan), rng)
+    recording_simulation.write_recording(done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0)))
     read, clock = recording_folder.load(folder / "drawn"), SystemClock()
     e, taken = read.exposures, {camera.name: [] for camera in design.cameras}
     images = {c.name: [read_image(read.folder / n) for n, name in zip(e.image, e.camera) if name == c.name] for c in design.cameras}
-    warm(design)  # as while homing
+    warm_up(design)  # as while homing
     shutter = Shutter(tuple(_Source(name, own, clock, taken) for name, own in images.items()), clock)
-    planned = steps(build(design, plan))
+    planned = steps_of_plan(build_plan(design, plan))
     start = planned[0].goal
     machine = SimpleNamespace(lengths=lambda: start, move=lambda goal: None, stop=lambda: None)
-    bench = Bench(machine, shutter, clock, settling(f"time:{TIME}"), 1e-5, lambda *_: (), save_image)
+    bench = Bench(machine, shutter, clock, parse_settling(f"time:{TIME}"), 1e-5, lambda *_: (), save_image)
     looking = Looking(design, planned, start, clock, Live(design), Learner(design.mechanism), Stopping(frozenset(), lambda: None))
     (folder / "rec").mkdir()
     with Page(looking, 0) as page, Journal(folder / "rec" / "journal.jsonl") as journal:

@@ -12,18 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-from calib.diagnose.problems.platform.effect_strength import strengths
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.platform.effect_strength import effect_strengths
 from calib.diagnose.report import platform_report
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.recording import recording_folder
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
 from synthetic import blind_cases, diagnosis_score
 from tests.vision.scenes import nees
 from tests.vision.test_recording_adjustment import joint_chi2
 from vision.corner_observations import Observations
-from vision.predict import Sightings, State, see
+from vision.predict import Sightings, State, predict_sightings
 from vision.targets import marker_map
 
 SEEDS = {"nothing": 7001, "one": 7302}  # by what is hidden
@@ -58,7 +58,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
                 sampled = sample_recording(recorded)
                 if kind == "nothing":
                     told.append(true(case, sampled))
-                found.append(diagnosis_score.case(index, truth, diagnosed(recorded, sampled, Path(folder) / f"{kind}{index}")))
+                found.append(diagnosis_score.score_case(index, truth, diagnosed(recorded, sampled, Path(folder) / f"{kind}{index}")))
                 print(line(kind, found[-1]), file=sys.stderr, flush=True)
     yield from _measured(told)
     yield from _named([one for one in found if one.kind == "nothing"], [one for one in found if one.kind == "one"])
@@ -79,7 +79,7 @@ def _measured(told):
 
 def _named(still, one):
     yield f"nothing hidden: with a finding, of {len(still)}", str(sum(bool(c.found) or c.unexplained for c in still)), "<= 1"
-    figures = {f.name: f for f in diagnosis_score.figures([*still, *one])}
+    figures = {f.name: f for f in diagnosis_score.campaign_figures([*still, *one])}
     for name, missed, most in (("detected", "not detected", 2), ("named first", "not named first", 4), ("at its place", "misplaced", 3),
                                ("nothing else named", "something else named", "")):
         f = figures[f"one effect: {name}"]
@@ -105,7 +105,7 @@ def cases(kind: str, wanted: int) -> list[int]:
 
 def drawn_case(kind: str, index: int) -> blind_cases.DrawnCase:
     """The DrawnCase of a number, with nothing drawn yet."""
-    return blind_cases.draw(SEEDS[kind], index, FRAMES[kind], kinds=[kind], images=True)
+    return blind_cases.draw_case(SEEDS[kind], index, FRAMES[kind], kinds=[kind], images=True)
 
 
 def strength(case: blind_cases.DrawnCase) -> list[float]:
@@ -115,9 +115,9 @@ def strength(case: blind_cases.DrawnCase) -> list[float]:
     with tempfile.TemporaryDirectory() as folder:
         # writing draws noise from the case's rng, so that the case's own stays as it was: another is written
         blind_cases.write_recording(replace(case, eyes=None, rng=np.random.default_rng(0)), Path(folder) / "rec")
-        written = replace(recording_folder.load(Path(folder) / "rec"), corners=blind_cases.corners_of(case))
+        written = replace(recording_folder.load(Path(folder) / "rec"), corners=blind_cases.simulated_corners(case))
     world = case.simulation.world
-    return strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[: len(case.hidden)].tolist()
+    return effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[: len(case.hidden)].tolist()
 
 
 def drawn(keep: Path, kind: str, index: int) -> tuple[blind_cases.DrawnCase, Recording, Path]:
@@ -133,8 +133,8 @@ def drawn(keep: Path, kind: str, index: int) -> tuple[blind_cases.DrawnCase, Rec
 def diagnosed(recorded: Recording, sampled: Sampled, out: Path) -> Path:
     """The diagnosis.json of a recording that was measured before."""
     out.mkdir(parents=True, exist_ok=True)
-    found = diagnose(recorded, sampled=sampled)
-    platform_report.save(out, found, recorded, platform_report.report(found))
+    found = diagnose_platform(recorded, sampled=sampled)
+    platform_report.write_platform_diagnosis(out, found, recorded, platform_report.platform_report(found))
     return out / "diagnosis.json"
 
 
@@ -155,7 +155,7 @@ def line(kind: str, case: diagnosis_score.Case) -> str:
 def true(case: blind_cases.DrawnCase, sampled: Sampled) -> Told:
     """Told of a case's measurement."""
     m, T = sampled.measurement, case.simulation.run.T_base_platform
-    errors = difference(m.T_base_platform, T[m.frames])
+    errors = pose_difference(m.T_base_platform, T[m.frames])
     kept = m.observations.take(m.inliers)
     square = nees(kept.uv - true_corners(case, kept), kept.covariance)
     again = square[np.isin(kept.frame, np.flatnonzero(revisited(T)[kept.frames]))]
@@ -169,11 +169,11 @@ def true_corners(case: blind_cases.DrawnCase, observations: Observations) -> np.
     sighting, row = np.unique(np.stack([o.camera, o.frame, o.marker], axis=1), axis=0, return_inverse=True)
     seen = Sightings(o.frames[sighting[:, 1]], sighting[:, 0], sighting[:, 2])
     state = State(done.world.true.cameras, done.run.T_base_platform, {})
-    quads = see(seen, state, marker_map(done.world.true), done.plan.t, done.world.effects, done.sensors, done.run)
+    quads = predict_sightings(seen, state, marker_map(done.world.true), done.plan.t, done.world.effects, done.sensors, done.run)
     return quads[row.ravel(), o.corner]
 
 
 def revisited(T) -> np.ndarray:
     """(F,) bool, which poses lie within NEAR of an earlier or a later one. T : RigidTransform (F,)"""
-    apart = np.array([np.abs(difference(T, one)).max(axis=1) for one in T])
+    apart = np.array([np.abs(pose_difference(T, one)).max(axis=1) for one in T])
     return (apart < NEAR).sum(axis=1) > 1

@@ -15,20 +15,20 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis, diagnose
+from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis, diagnose_platform
 from calib.experiment.discriminating_configurations import NAME
-from calib.experiment.experiment_choice import Experiment, choose, evaluate, kinds
+from calib.experiment.experiment_choice import Experiment, choose_experiment, evaluate_experiment, available_plans
 from calib.experiment.platform_questions import questions
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.model.design import Design
-from rig.effects.texts.effect_text import parse, placed
+from rig.effects.texts.effect_text import parse_effect, require_place
 from rig.errors import RigError
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
-from vision.combined_recordings import together
+from vision.combined_recordings import combine_recordings
 
 NOISE, LOOKS, BUDGET = 0.04, 8, 120.0  # px; recordings at the most; min
 AT_RANDOM = 4  # recordings at the most that random plans have: what they would have needed is understated
@@ -66,19 +66,19 @@ class Case:
 
     def __init__(self, folder, design, text, truth, seed):
         self.folder, self.design, self.text, self.seed = folder, design, text, seed
-        effects = () if truth is None else (placed(parse(truth), design),)
-        self.world, self.truth = secret_machine.draw(design, np.random.default_rng(seed), 1.0, effects), truth
+        effects = () if truth is None else (require_place(parse_effect(truth), design),)
+        self.world, self.truth = secret_machine.draw_machine(design, np.random.default_rng(seed), 1.0, effects), truth
         self.title = "" if truth is None else f"{effects[0].name.replace('_', ' ')} at {effects[0].place}"
 
     def recorded(self, name, route) -> Recording:
         rng = np.random.default_rng([self.seed, *name.encode()])
-        recording_simulation.write(recording_simulation.simulate(self.world, route, rng), self.folder / name, self.text, rng, NOISE)
+        recording_simulation.write_recording(recording_simulation.simulate(self.world, route, rng), self.folder / name, self.text, rng, NOISE)
         return recording_folder.load(self.folder / name)
 
     def first(self, text) -> tuple[Recording, PlatformDiagnosis]:
         """(Recording, its diagnosis) of a first plan."""
-        found = self.recorded("first", plan.build(self.design, text, self.seed))
-        return found, diagnose(found)
+        found = self.recorded("first", plan.build_plan(self.design, text, self.seed))
+        return found, diagnose_platform(found)
 
 
 def settle(case, first, found, pick, looks=LOOKS) -> tuple[PlatformDiagnosis, int, float, list[tuple[float, bool]]]:
@@ -90,7 +90,7 @@ def settle(case, first, found, pick, looks=LOOKS) -> tuple[PlatformDiagnosis, in
         if chosen is None:
             break
         parts.append(case.recorded(f"{pick.__name__}{number}", chosen.plan))
-        found = diagnose(together(parts).recording)
+        found = diagnose_platform(combine_recordings(parts).recording)
         poses, minutes = poses + len(chosen.plan.t), minutes + chosen.minutes
         stated.append((chosen.settles, not questions(found)))
     return found, poses, minutes, stated
@@ -98,7 +98,7 @@ def settle(case, first, found, pick, looks=LOOKS) -> tuple[PlatformDiagnosis, in
 
 def best(design) -> Callable[..., Experiment | None]:
     def chosen(asked, number, left):
-        found, _ = choose(asked, design, kinds(("payload", "wait"), False), number, left)
+        found, _ = choose_experiment(asked, design, available_plans(("payload", "wait"), False), number, left)
         return found[0] if found and found[0].bits > 0.01 else None
 
     return chosen
@@ -106,9 +106,9 @@ def best(design) -> Callable[..., Experiment | None]:
 
 def at_random(design, rng) -> Callable[..., Experiment | None]:
     def random(asked, number, left):
-        for text in rng.permutation([text for text in kinds(("payload", "wait"), False) if not text.startswith(NAME)]):
+        for text in rng.permutation([text for text in available_plans(("payload", "wait"), False) if not text.startswith(NAME)]):
             try:
-                found = evaluate(asked, design, str(text), number)
+                found = evaluate_experiment(asked, design, str(text), number)
             except RigError:
                 continue
             if found.minutes <= left:
@@ -183,7 +183,7 @@ def tried(base, rooms, number, draws) -> Tried:
 
 def _rig(path, kind) -> tuple[Design, str]:
     """(Design, text of rig.toml) of a rig whose poses an instrument measures, or which cameras see, or with a heavy platform."""
-    text = hexapod_layout.layout(0.3) + ("" if kind == "corners" else POSES)
+    text = hexapod_layout.hexapod_layout(0.3) + ("" if kind == "corners" else POSES)
     if kind == "heavy":
         text = re.sub(r"mass = [\d.]+", f"mass = {HEAVY}", text, count=1)
     path.write_text(text)

@@ -20,16 +20,16 @@ from rig.model.design import Camera
 from rig.model.pose import exp
 from tests.conftest import SHARED
 from tests.vision.scenes import scene
-from vision.bundle.bundle_adjustment import adjust
+from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.held_out_frames import crossvalidate
-from vision.bundle.marker_displacements import places
-from vision.bundle.estimate_update import move, offset
-from vision.bundle.unknown_priors import unknowns
-from vision.corners.marker_detection import detect
+from vision.bundle.marker_displacements import marker_places
+from vision.bundle.estimate_update import update_estimate, offset_from_stated
+from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.corners.marker_detection import detect_markers
 from vision.lenses import calibration_board as boards
 from vision.lenses.lens_calibration import calibrate, hold_out, observations_of
 from vision.recording_adjustment import measure
-from vision.corner_observations import from_corners, whitener
+from vision.corner_observations import observations_from_corners, whitener
 from vision.predict import State, predict
 from vision.targets import MarkerMap, marker_map
 
@@ -56,7 +56,7 @@ def _chessboard():
     camera = Camera("cam0", width, height, K, np.zeros(5), RigidTransform.identity())
     ours, opencv, found, there = [], [], 0, 0
     for image in images:
-        view = boards.see(image, board, camera)
+        view = boards.find_board_corners(image, board, camera)
         corners, ids, _, _ = theirs.detectBoard(image)
         ids, corners = ids.ravel(), corners.reshape(-1, 2).astype(float)
         both = np.intersect1d(ids, view.corner)
@@ -81,7 +81,7 @@ def _sheet():
                         np.full(250, 0.003), ["DICT_6X6_250"] * 250, ["sheet"] * 250, np.zeros(250, int))
     camera = Camera("cam0", width, height, [[1.2 * width, 0, width / 2], [0, 1.2 * width, height / 2], [0, 0, 1]], np.zeros(5),
                     RigidTransform.identity())
-    found = detect(image, camera, markers)
+    found = detect_markers(image, camera, markers)
     place = np.stack([found.marker // 20, -(found.marker % 20)], axis=1).astype(float)  # columns of twenty, from the lowest up
     middle = found.corners.mean(axis=1)
     H, _ = cv2.findHomography(place, middle, cv2.RANSAC, 20.0)
@@ -95,7 +95,7 @@ def _sheet():
 def _adjustment():
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4))
+        path.write_text(hexapod_layout.hexapod_layout(0.3, cameras=3, width=1280, height=1024, cubes=4))
         design = design_file.load(path)
     observations, stated, _, T = scene(design, 1, frames=380)
     observations = replace(observations, covariance=np.tile(0.04**2 * np.eye(2), (len(observations), 1, 1)))  # the noise that it was drawn with
@@ -103,7 +103,7 @@ def _adjustment():
     spent, busy = [], []
     for _ in range(3):
         begun, worked = time.perf_counter(), time.process_time()
-        result = adjust(observations, start, EVERYTHING)
+        result = adjust_bundle(observations, start, EVERYTHING)
         spent.append(time.perf_counter() - begun)
         busy.append(time.process_time() - worked)
     yield (f"adjustment of everything, 380 frames x 3 cameras, {len(observations)} corners, {result.unknowns.shared} shared unknowns, median of 3",
@@ -112,7 +112,7 @@ def _adjustment():
     yield "held-out stretches: residuals over the covariance predicted for them", f"{held.ratio:.3f} +- {2 * held.scatter:.3f}", "1"
     few = observations.take(observations.frame < FEW)
     few, start = replace(few, frames=few.frames[:FEW]), start.at(np.arange(FEW))
-    mine = adjust(few, start, EVERYTHING)
+    mine = adjust_bundle(few, start, EVERYTHING)
     yield f"the same problem, {FEW} frames: cost at the start, and where the adjustment ends", f"{_cost(few, start):.6g}; {mine.cost:.9g}", ""
     theirs = _scipys(few, start, start)
     yield (f"the same problem, {FEW} frames: cost that SciPy's least_squares reaches from the same start, relative difference",
@@ -129,13 +129,13 @@ def _cost(observations, state):
 
 def _scipys(observations, begin, stated):
     """Cost at which SciPy's trust region, its Jacobian by differences, ends. begin : State to start from; stated : State as stated."""
-    u, estimate = unknowns(observations, begin, stated, EVERYTHING)
+    u, estimate = adjustment_unknowns(observations, begin, stated, EVERYTHING)
     W, k, frames = whitener(observations), u.basis.shape[1], len(observations.frames)
 
     def residual(p):
-        moved = move(estimate, u, u.basis @ p[:k], p[k:].reshape(frames, u.local))
+        moved = update_estimate(estimate, u, u.basis @ p[:k], p[k:].reshape(frames, u.local))
         seen = W(observations.uv - predict(observations, moved.state)[0]).ravel()
-        return np.r_[seen, (u.prior * offset(moved, stated, u))[u.prior > 0]]
+        return np.r_[seen, (u.prior * offset_from_stated(moved, stated, u))[u.prior > 0]]
 
     return 2 * least_squares(residual, np.zeros(k + frames * u.local), method="trf", x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12).cost
 
@@ -150,9 +150,9 @@ def _block():
     block = recording_folder.load(SHARED / "recordings" / "tumbling-block")
     frames, t = block.exposures.times()
     markers = marker_map(block.design)
-    observed = from_corners(block.corners, frames, block.design, markers)
+    observed = observations_from_corners(block.corners, frames, block.design, markers)
     plain, free = (measure(observed, block.design, markers, groups, t=t) for groups in (("lenses",), ("lenses", "markers")))
-    found, held = places(free, t), crossvalidate(free.used(), free.adjustment)
+    found, held = marker_places(free, t), crossvalidate(free.used(), free.adjustment)
     yield "tumbling-block: frames solved, places as stated / as adjusted", f"{len(plain.frames)} / {len(free.frames)} of {len(frames)}", ""
     yield ("tumbling-block: residual of the block per frame, median RMS, places as stated / as adjusted",
            f"{np.median(found.before):.3f} / {np.median(found.after):.3f} px", "reported")

@@ -89,7 +89,7 @@ def tried(hidden: Hidden, folder: Path) -> dict[str, Any]:
     found: dict[str, Any] = {"clean": _diagnosed(recording_folder.load(record(case, folder / "clean")))}
     spoiled = recording_folder.load(record(bad, folder / "wild"))
     for name, mask in masks(frames, np.random.default_rng([hidden.seed, 6])).items():
-        found[name] = _diagnosed(frame_mask.masked(spoiled, mask) if mask else spoiled) | {"mask": mask}
+        found[name] = _diagnosed(frame_mask.remove_frames(spoiled, mask) if mask else spoiled) | {"mask": mask}
     same, as_clean = counted(found)
     return {"recording": hidden.name, "kind": hidden.kind, "effect": hidden.effect, "strength": hidden.strength, "plan": hidden.plan,
             "seed": hidden.seed, "wild": dict(zip(map(str, frames), laws)), "diagnoses": found,

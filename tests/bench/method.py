@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.correct.summand_extension import corrected, extend, geometry_of, summands
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-from calib.diagnose.platform_findings_refit import of_diagnosis
+from calib.correct.summand_extension import correction_with_field, fit_summand_field, geometry_of, summands
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.platform_findings_refit import findings_of_diagnosis
 from calib.samples.recording_samples import sample_recording
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from tests.calib.physical import ASKED, driven, learnt, write
 
 EFFECTS = ("transmission_error:strut2:profile=0/2e-5/-2e-5/3e-5/0/2e-5/-3e-5/1e-5", "compliance:rig:stiffness=3e6")
@@ -28,7 +28,7 @@ def by_field(sampled, design, kind) -> Calibration:
     """Calibration of KSF by a way of extending it alone, on the owner's model."""
     samples, nominal = sampled.samples, design.mechanism
     found = geometry_of(samples, nominal, True)
-    correction = corrected(nominal, found, extend(summands(samples, nominal), kind))
+    correction = correction_with_field(nominal, found, fit_summand_field(summands(samples, nominal), kind))
     return Calibration(correction, found.covariance, found.scatter, tuple(samples.frame.tolist()), (), None, {}, None, None)
 
 
@@ -36,15 +36,15 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(text := hexapod_layout.layout(0.3))
-        design, effects = design_file.load(path), [parse(one) for one in EFFECTS]
+        path.write_text(text := hexapod_layout.hexapod_layout(0.3))
+        design, effects = design_file.load(path), [parse_effect(one) for one in EFFECTS]
         recording, secret = write(Path(folder) / "rec", design, text, SEED, effects, ROUTE)
         sampled = sample_recording(recording)
         cube, _ = write(Path(folder) / "grid", design, text, SEED, effects, GRID)  # the same secret machine: its seed is the same
         on_grid = sample_recording(cube)
         own = sampled.samples.covariance
         floor = float(np.sqrt(np.trace(own[:, :3, :3], axis1=1, axis2=2).mean()))
-        ways = {"physics": learnt(recording, sampled, of_diagnosis(diagnose(recording, only=ASKED, sampled=sampled))),
+        ways = {"physics": learnt(recording, sampled, findings_of_diagnosis(diagnose_platform(recording, only=ASKED, sampled=sampled))),
                 "parameters alone": learnt(recording, sampled, None, "none"), "grid alone, 729 poses, n-linear": by_field(on_grid, design, "linear"),
                 "smooth map alone, radial": by_field(sampled, design, "radial")}
         yield "one measured pose, standard uncertainty", f"{floor * 1e6:.2f} um", ""

@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 
 from calib.certify import measuring_limbs
 from calib.models.platform import joint_camera_fit
-from calib.models.platform.d_optimal_configurations import CRITERIA, choose
+from calib.models.platform.d_optimal_configurations import CRITERIA, choose_configurations
 from calib.models.platform.identification import PRIOR, identify, parameters, pose_jacobian, with_parameters
 from calib.online.learners import Drifting, FirstOrder, Forgetting
-from calib.models.platform.parameter_observability import PLAUSIBLE, combinations
+from calib.models.platform.parameter_observability import PLAUSIBLE, parameter_combinations
 from calib.online.information_filter import Online
 from calib.samples.recording_samples import sample_recording
 from rig.formats.rig_toml import design_file
@@ -24,7 +24,7 @@ from rig.planning import plan
 from rig.recording import recording_folder
 from rig.formats.exporters import linuxcnc_genhexkins
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from synthetic import recording_simulation, secret_machine
 from tests.calib.designs import worst_jacobian
 from tests.calib.streams import found_within, learnt, missed_step, stream
@@ -40,7 +40,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.layout(0.3))
+        path.write_text(hexapod_layout.hexapod_layout(0.3))
         design = design_file.load(path)
     yield "J_p against differences, 1000 random machines and poses, worst", f"{worst_jacobian(1000, 0):.1e}", "<= 1e-6"
     yield from _batch(design)
@@ -69,7 +69,7 @@ def _batch(design):
 
     def cost(q):
         T = hexapod.forward(samples.commanded, with_parameters(design.mechanism, nominal + q[:42] * 1e-3)) * exp(samples.common @ q[42:])
-        left = whitener @ difference(T, samples.T_base_platform)[..., None]
+        left = whitener @ pose_difference(T, samples.T_base_platform)[..., None]
         return np.concatenate([left.ravel(), q[:42] * 1e-3 / PRIOR, q[42:]])
 
     start = time.perf_counter()
@@ -78,14 +78,14 @@ def _batch(design):
     apart = np.abs((nominal + other.x[:42] * 1e-3 - parameters(found.mechanism)) / np.sqrt(np.diag(found.covariance))).max()
     yield "scipy least_squares, numeric Jacobian, the same cost", f"{seconds:.2f} s, {seconds / ours:.0f} x", ">= 50 x"
     yield "the two optima apart, greatest", f"{apart:.1e} sigma", ""
-    parts, seen = combinations(found.root, found.mechanism)
+    parts, seen = parameter_combinations(found.root, found.mechanism)
     yield "condition number of the 42, worst and best determined combination", (
         f"{seen.condition:.0f}: {parts[0].sigma * 1e6:.0f} and {parts[-1].sigma * 1e6:.2f} um"), ""
 
 
 def _scatter(design):
     first = identify(sampled(design, 0, count=200)[0], design.mechanism)
-    along = np.array([part.direction for part in combinations(first.root, first.mechanism)[0]])
+    along = np.array([part.direction for part in parameter_combinations(first.root, first.mechanism)[0]])
     z = np.empty((MORE_RUNS, 42))
     for seed in range(MORE_RUNS):
         samples, true = sampled(design, seed, count=200)
@@ -102,7 +102,7 @@ def _scatter(design):
 def _plans(design):
     for criterion in CRITERIA:
         start = time.perf_counter()
-        found = choose(design.mechanism, 60, (1e-5, 1e-4), criterion)
+        found = choose_configurations(design.mechanism, 60, (1e-5, 1e-4), criterion)
         seconds = time.perf_counter() - start
         s, even = (np.linalg.svd(root * PLAUSIBLE, compute_uv=False) for root in (found.root, found.even))
         better = f"{(s.prod() / even.prod()) ** (1 / 42):.2f}, {s[-1] / even[-1]:.2f} x"
@@ -113,7 +113,7 @@ def _plans(design):
 def _online(design):
     samples, true = sampled(design, 1, count=1000)
     batch = identify(samples, design.mechanism)
-    along = np.array([part.direction for part in combinations(batch.root, batch.mechanism)[0]])
+    along = np.array([part.direction for part in parameter_combinations(batch.root, batch.mechanism)[0]])
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, batch.covariance, along))
     alone = replace(samples, common=samples.common[:, :, :0], covariance=samples.total_covariance())
     rest = identify(alone, design.mechanism)
@@ -148,37 +148,37 @@ def _jumps(design):
 
 
 def _exports(design):
-    true = secret_machine.draw(design, np.random.default_rng(0)).true
+    true = secret_machine.draw_machine(design, np.random.default_rng(0)).true
     commands = plan.low_discrepancy(true.mechanism.strut_range, 200, 0.9)
-    theirs = genhex_forward(linuxcnc_genhexkins.text(true.mechanism), commands, design.mechanism.home, 1e3)
-    worst = np.linalg.norm(difference(hexapod.forward(commands, true.mechanism), theirs)[:, :3], axis=1).max()
+    theirs = genhex_forward(linuxcnc_genhexkins.genhexkins_settings(true.mechanism), commands, design.mechanism.home, 1e3)
+    worst = np.linalg.norm(pose_difference(hexapod.forward(commands, true.mechanism), theirs)[:, :3], axis=1).max()
     yield "genhexkins' forward kinematics from the exported numbers alone, 200 poses, worst", f"{worst:.1e} m", "<= 1e-9 m"
 
 
 def _limbs():
     with tempfile.TemporaryDirectory() as folder:
-        text, path = hexapod_layout.layout(0.3, limbs=6), Path(folder) / "rig.toml"
+        text, path = hexapod_layout.hexapod_layout(0.3, limbs=6), Path(folder) / "rig.toml"
         path.write_text(text)
         design, rng = design_file.load(path), np.random.default_rng(0)
-        done = recording_simulation.simulate(secret_machine.draw(design, rng), plan.build(design, "axes:9,sobol:150"), rng)
-        recording_simulation.write(done, Path(folder) / "rec", text, rng, noise=0.04)
+        done = recording_simulation.simulate(secret_machine.draw_machine(design, rng), plan.build_plan(design, "axes:9,sobol:150"), rng)
+        recording_simulation.write_recording(done, Path(folder) / "rec", text, rng, noise=0.04)
         read = recording_folder.load(Path(folder) / "rec")
-        frames, lengths = measuring_limbs.readings(read)
-        samples, nominal = measuring_limbs.read(sample_recording(read).samples, frames, lengths), measuring_limbs.stated(design)
-    T, expected = measuring_limbs.held_out(samples, nominal, 1e-6)
-    found = measuring_limbs.agreement(samples.T_base_platform, T, expected, (5e-5, 2e-4))
+        frames, lengths = measuring_limbs.limb_readings(read)
+        samples, nominal = measuring_limbs.samples_by_limbs(sample_recording(read).samples, frames, lengths), measuring_limbs.limb_hexapod(design)
+    T, expected = measuring_limbs.held_out_limb_poses(samples, nominal, 1e-6)
+    found = measuring_limbs.limb_agreement(samples.T_base_platform, T, expected, (5e-5, 2e-4))
     for part, name, unit in ((slice(0, 3), "position", "um"), (slice(3, 6), "rotation", "urad")):
         bias, scatter, claim, surely = (np.abs(v[part]).max() * 1e6 for v in (found.bias, found.scatter, found.expected, found.surely))
         yield (f"measuring limbs less vision, {found.n} poses, worst axis in {name}: bias, scatter (expected), limits",
                f"{bias:.1f}, {scatter:.1f} ({claim:.1f}), {surely:.1f} {unit}", "50 um, 200 urad")
-    limbs, _ = measuring_limbs.calibrated(samples, nominal, 1e-6)
+    limbs, _ = measuring_limbs.calibrate_limbs(samples, nominal, 1e-6)
     T = limbs.pose(lengths)
     learner, true = Online(read.design.mechanism, shared=42), done.world.true.mechanism
     for each in zip(read.commanded()[2], T, *limbs.uncertainty(T)):
         learner.update(*each)
     spread = plan.low_discrepancy(true.strut_range, 500, 0.9)
-    error = difference(hexapod.forward(spread, true), hexapod.forward(spread, learner.hexapod))
-    before = difference(hexapod.forward(spread, true), hexapod.forward(spread, design.mechanism))
+    error = pose_difference(hexapod.forward(spread, true), hexapod.forward(spread, learner.hexapod))
+    before = pose_difference(hexapod.forward(spread, true), hexapod.forward(spread, design.mechanism))
     rms = [np.sqrt((e[:, :3] ** 2).sum(axis=1).mean()) * 1e6 for e in (before, error)]
     yield "struts learnt from the limbs' poses: model's pose error before, after", f"{rms[0]:.0f}, {rms[1]:.1f} um", ""
 
@@ -194,7 +194,7 @@ def _joint():
     wanted = hexapod.forward(lengths, true)
 
     def figure(found, covariance):
-        errors, J = difference(wanted, hexapod.forward(lengths, found)), pose_jacobian(wanted, found)
+        errors, J = pose_difference(wanted, hexapod.forward(lengths, found)), pose_jacobian(wanted, found)
         C = J @ covariance @ np.swapaxes(J, 1, 2)
         both = []
         for part, unit in ((slice(0, 3), "um"), (slice(3, 6), "urad")):
@@ -204,7 +204,7 @@ def _joint():
 
     start = time.perf_counter()
     corners, commanded, state = joint_camera_fit.commanded_state(done.measurement, samples)
-    one = joint_camera_fit.solve(corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).mechanism)
+    one = joint_camera_fit.fit_cameras_and_geometry(corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).mechanism)
     seconds = time.perf_counter() - start
     two = identify(samples, nominal)
     pooled = identify(replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0]), nominal)
@@ -226,7 +226,7 @@ def _over_draws(samples, nominal, true, lengths, wanted):
         drawn = replace(samples, T_base_platform=T * exp(noise))
         apart = replace(drawn, covariance=drawn.total_covariance(), common=drawn.common[:, :, :0])
         found = [identify(each, nominal) for each in (drawn, apart)]
-        errors = [difference(wanted[:300], hexapod.forward(lengths[:300], each.mechanism)) for each in found]
+        errors = [pose_difference(wanted[:300], hexapod.forward(lengths[:300], each.mechanism)) for each in found]
         squares.append([[(e[:, :3] ** 2).sum(axis=1).mean(), (e[:, 3:] ** 2).sum(axis=1).mean()] for e in errors])
         off = [parameters(each.mechanism) - parameters(true) for each in found]
         claims.append([d @ np.linalg.solve(each.covariance, d) / 42 for d, each in zip(off, found)])

@@ -47,7 +47,7 @@ def measured(name, rigs=RIGS, route=ROUTE, text=None) -> np.ndarray:
     out = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        text = hexapod_layout.layout(0.3) if text is None else text
+        text = hexapod_layout.hexapod_layout(0.3) if text is None else text
         path.write_text(text)
         design = design_file.load(path)
         for k in range(rigs):

@@ -90,11 +90,11 @@ def _rendered(design, rng):
     """The same of the renderer's pictures of a rig."""
     from synthetic import rig_meshes
     from synthetic.renderer import SAMPLES, Renderer
-    from synthetic.image_sensor import expose
+    from synthetic.image_sensor import expose_image
     from vision.predict import expected
     from vision.targets import marker_map
 
-    renderer, markers, out = Renderer(rig_meshes.parts(design), design), marker_map(design), {}
+    renderer, markers, out = Renderer(rig_meshes.rig_parts(design), design), marker_map(design), {}
     scenes = []
     for _ in range(4):
         T = design.mechanism.home * exp(rng.uniform(-1, 1, 6) * [0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
@@ -103,30 +103,30 @@ def _rendered(design, rng):
             scenes.append((renderer.draw(view.name, T), view, markers.id[shown], places))
     renderer.close()
     for kind, sensor in DRAWN.items():
-        out[f"rendered, {kind}"] = [(expose(radiance, sensor, rng, SAMPLES), *rest) for radiance, *rest in scenes]
+        out[f"rendered, {kind}"] = [(expose_image(radiance, sensor, rng, SAMPLES), *rest) for radiance, *rest in scenes]
     return out
 
 
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
-    from vision.corners.marker_detection import grey, place
+    from vision.corners.marker_detection import grey_image, fit_read_markers
     from vision.corners.marker_reader import Read
-    from vision.corners.edge_spread import PLAIN, empty_profile, learn
+    from vision.corners.edge_spread import PLAIN, empty_profile, learn_edge_spread
     from vision.reading.recording_corners import ROUNDS
 
     out = {}
     for kind, shown in pictures.items():
-        start = [(grey(image)[1] if image.dtype != np.float32 else image, view, np.asarray(ids), true) for image, view, ids, true in shown]
-        first = [place(full, view, markers, Read(ids, true)) for full, view, ids, true in start]
+        start = [(grey_image(image)[1] if image.dtype != np.float32 else image, view, np.asarray(ids), true) for image, view, ids, true in shown]
+        first = [fit_read_markers(full, view, markers, Read(ids, true)) for full, view, ids, true in start]
         spread = PLAIN
         for _ in range(ROUNDS):
             profile, widths = empty_profile(), []
             for (full, view, _, _), d in zip(start, first):
-                widths.append(place(full, view, markers, d.read, spread=spread, reach=0.0, profile=profile).blur)
-            spread = learn(spread, profile, float(np.median(np.concatenate(widths))))
+                widths.append(fit_read_markers(full, view, markers, d.read, spread=spread, reach=0.0, profile=profile).blur)
+            spread = learn_edge_spread(spread, profile, float(np.median(np.concatenate(widths))))
         error = []
         for (full, view, ids, true), d in zip(start, first):
-            found = place(full, view, markers, d.read, spread=spread)
+            found = fit_read_markers(full, view, markers, d.read, spread=spread)
             at = {number: k for k, number in enumerate(ids.tolist())}
             error += [found.corners[k] - true[at[number]] for k, number in enumerate(found.marker.tolist())]
         square = np.sort(np.abs(error).ravel() ** 2)
@@ -143,7 +143,7 @@ def _main(reach):
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(hexapod_layout.layout(0.3))
+        path.write_text(hexapod_layout.hexapod_layout(0.3))
         design = design_file.load(path)
     listed = tuple(Marker(k, 1.0, pose([0, 0, 0], [0, 0, 0]), 0.9 / 7) for k in range(PICTURES))
     sheet = marker_map(replace(design, targets=(Target("t", "platform", NAME, listed=listed),)))

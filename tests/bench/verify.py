@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import beta
 
 from calib.certify.workspace_claim import Claim
-from calib.certify.claim_verification import Verification, verification
+from calib.certify.claim_verification import Verification, verify_claim
 from calib.samples.pose_samples import Samples
 from rig.model.pose import exp
 
@@ -56,7 +56,7 @@ def trial(seed: int) -> Trial:
     samples = Samples(np.arange(n), np.arange(n) * 1.0, commands, T, np.tile(np.diag(sigma**2), (n, 1, 1)), np.tile(np.diag(shared), (n, 1, 1)))
     after = tuple((0.8 * u, 0.6 * u, u) for u in upper.tolist())
     claim = Claim(n, 42, 40, 42, "", "", ((1e-3,) * 3,) * 2, after, (50.0, 40.0, 60.0), (30.0, 20.0, 40.0))
-    return Trial(wrong, moved, verification(RigidTransform.from_matrix(places.as_matrix()), samples, np.arange(n), claim, rng))
+    return Trial(wrong, moved, verify_claim(RigidTransform.from_matrix(places.as_matrix()), samples, np.arange(n), claim, rng))
 
 
 def rows() -> Iterator[tuple[str, str, str]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.drift.visit_history import History, take
+from calib.drift.visit_history import History, add_visit
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout
 from tests.calib.drifting import SIX, changed, rig
@@ -22,19 +22,19 @@ def rows(rigs=RIGS, quiet=QUIET) -> Iterator[tuple[str, str, str]]:
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
-        (base / "rig.toml").write_text(hexapod_layout.layout(0.3))
+        (base / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3))
         design, text = design_file.load(base / "rig.toml"), (base / "rig.toml").read_text()
         for seed in range(rigs):
             one, rng = rig(design, text, seed, base / f"{seed}"), np.random.default_rng([seed, 1])
             history = week = History("")
             for day in range(WEEK + quiet):
-                history, verdict = take(history, one.visit(base / f"{seed}-{day}", rng), one.calibration)
+                history, verdict = add_visit(history, one.visit(base / f"{seed}-{day}", rng), one.calibration)
                 alarms, looked = alarms + verdict.alarm, looked + 1
                 week = history if day + 1 == WEEK else week
             for which in SIX:
                 change, after = changed(which, one, rng), week
                 for k in range(SOON):
-                    after, verdict = take(after, one.visit(base / f"{seed}-{which}-{k}", rng, change), one.calibration)
+                    after, verdict = add_visit(after, one.visit(base / f"{seed}-{which}-{k}", rng, change), one.calibration)
                     judged += 1
                     if verdict.alarm:
                         break

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.held_out_errors import compare, errors_of
+from calib.certify.held_out_errors import compare_errors, errors_before_and_after
 from calib.correct.correction import calibrate
 from calib.models.platform.identification import pose_jacobian
 from calib.samples.recording_samples import sample_recording
 from rig.recording import recording_folder
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.cli import RIG
 from tests.conftest import SHARED
 
@@ -47,7 +47,7 @@ def _measured(folder, name, wanted, clock, limit):
         yield clock, f"{seconds:.1f} s", limit
     poses = recording_folder.load_poses(folder / name / "poses.csv")
     true = RigidTransform.from_matrix(np.array(_truth(name)["poses"]).reshape(-1, 4, 4))
-    errors = difference(poses.T_base_platform, true[poses.frame])
+    errors = pose_difference(poses.T_base_platform, true[poses.frame])
     position, rotation = _rms(errors)
     bound = [np.sqrt(np.trace(poses.covariance[:, part, part], axis1=1, axis2=2).mean()) for part in (slice(0, 3), slice(3, 6))]
     nees = np.mean(np.einsum("ni,nij,nj->n", errors, np.linalg.inv(poses.covariance), errors))
@@ -79,8 +79,8 @@ def _workspace():
     rng = np.random.default_rng(0)
     lengths = nominal.strut_range.mean(axis=1) + 0.45 * np.ptp(nominal.strut_range, axis=1) * rng.uniform(-1, 1, (2000, 6))
     wanted = hexapod.forward(lengths, nominal)
-    before = _rms(difference(wanted, hexapod.forward(hexapod.inverse(wanted, nominal), true)))
-    after = _rms(difference(wanted, hexapod.forward(correction.inverse(wanted), true)))
+    before = _rms(pose_difference(wanted, hexapod.forward(hexapod.inverse(wanted, nominal), true)))
+    after = _rms(pose_difference(wanted, hexapod.forward(correction.inverse(wanted), true)))
     J = pose_jacobian(wanted, correction.fitted)
     C = J @ found.covariance @ np.swapaxes(J, 1, 2)
     bound = [np.sqrt(np.trace(C[:, part, part], axis1=1, axis2=2).mean()) * 1e6 for part in (slice(0, 3), slice(3, 6))]
@@ -96,12 +96,12 @@ def _unused(name):
     half = np.arange(len(samples)) < len(samples) // 2
     correction, _ = calibrate(samples.take(half), folder.design.mechanism)
     rest = samples.take(~half)
-    held = compare(*errors_of(correction, rest), rest.total_covariance(), np.random.default_rng(0))
+    held = compare_errors(*errors_before_and_after(correction, rest), rest.total_covariance(), np.random.default_rng(0))
     yield (f"{name}: second half, calibrated on the first: before / after, as measured", f"{held.before.position[0] * 1e6:.0f} / "
            f"{held.after.position[0] * 1e6:.2f} um = {held.ratio[0]:.0f} x", ">= 50 x" if name == "open-quiet" else "")
     true = RigidTransform.from_matrix(np.array(_truth(name)["poses"]).reshape(-1, 4, 4))[rest.frame]
     true_samples = replace(rest, T_base_platform=true)
-    held = compare(*errors_of(correction, true_samples), rest.total_covariance(), np.random.default_rng(0))
+    held = compare_errors(*errors_before_and_after(correction, true_samples), rest.total_covariance(), np.random.default_rng(0))
     reached = f"{held.after.position[0] * 1e6:.2f} um = {held.ratio[0]:.0f} x"
     yield f"{name}: the same against the true poses", reached, ">= 50 x" if name == "open-quiet" else ""
 

@@ -7,7 +7,7 @@ import numpy as np
 from calib.models.arm import error_model, instrument_observations
 from calib.samples.pose_samples import Samples
 from rig.model.design import Actuator, Design, Instrument, Platform
-from rig.model.pose import exp, log, pose, vector
+from rig.model.pose import exp, log, pose, pose_to_vector
 from rig.recording.corner_and_pose_tables import POSE_COLUMNS
 from rig.recording.recording_tables import write_table
 from tests.rig.arms import configurations
@@ -71,7 +71,7 @@ def write(folder, nominal, samples, base="free", tool="free", positions_alone=Fa
     write_table(folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{frame},{t + 5.0},," for frame, t in zip(samples.frame, samples.t)])
     write_table(folder / "commands.csv", ("t", *nominal.axes),
                 [",".join([f"{t + wait}", *(f"{angle:.12f}" for angle in q)]) for t, q in zip(samples.t, samples.commanded) for wait in (4.0, 6.0)])
-    rows = vector(samples.T_base_platform)[:, : len(names)]
+    rows = pose_to_vector(samples.T_base_platform)[:, : len(names)]
     write_table(folder / "poses.csv", ("frame", *names), [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in zip(samples.frame, rows)])
 
 

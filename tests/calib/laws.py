@@ -139,16 +139,18 @@ def drawn(number, rng, end):
 def recorded(folder, design, text, number, seed, seen=2.5e-5):
     """(Recording, Effect, names of its covariates) of a secret machine with one of the laws, of which so much (m, RMS) is seen: what no straight
     line in the struts' travels takes."""
-    route = plan.build(design, WARM if number == 2 else PLAN, seed)
+    route = plan.build_plan(design, WARM if number == 2 else PLAN, seed)
     effect, covariates = drawn(number, np.random.default_rng([number, seed]), float(route.t[-1]))
-    bare = recording_simulation.simulate(secret_machine.draw(design, np.random.default_rng(seed), 1.0, ()), route, np.random.default_rng(seed))
-    motion = replace(motion_simulation.motion(bare.world.true, route.commands, route.t, (), bare.sensors), T=bare.run.T_base_platform)
-    lengths = effect.deviation(motion) + motion_simulation.swayed(bare.world.true, motion.T, effect.sway(motion))
+    bare = recording_simulation.simulate(
+        secret_machine.draw_machine(design, np.random.default_rng(seed), 1.0, ()), route, np.random.default_rng(seed)
+    )
+    motion = replace(motion_simulation.motion_of_commands(bare.world.true, route.commands, route.t, (), bare.sensors), T=bare.run.T_base_platform)
+    lengths = effect.deviation(motion) + motion_simulation.apparent_strut_lengths(bare.world.true, motion.T, effect.sway(motion))
     lines = np.column_stack([np.ones(len(route.t)), motion.stroke])
     left = lengths - lines @ np.linalg.lstsq(lines, lengths, rcond=None)[0]
     size = fields(effect)[1 if number not in (0, 5) else 2 if number == 0 else 1].name
     effect = replace(effect, **{size: getattr(effect, size) * seen / np.sqrt(np.mean(left[:, left.any(axis=0)] ** 2))})
-    secret = secret_machine.draw(design, np.random.default_rng(seed), 1.0, (effect,))
+    secret = secret_machine.draw_machine(design, np.random.default_rng(seed), 1.0, (effect,))
     rng = np.random.default_rng(seed)
-    recording_simulation.write(recording_simulation.simulate(secret, route, rng), folder, text, rng, 0.04)
+    recording_simulation.write_recording(recording_simulation.simulate(secret, route, rng), folder, text, rng, 0.04)
     return recording_folder.load(folder), effect, covariates

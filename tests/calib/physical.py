@@ -6,10 +6,10 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import Certified
-from calib.models.wanted_pose_commands import command, pace_of
+from calib.models.wanted_pose_commands import commands_along_route, route_pace
 from calib.correct.correction import calibrate
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-from calib.diagnose.platform_findings_refit import of_diagnosis, take
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.platform_findings_refit import findings_of_diagnosis, refit_platform_with_findings
 from calib.samples.recording_samples import sample_recording
 from rig.planning.layout import hexapod_layout
 from rig.model import motion_simulation, mechanisms
@@ -17,7 +17,7 @@ from rig.planning import plan
 from rig.recording import recording_folder
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from synthetic import recording_simulation, secret_machine
 from tests.calib.worlds import rms
 
@@ -38,15 +38,15 @@ class Driven:
 def write(folder, design, text, seed, effects, route):
     """(Recording at a folder, World) of a rig with effects. text : its rig.toml"""
     rng = np.random.default_rng(seed)
-    secret = secret_machine.draw(design, rng, 1.0, tuple(effects))
-    recording_simulation.write(recording_simulation.simulate(secret, plan.build(design, route, seed), rng), folder, text, rng, 0.04)
+    secret = secret_machine.draw_machine(design, rng, 1.0, tuple(effects))
+    recording_simulation.write_recording(recording_simulation.simulate(secret, plan.build_plan(design, route, seed), rng), folder, text, rng, 0.04)
     return recording_folder.load(folder), secret
 
 
 def learnt(rec, sampled, findings, remainder="find"):
     """Calibration of a recording's samples; findings : Findings taken in, or None: geometry and what is smooth over the configuration alone.
     remainder : "none" for no such thing"""
-    taken = None if findings is None else take(rec, sampled, findings)
+    taken = None if findings is None else refit_platform_with_findings(rec, sampled, findings)
     samples = sampled.samples if taken is None else taken.samples
     correction, found = calibrate(samples, rec.design.mechanism, remainder)
     done = Certified(correction, found, np.arange(len(samples)), None)
@@ -58,14 +58,16 @@ def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES)
     """Driven of a calibration through poses, times, weather and loads of another seed. sensed : whether the drive's sensors are logged"""
     rng = np.random.default_rng([seed, 1])
     m = secret.stated.mechanism
-    T = mechanisms.of(m).forward(plan.low_discrepancy(m.strut_range, poses, 0.75, seed=int(rng.integers(1 << 30))), m)
+    T = mechanisms.kinematics_of(m).forward(plan.low_discrepancy(m.strut_range, poses, 0.75, seed=int(rng.integers(1 << 30))), m)
     t = 30 + np.cumsum(rng.uniform(8, 40, poses))
-    true, log = secret_machine.temperatures(t[-1], rng)
+    true, log = secret_machine.draw_temperatures(t[-1], rng)
     payload = np.where(true.t % (2 * LOAD_EVERY) < LOAD_EVERY, 0.0, 0.6 * (secret.stated.platform.mass or 0.0))
     true, log = (replace(s, channels={**s.channels, "payload_mass_kg": payload}) for s in (true, log))
-    done = command(calibration, T, mechanisms.of(m).home(m), pace_of(calibration, t, log), log if sensed else None, approach)
-    run = motion_simulation.run(secret.true, done.route.commands(np.round(done.values, 10)), t, secret.effects, true)
-    errors = difference(T, run.T_base_platform)
+    done = commands_along_route(
+        calibration, T, mechanisms.kinematics_of(m).home(m), route_pace(calibration, t, log), log if sensed else None, approach
+    )
+    run = motion_simulation.run_machine(secret.true, done.route.commands(np.round(done.values, 10)), t, secret.effects, true)
+    errors = pose_difference(T, run.T_base_platform)
     stated = np.sqrt(np.trace(done.covariance[:, :3, :3], axis1=1, axis2=2).mean())
     return Driven(rms(errors), float(stated), () if calibration.physics is None else calibration.physics.undone())
 
@@ -74,7 +76,7 @@ def three_ways(folder, design, text, seed, effect, route):
     """(Driven with physics, Driven plain, Driven of the same rig without the effect, calibrated plainly)."""
     rec, secret = write(folder / "with", design, text, seed, (effect,), route)
     sampled = sample_recording(rec)
-    known = learnt(rec, sampled, of_diagnosis(diagnose(rec, only=ASKED, sampled=sampled)))
+    known = learnt(rec, sampled, findings_of_diagnosis(diagnose_platform(rec, only=ASKED, sampled=sampled)))
     plain = learnt(rec, sampled, None)
     bare, innocent = write(folder / "without", design, text, seed, (), route)
     without = learnt(bare, sample_recording(bare), None)
@@ -83,6 +85,6 @@ def three_ways(folder, design, text, seed, effect, route):
 
 def measured_by(text=None, position=4e-6, rotation=3e-5):
     """A rig.toml whose poses an outside instrument sees, in place of cameras: m and rad, standard deviations."""
-    text = hexapod_layout.layout(0.3) if text is None else text
+    text = hexapod_layout.hexapod_layout(0.3) if text is None else text
     return text[: text.index("\n[[camera]]")] + (f'\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = {position}\n'
                                                  f"rotation_sigma = {rotation}\n")

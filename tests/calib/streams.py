@@ -29,7 +29,7 @@ class Stream:
 def stream(design, seed, count, at=None, jump=None, moved=None):
     """Stream of `count` poses; from pose `at` on the parameters are off by jump (42,) m, or the measured frame by moved (6,)."""
     rng = np.random.default_rng(seed)
-    before = secret_machine.draw(design, rng).true.mechanism
+    before = secret_machine.draw_machine(design, rng).true.mechanism
     after = before if jump is None else with_parameters(before, parameters(before) + jump)
     commands = low_discrepancy(design.mechanism.strut_range, count, 0.9, seed)
     split = count if at is None else at

@@ -5,16 +5,16 @@ import pytest
 from scipy.special import chdtri
 
 from calib.diagnose.engine.candidates import Candidate
-from calib.diagnose.engine.chance_probability import davies, dispersion
-from calib.diagnose.engine.cross_validation import folds
+from calib.diagnose.engine.chance_probability import scan_p_value, residual_dispersion
+from calib.diagnose.engine.cross_validation import frame_folds
 from calib.diagnose.engine.linear_model import Block, Column, LinearModel
 from calib.diagnose.engine.selection_policy import PLATFORM
-from calib.diagnose.engine.frame_inner_products import FrameProducts, solve, stepwise
-from calib.diagnose.engine.candidate_score import Score, sharpened
+from calib.diagnose.engine.frame_inner_products import FrameProducts, solve_normal_equations, normal_of_common_weights
+from calib.diagnose.engine.candidate_score import Score, score_with_likelihood_ratio
 from calib.diagnose.engine.term_selection import _hidden
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.held_out_validation import sides
-from calib.diagnose.report.platform_report import report
+from calib.diagnose.report.platform_report import platform_report
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.missed_steps import MissedSteps
 from tests.calib.recorded import recorded
@@ -30,9 +30,9 @@ def chance(after, y, looks):
     model = LinearModel((block,), Column((np.zeros((F * m, 0)),)), None, F * m)
     products = FrameProducts(np.einsum("fma,fm->fa", looks, y), np.swapaxes(looks, 1, 2) @ looks, np.zeros((F, 6, 0)))
     w = (np.arange(F) >= F - after).astype(float)
-    solved = solve(stepwise(products, w[None]))
-    found = dispersion(model, products, w[:, None, None] * np.eye(6), solved.coefficients[0])
-    return davies(solved.delta_chi2 / found.ratio, 6, found.freedom)
+    solved = solve_normal_equations(normal_of_common_weights(products, w[None]))
+    found = residual_dispersion(model, products, w[:, None, None] * np.eye(6), solved.coefficients[0])
+    return scan_p_value(solved.delta_chi2 / found.ratio, 6, found.freedom)
 
 
 @pytest.mark.parametrize("after, scatter", [(6, 1.0), (3, 3.0)], ids=["six, as stated", "three, noise three times what is stated"])
@@ -64,7 +64,7 @@ def test_a_likelihood_ratio_with_scatter_free_is_as_likely_by_chance_as_it_says(
     whole, explained = (noise**2).sum(axis=1), ((noise @ S) ** 2).sum(axis=1)
     ratio = frames * np.log(whole / (whole - explained))
     base = Score(Candidate(name="x", place="y", grid=[{}]), {}, np.zeros(count), -np.inf, 1.0, count, 1.0, 1.0, np.zeros(1))
-    delta = np.array([sharpened(base, r, frames).delta_chi2 for r in ratio])
+    delta = np.array([score_with_likelihood_ratio(base, r, frames).delta_chi2 for r in ratio])
     for level in (0.1, 0.01):
         assert (delta > chdtri(count, level)).mean() < level + 3 * np.sqrt(level / len(delta))
         assert count == 1 or (ratio > chdtri(count, level)).mean() > 1.1 * level, "without the factor it says too much"
@@ -73,9 +73,9 @@ def test_a_likelihood_ratio_with_scatter_free_is_as_likely_by_chance_as_it_says(
 def test_what_comes_before_a_moment_is_never_held_out_whole():
     for first in range(2, 40):
         late = np.arange(44) >= first
-        fold = folds(44, True, [late, ~late])
+        fold = frame_folds(44, True, [late, ~late])
         assert all(len(np.unique(fold[side])) > 1 for side in (late, ~late) if side.sum() > 1), first
-    np.testing.assert_array_equal(folds(44, True, [np.arange(44) >= 20, np.arange(44) < 20]), folds(44, True))
+    np.testing.assert_array_equal(frame_folds(44, True, [np.arange(44) >= 20, np.arange(44) < 20]), frame_folds(44, True))
 
 
 def test_sides_are_held_out_of_what_is_seen_and_not_of_what_axes_do():
@@ -88,14 +88,14 @@ def test_sides_are_held_out_of_what_is_seen_and_not_of_what_axes_do():
 
 @pytest.mark.parametrize("time", [24, pytest.param(130, marks=pytest.mark.slow)], ids=["after few frames", "before few frames"])
 def test_a_knock_that_few_frames_see_is_named(tmp_path, design, time):
-    found = diagnose(recorded(tmp_path, design, [f"camera_bump:cam1:{KNOCK},time={time}"], route="sobol:30", noise=0.01),
+    found = diagnose_platform(recorded(tmp_path, design, [f"camera_bump:cam1:{KNOCK},time={time}"], route="sobol:30", noise=0.01),
                      only=["camera_bump", "camera_drift", "focal_drift"])
     assert [(e.name, e.place) for e in found.effects] == [("camera_bump", "camera cam1")] and not found.left
 
 
 @pytest.mark.slow
 def test_a_curve_of_many_numbers_is_named_in_few_frames(tmp_path, design):
-    found = diagnose(recorded(tmp_path, design, ["transmission_error:strut2:profile=1e-5/0/5e-6/2e-5/4e-6/-4e-6/-3e-5/-1e-5/2e-5/-1e-5"],
+    found = diagnose_platform(recorded(tmp_path, design, ["transmission_error:strut2:profile=1e-5/0/5e-6/2e-5/4e-6/-4e-6/-3e-5/-1e-5/2e-5/-1e-5"],
                               route="sobol:20,ladder:1", noise=0.01), only=["transmission_error", "hysteresis", "cyclic_error", "backlash"])
     assert [(e.name, e.place) for e in found.effects] == [("transmission_error", "strut 2")] and not found.left
 
@@ -134,6 +134,8 @@ def test_what_its_own_scatter_caps_is_fitted_however_many_numbers_it_has(worth, 
 def test_a_strong_effect_in_few_frames_is_not_hidden_by_its_own_scatter(tmp_path, design):
     """A scan takes what nobody admitted yet for the strut's scatter: a backlash ten times the noise would stay unknown."""
     rec = recorded(tmp_path, design, ["backlash:strut2:gap=100e-6"], route="sobol:16,ladder:1", seed=22)
-    finding, = report(diagnose(rec, only=["backlash", "hysteresis", "joint_clearance", "transmission_error", "cyclic_error"])).findings
+    (finding,) = platform_report(
+        diagnose_platform(rec, only=["backlash", "hysteresis", "joint_clearance", "transmission_error", "cyclic_error"])
+    ).findings
     assert (finding.effect, finding.place) == ("backlash", "strut 2")
     assert finding.parameters["gap"].value == pytest.approx(1e-4, abs=1e-5)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.cross_validation import RIDGE, held_out
+from calib.diagnose.engine.cross_validation import RIDGE, held_out_residuals
 from calib.diagnose.engine.linear_model import Block, Column, LinearModel
 
 FRAMES, NUISANCES = 12, 5
@@ -33,9 +33,9 @@ def expected(model, fold, hold):
 @pytest.mark.parametrize("fold", FOLDS.values(), ids=FOLDS)
 def test_a_fold_is_held_against_a_fit_of_the_others(model, fold):
     residuals = tuple(block.residual for block in model.blocks)
-    whole = held_out(model, residuals, fold)
+    whole = held_out_residuals(model, residuals, fold)
     for hold in range(3):
-        alone = held_out(model, residuals, fold, hold)
+        alone = held_out_residuals(model, residuals, fold, hold)
         for n, (block, wanted) in enumerate(zip(model.blocks, expected(model, fold, hold))):
             own = np.repeat(fold == hold, np.diff(block.edges))
             assert whole.frames[n][own] == pytest.approx(wanted[own], abs=1e-12)
@@ -49,4 +49,4 @@ def test_a_fold_is_held_against_a_fit_of_the_others(model, fold):
 def test_a_basis_that_is_not_written_out_is_refused(model):
     half = LinearModel(model.blocks, model.columns, np.eye(NUISANCES), model.size)
     with pytest.raises(ValueError, match="explicit"):
-        held_out(half, tuple(block.residual for block in half.blocks), FOLDS["stretches"])
+        held_out_residuals(half, tuple(block.residual for block in half.blocks), FOLDS["stretches"])

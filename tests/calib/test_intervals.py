@@ -7,14 +7,14 @@ import pytest
 
 from calib.diagnose.engine.chance_probability import Z95
 from calib.diagnose.problems.platform import tolerance_columns
-from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine, refine_standing
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.interval_widening import of_tolerances, told, widened
 from calib.diagnose.report import report_sentences
-from calib.diagnose.report.diagnosis_json import FindingEntry, Value, bounded
+from calib.diagnose.report.diagnosis_json import FindingEntry, Value, bounded_value
 from rig.effects.framework.fit_coordinates import coordinates_of
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.model.manufacturing_tolerances import SIDES
 from synthetic import printing_errors
 from tests.calib.recorded import recorded
@@ -24,7 +24,7 @@ FAR = 1e-3  # of its side that a marker is larger, so that where a fit stops doe
 
 
 def fitted(folder, design, printed):
-    point = of_recording(recorded(folder, design, [SCALE, *printed], 11, ROUTE, 0.03))[0].with_effects([parse(SCALE)])
+    point = operating_point_of_recording(recorded(folder, design, [SCALE, *printed], 11, ROUTE, 0.03))[0].with_effects([parse_effect(SCALE)])
     sensitivities = Sensitivities(point)
     return refine(point, sensitivities), sensitivities
 
@@ -38,9 +38,9 @@ def larger(k, place, by):
 
 def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design):
     """A marker's side moves the scale of all as a fit to corners so moved finds it; they vary as much as the recording shows, not as is tolerated."""
-    prints = printing_errors.drawn(design, np.random.default_rng(3), 3e-6, SIDE)
+    prints = printing_errors.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
-    found = tolerance_columns.tolerated(refined.marginalised, sensitivities)
+    found = tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
     sigma = told(found.projected(refined.marginalised), found)
     singles = {s.place: s.columns.start for s in found.sites if s.effect == "print_scale" and s.place != "markers"}
     together = next(s.columns for s in found.sites if s.place == "markers")
@@ -66,26 +66,26 @@ def test_markers_that_are_as_stated_leave_intervals_as_they_are(tmp_path, design
     (0.1, (1800 / np.exp(0.1 * Z95), 1800 * np.exp(0.1 * Z95)), None, "1479.6 to 2189.7 s"),
     (1.7, (64.30, 50386.6), None, "64.3 to 50386.6 s"), (2.5, (60, 1e5), "both", "not determined"), (900.0, (60, 1e5), "both", "not determined")])
 def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open(sigma, ends, left_open, said):
-    effect = parse("warm_up:strut2:amplitude=1e-4,time_constant=1800")
+    effect = parse_effect("warm_up:strut2:amplitude=1e-4,time_constant=1800")
     coordinates = coordinates_of((effect,))
     values = np.array([c.read(effect) for c in coordinates])
     found = Refined(None, None, coordinates, values, np.diag([1e-6, sigma]) ** 2, None).intervals(0)
     value, low, high = found["time_constant"]
     assert (value, low, high) == pytest.approx((1800, *ends), rel=1e-3)
-    p = bounded(value, "s", (low, high), effect.parameters[1].bounds)
+    p = bounded_value(value, "s", (low, high), effect.parameters[1].bounds)
     assert p.open == left_open and p.ci95 == [low, high]
     finding = FindingEntry("warm_up", "strut 2", {"time_constant": p})
     assert said in report_sentences.parameter_rows(finding)[0][2] and (
-        left_open is None or f"time_constant 1800.0 s ({said})" in report_sentences.line(finding)
+        left_open is None or f"time_constant 1800.0 s ({said})" in report_sentences.finding_line(finding)
     )
-    assert (report_sentences.size(finding) == ", time constant 1800.0 s (not determined)") is (left_open == "both")
+    assert (report_sentences.finding_size_text(finding) == ", time constant 1800.0 s (not determined)") is (left_open == "both")
 
 
 @pytest.mark.parametrize(("ends", "left_open", "said"), [((4e-5, 2.1e-3), "above", "40 µm or more"), ((-3e-3, 6e-5), "below", "60 µm or less"),
                                                          ((-1e-5, 6e-5), None, "-10 to 60 µm")])
 def test_an_interval_that_is_cut_off_at_one_end_says_so(ends, left_open, said):
-    p = bounded(5e-5, "m", ends, (-2e-3, 2e-3))
+    p = bounded_value(5e-5, "m", ends, (-2e-3, 2e-3))
     finding = FindingEntry("warm_up", "strut 2", {"amplitude": p})
     assert p.open == left_open and report_sentences.parameter_rows(finding) == [("amplitude", "50 µm", said)]
-    assert report_sentences.size(finding) == f", amplitude 50 µm (95 %: {said.replace(' µm', '')})"
-    assert bounded(1.0, "", (0.5, 2.0), (-3, 3)) == Value(1.0, "", [0.5, 2.0])
+    assert report_sentences.finding_size_text(finding) == f", amplitude 50 µm (95 %: {said.replace(' µm', '')})"
+    assert bounded_value(1.0, "", (0.5, 2.0), (-3, 3)) == Value(1.0, "", [0.5, 2.0])

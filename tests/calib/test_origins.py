@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_report import report
+from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.platform_page_figures import PlatformView
 from rig.recording import recording_folder
 from rig.effects.catalogue.effect_list import ALL
@@ -21,7 +21,10 @@ CLOCKED = ["clock_drift", "time_offset", "vibration", "missed_steps"]  # what a 
 
 def verdicts(folder, tmp_path, only, origins=ORIGINS):
     """{origin: tree of diagnosis.json}."""
-    return {origin: report(diagnose(recording_folder.load(counted_from(folder, tmp_path / origin, origin)), only)).tree() for origin in origins}
+    return {
+        origin: platform_report(diagnose_platform(recording_folder.load(counted_from(folder, tmp_path / origin, origin)), only)).tree()
+        for origin in origins
+    }
 
 
 def assert_same(trees):
@@ -56,8 +59,8 @@ def test_no_page_depends_on_the_origin(tmp_path, design):
     pages = []
     for origin in (ORIGINS[0], ORIGINS[-1]):
         found = recording_folder.load(counted_from(tmp_path / "rec", tmp_path / origin, origin))
-        diagnosed = diagnose(found, ["missed_steps strut 2", "camera_bump camera cam1"])
-        diagnosis_page(tmp_path / "page.html", report(diagnosed), PlatformView(found, diagnosed))
+        diagnosed = diagnose_platform(found, ["missed_steps strut 2", "camera_bump camera cam1"])
+        diagnosis_page(tmp_path / "page.html", platform_report(diagnosed), PlatformView(found, diagnosed))
         pages.append(cells((tmp_path / "page.html").read_text(encoding="utf-8")))
     here, later = pages
     moments = [i for i, (a, b) in enumerate(zip(here, later)) if a != b]
@@ -76,6 +79,6 @@ def cells(page):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [effect.name for effect in ALL])
 def test_no_verdict_of_the_catalogue_depends_on_the_origin(tmp_path, kind):
-    case = blind_cases.draw(11, 1, 160, [], ["one"], [kind])
+    case = blind_cases.draw_case(11, 1, 160, [], ["one"], [kind])
     blind_cases.write_recording(case, tmp_path / "rec")
     assert_same(verdicts(tmp_path / "rec", tmp_path, sorted({kind, *CLOCKED})))

@@ -6,8 +6,8 @@ import numpy as np
 
 from rig.planning import plan
 from rig.recording import recording_folder
-from rig.effects.texts.effect_text import parse
-from rig.planning.layout.hexapod_layout import layout
+from rig.effects.texts.effect_text import parse_effect
+from rig.planning.layout.hexapod_layout import hexapod_layout
 from rig.recording.corner_and_pose_tables import Poses
 from rig.model.pose import exp
 from synthetic import recording_simulation, secret_machine
@@ -19,8 +19,10 @@ ROUTE = "sobol:60,ladder:4,moving:12"
 def posed(folder, design, effects, seed, route=ROUTE):
     """Recording of a secret hexapod whose poses an instrument measured."""
     rng = np.random.default_rng(seed)
-    done = recording_simulation.simulate(secret_machine.draw(design, rng, 1.0, tuple(map(parse, effects))), plan.build(design, route, seed), rng)
-    recording_simulation.write(done, folder, layout(0.3), rng, 0.04)
+    done = recording_simulation.simulate(
+        secret_machine.draw_machine(design, rng, 1.0, tuple(map(parse_effect, effects))), plan.build_plan(design, route, seed), rng
+    )
+    recording_simulation.write_recording(done, folder, hexapod_layout(0.3), rng, 0.04)
     rec, T = recording_folder.load(folder), done.run.T_base_platform
     frames = rec.exposures.times()[0]
     poses = Poses(frames, T * exp(POSE * rng.normal(size=(len(frames), 6))), np.tile(np.diag(POSE**2), (len(frames), 1, 1)))

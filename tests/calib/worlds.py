@@ -7,7 +7,7 @@ import numpy as np
 from calib.samples.pose_samples import Samples
 from rig.planning import plan
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from synthetic import secret_machine
 
 OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
@@ -19,7 +19,7 @@ def sampled(design, seed, count=120, deviation=None, noisy=True, commands=None, 
 
     commands : (count, 6) m, low-discrepancy ones by default; own : (6,) m, rad of a pose's noise, then nothing is shared"""
     rng = np.random.default_rng(seed)
-    true = secret_machine.draw(design, rng).true.mechanism
+    true = secret_machine.draw_machine(design, rng).true.mechanism
     commands = plan.low_discrepancy(design.mechanism.strut_range, count, 0.9, seed) if commands is None else commands
     common, own = (COMMON, OWN) if own is None else (np.zeros(6), own)
     effective = commands if deviation is None else commands + deviation(commands)
@@ -49,4 +49,4 @@ def rms(errors):
     return np.sqrt((errors[:, :3] ** 2).sum(axis=1).mean()), np.sqrt((errors[:, 3:] ** 2).sum(axis=1).mean())
 
 
-__all__ = ["sampled", "real", "workspace", "rms", "difference", "replace"]
+__all__ = ["sampled", "real", "workspace", "rms", "pose_difference", "replace"]

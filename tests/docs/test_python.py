@@ -12,7 +12,7 @@ import calib
 import rig
 import vision
 from rig.errors import FileError
-from rig.report.notebook_display import shown
+from rig.report.notebook_display import result_html
 from tests.docs.told import ROOT
 
 PACKAGES = (rig, vision, calib)
@@ -63,5 +63,5 @@ def test_a_recording_shows_itself():
 
 
 def test_what_is_shown_is_text_and_nothing_else():
-    made = shown("<b>", ["a & b"], [("h<",), ("<script>",)])
+    made = result_html("<b>", ["a & b"], [("h<",), ("<script>",)])
     assert "<script>" not in made and "&lt;b&gt;" in made and "a &amp; b" in made and "<th>h&lt;</th>" in made

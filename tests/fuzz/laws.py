@@ -12,11 +12,11 @@ from rig.formats.rig_toml import design_file
 from rig.model.controller_settings import SCHEMES, port_problem
 from rig.model.design import Actuator
 from rig.errors import RigError
-from rig.formats.json_positions import Places, doubled
-from rig.formats.number_parsing import number, whole
-from rig.driving.cameras.gstreamer_pipelines import complaint
+from rig.formats.json_positions import Places, repeated_key
+from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.driving.cameras.gstreamer_pipelines import pipeline_complaint
 from rig.report.pages import run_page_server
-from rig.formats.printable_text import visible
+from rig.formats.printable_text import escape_unprintable
 
 PLAIN = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 TOKEN = "a-token-that-nobody-guesses"
@@ -33,13 +33,13 @@ def a_number(path: Path) -> None:
     """What is taken for a number is written as one."""
     text = path.read_bytes().decode("utf-8", "surrogateescape")
     plain = len(text) <= 100 and PLAIN.fullmatch(text) is not None
-    for read, matches in ((number, plain), (whole, plain and re.fullmatch(r"[+-]?[0-9]+", text) is not None)):
+    for read, matches in ((parse_number, plain), (parse_whole_number, plain and re.fullmatch(r"[+-]?[0-9]+", text) is not None)):
         try:
             value = read(text)
         except ValueError:
-            assert not matches or read is number and abs(float(text)) == float("inf"), text
+            assert not matches or read is parse_number and abs(float(text)) == float("inf"), text
         else:
-            assert matches and value == (float(text) if read is number else int(text)), text
+            assert matches and value == (float(text) if read is parse_number else int(text)), text
 
 
 def a_key(path: Path) -> None:
@@ -91,7 +91,7 @@ def places_of_json(path: Path) -> None:
         if at:
             start = lines[line - 1][column - 1]
             assert start == {dict: "{", list: "[", str: '"', bool: "t" if value else "f", type(None): "n"}.get(type(value), start), (at, start)
-    assert doubled(text) is not None or len(list(_paths(tree, ()))) == len(found)
+    assert repeated_key(text) is not None or len(list(_paths(tree, ()))) == len(found)
 
 
 def _paths(tree, at):
@@ -105,13 +105,13 @@ def a_port(path: Path) -> None:
     text = text_of(path)
     if port_problem(text) is None:
         assert "://" not in text or text.partition("://")[0].lower() in SCHEMES
-        assert visible(text) == text
+        assert escape_unprintable(text) == text
 
 
 def a_pipeline(path: Path) -> None:
     """A pipeline that is taken has one sink, appsink, which is its last element; all else are settings or what is asked of the video."""
     text = text_of(path)
-    if complaint(text) is None:
+    if pipeline_complaint(text) is None:
         parts = [part.split() for part in text.split("!")]
         elements = [words for words in parts if not words[0].startswith(("video/", "image/"))]
         assert [words[0] for words in elements if "sink" in words[0]] == ["appsink"] and parts[-1][0] == "appsink", text[:200]
@@ -121,7 +121,7 @@ def a_pipeline(path: Path) -> None:
 
 def text_shown(path: Path) -> None:
     """What is printed of any text does nothing at a terminal, and can be encoded."""
-    shown = visible(path.read_bytes().decode("utf-8", "surrogateescape"))
+    shown = escape_unprintable(path.read_bytes().decode("utf-8", "surrogateescape"))
     shown.encode("utf-8")
     assert not any(ord(c) < 32 and c not in "\n\t\r" or 0x7F <= ord(c) < 0xA0 or 0x202A <= ord(c) <= 0x202E for c in shown)
     assert "\r" not in shown.replace("\r\n", "")

@@ -22,7 +22,7 @@ from rig.planning import plan
 from rig.recording import recording_folder
 from rig.cli import blind
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_text import asked, from_dict, parse, placed
+from rig.effects.texts.effect_text import require_known_effect, effect_from_dict, parse_effect, require_place
 from rig.errors import RigError
 from rig.recording.exposures import load_exposures
 from rig.recording.image_file_check import check_image
@@ -46,14 +46,14 @@ class Reader:
 
 def readers(folder: Path) -> list[Reader]:
     """All of them. folder : where what they read beside their input is kept"""
-    text = hexapod_layout.layout(0.3, cameras=2, width=640, height=480, cubes=2)
+    text = hexapod_layout.hexapod_layout(0.3, cameras=2, width=640, height=480, cubes=2)
     (folder / "rig.toml").write_text(text)
     design = design_file.load(folder / "rig.toml")
     rng = np.random.default_rng(1)
     done = recording_simulation.simulate(
-        secret_machine.draw(design, rng, 1.0, (parse("backlash:strut2:gap=4e-5"),)), plan.build(design, "sobol:3"), rng
+        secret_machine.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=4e-5"),)), plan.build_plan(design, "sobol:3"), rng
     )
-    recording_simulation.write(done, folder, text, rng, 0.04)
+    recording_simulation.write_recording(done, folder, text, rng, 0.04)
     for name, keep in (("corners.csv", 9), ("sensors.csv", 99), ("commands.csv", 99)):
         (folder / name).write_text("\n".join((folder / name).read_text().splitlines()[:keep]) + "\n")
     held = recording_folder.load(folder)
@@ -101,20 +101,26 @@ def _json(folder, design, done):
         return ((folder / name).read_bytes(),)
 
     def judged(case):
-        return diagnosis_score.figures([case]), diagnosis_score.medians([case])
+        return diagnosis_score.campaign_figures([case]), diagnosis_score.campaign_medians([case])
 
     def record(path):
         (folder / "diagnoses" / "0001.json").write_bytes(path.read_bytes())
         with contextlib.redirect_stderr(io.StringIO()):
             return blind._record(folder, 1)
 
-    return [Reader("calibration.json", seed("calibration.json"), calibration_file.load), Reader("state.json", seed("state.json"), Online.load),
-            Reader("truth.json", seed("truth.json"), lambda path: secret_machine.from_truth(path, design)),
-            Reader("sealed truth", seed("truth.json"), lambda path: judged(diagnosis_score.case(1, path, None))),
-            Reader("diagnosis.json", (json.dumps(diagnosis).encode(),), lambda path: judged(diagnosis_score.case(1, folder / "truth.json", path))),
-            Reader("record", (b'{"seconds": 1.5, "failed": null}\n', b'{"seconds": 1.5, "failed": "no"}\n'), record),
-            Reader("effect as JSON", tuple(json.dumps({"effect": e.name, "place": "rig", "parameters": {p.name: 0 for p in e.parameters}}).encode()
-                                           for e in ALL), lambda path: placed(from_dict(_loaded(path)), design))]
+    return [
+        Reader("calibration.json", seed("calibration.json"), calibration_file.load),
+        Reader("state.json", seed("state.json"), Online.load),
+        Reader("truth.json", seed("truth.json"), lambda path: secret_machine.world_from_truth(path, design)),
+        Reader("sealed truth", seed("truth.json"), lambda path: judged(diagnosis_score.score_case(1, path, None))),
+        Reader("diagnosis.json", (json.dumps(diagnosis).encode(),), lambda path: judged(diagnosis_score.score_case(1, folder / "truth.json", path))),
+        Reader("record", (b'{"seconds": 1.5, "failed": null}\n', b'{"seconds": 1.5, "failed": "no"}\n'), record),
+        Reader(
+            "effect as JSON",
+            tuple(json.dumps({"effect": e.name, "place": "rig", "parameters": {p.name: 0 for p in e.parameters}}).encode() for e in ALL),
+            lambda path: require_place(effect_from_dict(_loaded(path)), design),
+        ),
+    ]
 
 
 def _loaded(path):
@@ -131,11 +137,17 @@ def _texts(design):
     effects = tuple(f"{e.name}:{place}:{','.join(f'{p.name}=' + '/'.join(['1e-4'] * (p.size or 3)) for p in e.parameters)}".encode()
                     for e, place in zip(ALL, ("strut1", "cam0", "8", "rig", "P1", "clock", "cameras") * 9))
     plans = (b"standard", b"sobol:9,grid:2,simplices:1,axes:2,ladder:1", b"payload:2,moving:3,zigzag:3,warmup:3,repeat:4", b"commands:x.csv")
-    return [Reader("effect", effects, of(lambda text: placed(parse(text), design))), Reader("plan", plans, of(lambda text: plan.build(design, text))),
-            Reader("place", (b"backlash strut 2", b"camera_bump camera cam0", b"marker_swap", b"cube_misplacement target P1"),
-                   of(lambda text: asked(text, design))),
-            Reader("board", (b"charuco:8x6:0.03:0.022:DICT_5X5_100", b"aruco:8x6:0.03:0.01:DICT_5X5_100"), of(calibration_board.parse)),
-            Reader("trials", (b"3,7-9", b"1"), of(lambda text: blind._indices(text, 100)))]
+    return [
+        Reader("effect", effects, of(lambda text: require_place(parse_effect(text), design))),
+        Reader("plan", plans, of(lambda text: plan.build_plan(design, text))),
+        Reader(
+            "place",
+            (b"backlash strut 2", b"camera_bump camera cam0", b"marker_swap", b"cube_misplacement target P1"),
+            of(lambda text: require_known_effect(text, design)),
+        ),
+        Reader("board", (b"charuco:8x6:0.03:0.022:DICT_5X5_100", b"aruco:8x6:0.03:0.01:DICT_5X5_100"), of(calibration_board.parse)),
+        Reader("trials", (b"3,7-9", b"1"), of(lambda text: blind._indices(text, 100))),
+    ]
 
 
 def _foreign(folder, design):
@@ -156,8 +168,8 @@ def _foreign(folder, design):
         lines = path.read_bytes().decode("utf-8", "replace").splitlines()[:50]
         cameras = ["cam0", "cam1"]
         files = [Path("in") / line.replace("\0", "0").lstrip("/")[:255] for line in lines if line.strip("/. ")]
-        found = frames.of_folder(files, Path("in"), {name: name for name in cameras}, None, cameras)
-        return frames.exposed(found, Images((Path("in"),)), lambda t: True) if found else None
+        found = frames.pictures_of_folder(files, Path("in"), {name: name for name in cameras}, None, cameras)
+        return frames.group_exposures(found, Images((Path("in"),)), lambda t: True) if found else None
 
     return [Reader("foreign commands", (german, plain), lambda path: importers.command_table.commands(ForeignTable(path), design)),
             Reader("foreign poses", (turns, angles), lambda path: importers.pose_table.poses(

@@ -11,7 +11,7 @@ UR10 = Arm([[0, 0.1273, 0, HALF], [0, 0, -0.612, 0], [0, 0, -0.5723, 0], [0, 0.1
            [[-2 * np.pi, 2 * np.pi]] * 6)
 SEVEN = Arm([[0, 0.34, 0, -HALF], [0, 0, 0, HALF], [0, 0.4, 0, HALF], [0, 0, 0, -HALF], [0, 0.4, 0, -HALF], [0, 0, 0, HALF], [0, 0.126, 0, 0]],
             np.radians([[-170, 170], [-120, 120], [-170, 170], [-120, 120], [-170, 170], [-120, 120], [-175, 175]]))
-SCARA, GANTRY, STANFORD = (shipped_arms.load(name).mechanism for name in ("scara", "gantry", "stanford"))
+SCARA, GANTRY, STANFORD = (shipped_arms.load_shipped_arm(name).mechanism for name in ("scara", "gantry", "stanford"))
 
 
 def random_arm(rng, joints=6, slides=()):

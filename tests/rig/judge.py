@@ -9,7 +9,7 @@ from rig.driving import emulators
 from rig.driving.clock import SimulatedClock
 from rig.driving.driver import Driver
 from rig.driving.emulators.emulator_construction import home_lengths
-from rig.driving.emulators.controller_faults import Faults, parse
+from rig.driving.emulators.controller_faults import Faults, parse_faults
 from rig.driving.emulators.in_process_port import EmulatorPort
 from rig.errors import MotionError, PositionLost
 
@@ -37,8 +37,8 @@ def bench(design, protocol, orders, seed, **controller):
     """(driver, emulator, clock) of a design's controller on a simulated clock."""
     clock = SimulatedClock(1000.0)
     design = replace(design, controller=replace(design.controller, protocol=protocol, **controller))
-    faults = Faults(sum((parse(order) for order in orders), ()), np.random.default_rng(seed))
-    emulator = emulators.of(design, faults, clock, home_lengths(design.mechanism) + 1e-3)
+    faults = Faults(sum((parse_faults(order) for order in orders), ()), np.random.default_rng(seed))
+    emulator = emulators.emulator_of_design(design, faults, clock, home_lengths(design.mechanism) + 1e-3)
     driver = Driver(design, clock, lambda: EmulatorPort(emulator, clock))
     return driver, emulator, clock
 

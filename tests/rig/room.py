@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.driving.cameras.settling_check import settling
+from rig.driving.cameras.settling_check import parse_settling
 from rig.driving.cameras.camera_interface import CameraError, Frame
 from rig.driving.cameras.camera_synchronisation import Shutter
 from rig.driving.clock import SimulatedClock
 from rig.driving.run_journal import Arrival, Began, Journal
 from rig.driving.operator_loop import Bench, Operator
-from rig.planning.plan import build
-from rig.driving.run_steps import steps
-from rig.driving.trapezoidal_profile import trapezoid
+from rig.planning.plan import build_plan
+from rig.driving.run_steps import steps_of_plan
+from rig.driving.trapezoidal_profile import trapezoidal_profile
 
 SPEED, RAMP = 0.05, 0.2  # m/s, s
 AXES = tuple(f"l{i}" for i in range(1, 7))
@@ -100,7 +100,7 @@ class Room:
 
     def __init__(self, design, folder, plan="sobol:3,repeat:2"):
         self.folder, self.clock, self.instants = Path(folder), SimulatedClock(1.7e9), Instants()
-        self.planned = steps(build(design, plan, 1))
+        self.planned = steps_of_plan(build_plan(design, plan, 1))
         self.struts = Struts(self.clock, self.instants, design.mechanism.strut_range.mean(axis=1) - 1e-3)
         self.eye, self.onlooker, self.reported = Eye(self.clock, self.instants), Onlooker(), []
 
@@ -113,9 +113,9 @@ class Room:
 
     def process(self, end_is_told=True):
         """One process, from the journal on, to the end or until it is killed."""
-        way = lambda start, goal, begun, ended: trapezoid(begun, ended, np.abs(goal - start).max() / SPEED, RAMP)  # noqa: E731
+        way = lambda start, goal, begun, ended: trapezoidal_profile(begun, ended, np.abs(goal - start).max() / SPEED, RAMP)  # noqa: E731
         shutter = Shutter((self.eye,), self.clock)
-        bench = Bench(self.struts, shutter, self.clock, settling("time:0.5"), 1e-5, way, self.save)
+        bench = Bench(self.struts, shutter, self.clock, parse_settling("time:0.5"), 1e-5, way, self.save)
         self.onlooker = Onlooker()
         try:
             with Journal(self.folder / "journal.jsonl") as journal:

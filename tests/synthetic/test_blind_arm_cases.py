@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.arm.effect_strength import strengths
+from calib.diagnose.problems.arm.effect_strength import effect_strengths
 from rig.cli import command_line
 from rig.recording import recording_folder
 from synthetic import blind_arm_cases
@@ -14,7 +14,7 @@ from synthetic import blind_arm_cases
 
 @pytest.fixture(scope="module")
 def case():
-    return blind_arm_cases.draw(5, 1, 60, ["one"], ["scale_error"])
+    return blind_arm_cases.draw_arm_case(5, 1, 60, ["one"], ["scale_error"])
 
 
 def written(case, folder, *hard):
@@ -23,9 +23,9 @@ def written(case, folder, *hard):
 
 
 def test_the_same_case_is_drawn_again_and_a_third_is_hard(case):
-    again = blind_arm_cases.draw(5, 1, 60, ["one"], ["scale_error"])
+    again = blind_arm_cases.draw_arm_case(5, 1, 60, ["one"], ["scale_error"])
     assert again.simulation.world.effects == case.simulation.world.effects and again.text == case.text and again.hard == ()
-    assert all(bool(blind_arm_cases.draw(5, i, 30, ["nothing"]).hard) == (i % blind_arm_cases.HARD == 0) for i in range(1, 7))
+    assert all(bool(blind_arm_cases.draw_arm_case(5, i, 30, ["nothing"]).hard) == (i % blind_arm_cases.HARD == 0) for i in range(1, 7))
 
 
 def test_hardships_are_in_the_recording(case, tmp_path):
@@ -46,7 +46,9 @@ def test_an_effects_strength_grows_with_it_and_shrinks_with_the_noise(case):
     (effect,) = done.world.effects
 
     def strength(factor, sigma):
-        return strengths(done.world.true, done.plan.commands, done.plan.t, sigma, (replace(effect, scale=factor * effect.scale),), done.sensors)[0]
+        return effect_strengths(
+            done.world.true, done.plan.commands, done.plan.t, sigma, (replace(effect, scale=factor * effect.scale),), done.sensors
+        )[0]
 
     assert strength(2, case.sigma) == pytest.approx(2 * strength(1, case.sigma), rel=1e-2)
     assert strength(1, 3 * case.sigma) == pytest.approx(strength(1, case.sigma) / 3, rel=1e-6)

@@ -15,29 +15,32 @@ from rig.planning import plan
 from rig.recording import recording_folder
 from rig.cli import blind as command
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_validity import check
-from rig.effects.texts.effect_text import parse
+from rig.effects.framework.effect_validity import check_effect
+from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError
 from synthetic import blind_cases, unlisted_physics, diagnosis_score, recording_simulation, secret_machine
 
 
 def test_a_schedule_deals_every_kind_and_every_effect_alike():
-    dealt = [blind_cases.schedule(3, i)[:2] for i in range(1, 24 * 23)]
+    dealt = [blind_cases.schedule_effects(3, i)[:2] for i in range(1, 24 * 23)]
     kinds = [kind for kind, _ in dealt]
     assert {kind: round(kinds.count(kind) / len(kinds) * 23) for kind in blind_cases.KINDS} == blind_cases.TIMES
     assert {kind: {len(numbers) for k, numbers in dealt if k == kind} for kind in blind_cases.KINDS} == {
         "nothing": {0}, "one": {1}, "two": {2}, "foreign": {0}, "noise": {0}}
     count = np.bincount([n for _, numbers in dealt for n in numbers], minlength=len(ALL))
     assert np.ptp(count) <= 2  # the deck is cut at both ends
-    assert blind_cases.schedule(3, 7)[:2] == dealt[6] and blind_cases.schedule(4, 7)[2].random() != blind_cases.schedule(3, 7)[2].random()
+    assert (
+        blind_cases.schedule_effects(3, 7)[:2] == dealt[6]
+        and blind_cases.schedule_effects(4, 7)[2].random() != blind_cases.schedule_effects(3, 7)[2].random()
+    )
 
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
 def test_every_effect_is_drawn_within_its_bounds(kind, design):
     rng = np.random.default_rng(1)
-    route = plan.build(design, "sobol:4", 1)
+    route = plan.build_plan(design, "sobol:4", 1)
     for _ in range(6):
-        effect = check(blind_cases._effect(kind, design, route, rng))
+        effect = check_effect(blind_cases._effect(kind, design, route, rng))
         assert effect.name == kind.name and any(np.any(v) for v in effect.values().values())
     if kind.name == "lens_distortion":
         assert 0.02 < np.std(np.subtract(*[blind_cases.lens.project(np.array([[0.3, 0.2, 1.0]]), c.matrix, c.distortion) for c in (
@@ -48,14 +51,14 @@ def test_every_effect_is_drawn_within_its_bounds(kind, design):
 def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_catalogue(kind, design, monkeypatch):
     monkeypatch.setattr(unlisted_physics, "OUT_OF_CATALOGUE", (kind,))
     rng = np.random.default_rng(2)
-    route = plan.build(design, "moving:8,sobol:8", 1)
-    foreign = unlisted_physics.draw(design, route.t[-1], rng)
+    route = plan.build_plan(design, "moving:8,sobol:8", 1)
+    foreign = unlisted_physics.draw_unlisted_effect(design, route.t[-1], rng)
     assert foreign.name == kind.name and kind.name not in BY_NAME
-    secret = secret_machine.draw(design, rng, 1.0, (foreign,))
+    secret = secret_machine.draw_machine(design, rng, 1.0, (foreign,))
     bent = recording_simulation.simulate(secret, route, np.random.default_rng(5))
     plain = recording_simulation.simulate(replace(secret, effects=()), route, np.random.default_rng(5))
-    found, uv = recording_simulation.sight(bent)
-    moved = uv - recording_simulation.see(
+    found, uv = recording_simulation.visible_markers(bent)
+    moved = uv - recording_simulation.predict_sightings(
         found, recording_simulation.State(secret.true.cameras, plain.run.T_base_platform, {}), recording_simulation.marker_map(design)
     )
     assert 1e-4 < np.sqrt(np.mean(moved**2)) < 20
@@ -64,8 +67,8 @@ def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_cat
 @pytest.mark.parametrize("disturb", unlisted_physics.DISTURBANCES, ids=lambda disturb: disturb.__name__)
 def test_every_disturbance_adds_noise_and_no_shift(disturb, design):
     rng = np.random.default_rng(3)
-    done = recording_simulation.simulate(secret_machine.draw(design, rng), plan.build(design, "sobol:30"), rng)
-    clean = recording_simulation.corners(done, 0.0, rng)
+    done = recording_simulation.simulate(secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:30"), rng)
+    clean = recording_simulation.noisy_corners(done, 0.0, rng)
     off = disturb(clean, design, 0.05, rng).uv - clean.uv
     assert 0.02 < np.sqrt(np.mean(off**2)) < 3 and np.abs(np.median(off, axis=0)).max() < 0.02
 
@@ -73,13 +76,13 @@ def test_every_disturbance_adds_noise_and_no_shift(disturb, design):
 @pytest.mark.parametrize("withheld, gone", [("temperature", "strut1_temperature_C"), ("payload", None), ("reversals", None), ("motion", None)])
 def test_what_is_withheld_is_away(withheld, gone):
     for index in (1, 2):
-        case = blind_cases.draw(6, index, 60, (withheld,), ("nothing",))
+        case = blind_cases.draw_case(6, index, 60, (withheld,), ("nothing",))
         assert gone not in case.simulation.log.channels and "payload_mass_kg" in case.simulation.log.channels
         assert (withheld not in ("payload",)) or not case.simulation.log.channels["payload_mass_kg"].any()
         if withheld in ("motion", "reversals"):
             assert "moving" not in case.plan
         if withheld == "reversals":
-            path = motion_simulation.motion(case.simulation.world.stated, case.simulation.plan.commands, case.simulation.plan.t).path
+            path = motion_simulation.motion_of_commands(case.simulation.world.stated, case.simulation.plan.commands, case.simulation.plan.t).path
             step = np.diff(path.lengths, axis=0)
             for at in path.at:
                 last = [step[:at][step[:at, i] != 0, i][-1] for i in range(6)]
@@ -92,7 +95,7 @@ def test_the_truth_is_closed_to_a_diagnosis(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "truth")
     for path in ("truth/0001.json", "link/0001.json", "truth"):
         look = f"import os, pathlib; p = pathlib.Path({str(tmp_path / path)!r}); print(os.listdir(p) if p.is_dir() else p.read_text())"
-        code = f"from rig.cli.shared.folder_access_ban import forbid; forbid({str(tmp_path / 'truth')!r}); {look}"
+        code = f"from rig.cli.shared.folder_access_ban import forbid_folder as forbid; forbid({str(tmp_path / 'truth')!r}); {look}"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
         assert "is withheld" in done.stderr and "secret" not in done.stdout and "0001" not in done.stdout
 
@@ -119,7 +122,7 @@ def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(command, "_diagnosed", lambda out, index: seen.append(index) or perfect(out, index))
     call = ["blind", "--season", "4", "--frames", "40", "--seed", "11", "--hide", "one,nothing", "--out", str(tmp_path / "s"), "--jobs", "1"]
     assert command_line.main([*call, "--cases", "1-2"]) == 0 and seen == [1, 2]
-    monkeypatch.setattr(command, "_drawn", command.blinded)  # a process has been seen to do it
+    monkeypatch.setattr(command, "_drawn", command.draw_blind_case)  # a process has been seen to do it
     blinded = (tmp_path / "s" / "hashes" / "0001.sha256").read_text()
     assert command_line.main([*call, "--cases", "1,3"]) == 0 and seen == [1, 2, 3]
     assert (tmp_path / "s" / "hashes" / "0001.sha256").read_text() == blinded
@@ -165,19 +168,24 @@ def test_answers_are_judged():
     misplaced = case([("backlash", "strut 1")], [("backlash", "strut 2")])
     wrong = case([lag], [("creep", "rig")])
     missed = case([lag])
-    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.figures([right, allowed, misplaced, wrong, missed, case(kind="nothing"),
+    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.campaign_figures([right, allowed, misplaced, wrong, missed, case(kind="nothing"),
                                                             case(kind="nothing", found=[("creep", "rig")])])}
     assert f["one effect: detected"] == (4, 5) and f["one effect: named first"] == (2, 5) and f["one effect: truth in the set"] == (3, 5)
     assert f["one effect: at its place"] == (1, 5) and f["nothing hidden: no finding"] == (1, 2) and f["no wrong name in any case"] == (5, 7)
-    assert diagnosis_score.confusion([right, allowed, wrong, missed])["servo_lag"] == {"servo_lag": 1, "time_offset": 1, "creep": 1, "nothing": 1}
+    assert diagnosis_score.confusion_table([right, allowed, wrong, missed])["servo_lag"] == {
+        "servo_lag": 1,
+        "time_offset": 1,
+        "creep": 1,
+        "nothing": 1,
+    }
     both = case([lag, ("backlash", "strut 1")], [("backlash", "strut 1"), lag], "two")
     half = case([lag, ("backlash", "strut 1")], [("backlash", "strut 1"), ("creep", "rig")], "two")
-    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.figures([both, half])}
+    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.campaign_figures([both, half])}
     assert f["two effects: both named"] == (1, 2) and f["two effects: no wrong name"] == (1, 2)
     assert half.seen_as(half.hidden[0]) == "creep"
     foreign = [case([("cable_pull", "rig")], found, "foreign", unexplained) for found, unexplained in (
         ([("unknown", "strut 1")], True), ([("warm_up", "rig"), ("unknown", "strut 1")], True), ([], False))]
-    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.figures(foreign)}
+    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.campaign_figures(foreign)}
     assert f["outside the catalogue: called unknown"] == (1, 3) and f["outside the catalogue: no name given"] == (2, 3)
 
 
@@ -186,8 +194,8 @@ def test_intervals_are_held_to_the_truth():
     found = diagnosis_score.Found(
         "cyclic_error", "strut 1", {"amplitude": (1.1, [0.9, 1.3]), "phase": (-3.1, [-3.3, -2.9]), "order": (1.4, [1.3, 1.45])}, []
     )
-    assert diagnosis_score.covered(hidden, found) == [True, True, False]
-    assert diagnosis_score.covered(hidden, replace(found, place="strut 2")) == [] and diagnosis_score.covered(hidden, None) == []
+    assert diagnosis_score.interval_coverage(hidden, found) == [True, True, False]
+    assert diagnosis_score.interval_coverage(hidden, replace(found, place="strut 2")) == [] and diagnosis_score.interval_coverage(hidden, None) == []
 
 
 def test_exact_intervals():
@@ -199,27 +207,27 @@ def test_exact_intervals():
 def test_what_is_no_campaign_is_said(tmp_path):
     (tmp_path / "t.json").write_text('{"effects": [')
     with pytest.raises(FileError, match="cut off"):
-        diagnosis_score.case(1, tmp_path / "t.json", None)
+        diagnosis_score.score_case(1, tmp_path / "t.json", None)
     (tmp_path / "t.json").write_text('{"effects": []}')
     with pytest.raises(FileError, match="strengths is missing"):
-        diagnosis_score.case(1, tmp_path / "t.json", None)
+        diagnosis_score.score_case(1, tmp_path / "t.json", None)
 
 
 def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_text, tmp_path):
-    from calib.diagnose.problems.platform.effect_strength import strengths
+    from calib.diagnose.problems.platform.effect_strength import effect_strengths
 
-    effects = (parse("backlash:strut2:gap=5e-5"), parse("scale_error:strut3:scale=1e-12"))
+    effects = (parse_effect("backlash:strut2:gap=5e-5"), parse_effect("scale_error:strut3:scale=1e-12"))
     rng = np.random.default_rng(8)
-    done = recording_simulation.simulate(secret_machine.draw(design, rng, 1.0, effects), plan.build(design, "sobol:30,ladder:1", 1), rng)
+    done = recording_simulation.simulate(secret_machine.draw_machine(design, rng, 1.0, effects), plan.build_plan(design, "sobol:30,ladder:1", 1), rng)
     found = []
     for noise in (0.04, 0.08):
-        recording_simulation.write(done, tmp_path / "rec", rig_text, rng, noise)
-        found.append(strengths(recording_folder.load(tmp_path / "rec"), done.world.true, noise, effects, done.sensors))
+        recording_simulation.write_recording(done, tmp_path / "rec", rig_text, rng, noise)
+        found.append(effect_strengths(recording_folder.load(tmp_path / "rec"), done.world.true, noise, effects, done.sensors))
     assert 8 < found[0][0] < 60 and found[0][1] < 1e-3  # 50 um over 8 um of noise in one strut of 54 frames, part of it swallowed
     assert found[1][0] == pytest.approx(found[0][0] / 2, rel=0.05)
-    window, exchanged = parse("refraction:cam1:thickness=0.01"), parse("marker_swap:8:turn=1")
+    window, exchanged = parse_effect("refraction:cam1:thickness=0.01"), parse_effect("marker_swap:8:turn=1")
     alone, beside = (
-        strengths(recording_folder.load(tmp_path / "rec"), done.world.true, 0.04, (window, *more), done.sensors) for more in ((), (exchanged,))
+        effect_strengths(recording_folder.load(tmp_path / "rec"), done.world.true, 0.04, (window, *more), done.sensors) for more in ((), (exchanged,))
     )
     assert beside[0] == pytest.approx(alone[0]) and beside[1] > 1e3  # corners taken for others are put right first, and make no other effect stronger
 
@@ -236,7 +244,7 @@ def test_a_campaign_end_to_end(tmp_path, capsys):
 
 
 def test_a_case_in_images_draws_optics_and_prints_its_markers_within_tolerance():
-    cases = [blind_cases.draw(8, index, 40, (), ("one",), (), True) for index in range(1, 7)]
+    cases = [blind_cases.draw_case(8, index, 40, (), ("one",), (), True) for index in range(1, 7)]
     assert {(t.eyes.width, t.eyes.height) for t in cases} == set(blind_cases.blind_images.RESOLUTIONS)
     assert {t.eyes.lens for t in cases} == set(blind_cases.blind_images.LENSES) and all(t.eyes.lens in t.text for t in cases)
     for t in cases:
@@ -244,7 +252,7 @@ def test_a_case_in_images_draws_optics_and_prints_its_markers_within_tolerance()
         assert blind_cases.blind_images.drawable(type(hidden)) and hidden in t.simulation.world.effects
         assert printed.name == "printing" and np.std(printed.offsets) < manufacturing_tolerances.PLACES.sigma * 1.3 and np.any(printed.offsets)
         assert np.abs(printed.scales).max() < 6 * manufacturing_tolerances.SIDES.sigma
-        assert 0.0005 < t.noise < 0.05 and len(blind_cases.corners_of(t).frame) > 40
+        assert 0.0005 < t.noise < 0.05 and len(blind_cases.simulated_corners(t).frame) > 40
 
 
 def test_a_campaign_in_images_says_what_pictures_do_not_show(tmp_path, capsys):
@@ -260,5 +268,5 @@ def test_an_effect_within_tolerances_is_rightly_a_remark():
     assert case.match(hidden) is remark and case.said == [remark] and not case.named and not case.wrong()
     elsewhere = diagnosis_score.Hidden("backlash", "strut 1", {"gap": 3e-5}, 20.0)
     assert diagnosis_score.Case(1, "one", None, [elsewhere], [], False, 1.0, 1.0, remarks=(remark,)).match(elsewhere) is None
-    figures = {f.name: f.hits for f in diagnosis_score.figures([case])}
+    figures = {f.name: f.hits for f in diagnosis_score.campaign_figures([case])}
     assert figures["one effect: detected"] == figures["one effect: named first"] == figures["one effect: at its place"] == 1

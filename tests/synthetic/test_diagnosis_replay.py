@@ -5,7 +5,7 @@ import pytest
 
 from rig.cli import command_line
 from rig.recording import recording_folder
-from rig.planning.layout.hexapod_layout import layout
+from rig.planning.layout.hexapod_layout import hexapod_layout
 
 NOISE = 0.03  # px
 
@@ -24,7 +24,7 @@ def rms(a, b):
 
 
 def test_the_machine_as_found_repeats_the_recording(tmp_path, capsys):
-    (tmp_path / "rig.toml").write_text(layout(0.3))
+    (tmp_path / "rig.toml").write_text(hexapod_layout(0.3))
     for argv in (["simulate", tmp_path / "rig.toml", "--plan", "sobol:30,ladder:4", "--effect", "backlash:strut2:gap=3e-4", "--noise", NOISE,
                   "--out", tmp_path / "rec"],
                  ["diagnose", tmp_path / "rec", "--only", "backlash", "--out", tmp_path / "found"],

@@ -10,9 +10,9 @@ from rig.model import motion_simulation, mechanisms
 from rig.driving.cameras import CameraError, open_source
 from rig.driving.clock import SimulatedClock, SystemClock
 from rig.model.design import Sensor
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.errors import RigError
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
 from synthetic import emulated_sensors, camera_server, secret_machine
 from synthetic.image_simulation import Images
@@ -20,24 +20,24 @@ from synthetic.image_simulation import Images
 
 @pytest.fixture
 def secret(design):
-    return secret_machine.draw(design, np.random.default_rng(3), 1.0, (parse("backlash:strut2:gap=3e-4"),))
+    return secret_machine.draw_machine(design, np.random.default_rng(3), 1.0, (parse_effect("backlash:strut2:gap=3e-4"),))
 
 
 @pytest.fixture
 def told(design):
     """Struts that went out and back: a play of strut 2 shows in where they stand."""
-    home = mechanisms.of(design.mechanism).inverse(design.mechanism.home, design.mechanism)
+    home = mechanisms.kinematics_of(design.mechanism).inverse(design.mechanism.home, design.mechanism)
     return np.array([100.0, 101.0, 103.0, 105.0]), np.array([home, home, home + 0.02, home + 0.005])
 
 
 def test_what_is_shown_is_the_true_pose_with_what_the_way_did_to_it(secret, told):
     shown = emulated_sensors.Eyes(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
-    T = motion_simulation.run(secret.true, Commands(told[0] - 100, told[1]), [5.0], secret.effects, None).T_base_platform[0]
+    T = motion_simulation.run_machine(secret.true, Commands(told[0] - 100, told[1]), [5.0], secret.effects, None).T_base_platform[0]
     np.testing.assert_allclose(shown.pose(105.0), T.as_matrix(), atol=1e-12)
-    other = motion_simulation.run(
+    other = motion_simulation.run_machine(
         secret.true, Commands(told[0][-2:] - 103, told[1][-1:].repeat(2, axis=0)), [2.0], secret.effects, None
     ).T_base_platform[0]
-    assert np.abs(difference(T, other)).max() > 5e-5, "the way does matter here"
+    assert np.abs(pose_difference(T, other)).max() > 5e-5, "the way does matter here"
     assert np.abs(shown.pose(102.0)[:3, 3] - shown.pose(105.0)[:3, 3]).max() > 1e-3, "on its way it is elsewhere"
 
 
@@ -76,8 +76,8 @@ def test_measuring_limbs_read_the_pose(design, told, tmp_path):
     from rig.formats.rig_toml import design_file
     from rig.planning.layout import hexapod_layout
 
-    (tmp_path / "rig.toml").write_text(hexapod_layout.layout(0.3, limbs=6))
-    secret = secret_machine.draw(design_file.load(tmp_path / "rig.toml"), np.random.default_rng(3))
+    (tmp_path / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=6))
+    secret = secret_machine.draw_machine(design_file.load(tmp_path / "rig.toml"), np.random.default_rng(3))
     shown = emulated_sensors.Eyes(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
     limbs, T = secret.true.insitu, shown.pose(105.0)
     legs = limbs.platform_joints @ T[:3, :3].T + T[:3, 3] - limbs.base_joints

@@ -17,12 +17,12 @@ def seen(opengl, design):
 
     small = replace(design, cameras=tuple(replace(c, width=320, height=256, matrix=c.matrix * [[0.25], [0.25], [1]]) for c in design.cameras))
     rng = np.random.default_rng(4)
-    return recording_simulation.simulate(secret_machine.draw(small, rng), plan.build(small, "sobol:2", 1), rng)
+    return recording_simulation.simulate(secret_machine.draw_machine(small, rng), plan.build_plan(small, "sobol:2", 1), rng)
 
 
 def drawn(folder, seen, processes):
     sensor = seen.world.true.sensor
-    image_simulation.render(seen, folder, image_simulation.Images(sensor, processes=processes), 11)
+    image_simulation.render_images(seen, folder, image_simulation.Images(sensor, processes=processes), 11)
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*.png")}
 
 

@@ -10,14 +10,14 @@ from rig.formats.rig_toml import design_file
 from rig.cli.command_line import main
 from rig.errors import RigError
 from synthetic import cube_stl, print_sheets
-from synthetic.cube_assembly_page import outline
-from synthetic.cube_nets import FRAMES, NET, PARTITIONS, SIDES, Size, arrange, pieces
-from synthetic.sheet_rulers import usable
+from synthetic.cube_assembly_page import target_outline
+from synthetic.cube_nets import FRAMES, NET, PARTITIONS, SIDES, Size, arrange_net, net_pieces
+from synthetic.sheet_rulers import usable_area
 
 
 @pytest.mark.parametrize("groups", PARTITIONS)
 def test_every_edge_of_a_cube_is_folded_or_glued_once(groups):
-    found = pieces(groups)
+    found = net_pieces(groups)
     flaps, folds = (list(chain(*(getattr(piece, kind) for piece in found))) for kind in ("flaps", "folds"))
     assert len(flaps) + len(folds) == 12 and len(folds) == 6 - len(groups) and len(set(flaps)) == len(flaps)
     assert sorted(chain(*(piece.faces for piece in found))) == sorted(NET)
@@ -38,9 +38,9 @@ def test_neighbours_in_the_net_are_neighbours_on_the_cube():
 @pytest.mark.parametrize("paper", ["A4", "Letter", "A3"])
 @pytest.mark.parametrize("edge", [20.0, 51.0, 66.0, 93.0, 131.0, 170.0])
 def test_nothing_leaves_the_paper_or_lies_on_another(paper, edge):
-    size, found = arrange(edge, usable(print_sheets.PAPER[paper]), usable(print_sheets.PAPER[paper][::-1]))
+    size, found = arrange_net(edge, usable_area(print_sheets.PAPER[paper]), usable_area(print_sheets.PAPER[paper][::-1]))
     for sheet in found:
-        room = usable(print_sheets.PAPER[paper][::-1] if sheet.turned else print_sheets.PAPER[paper])
+        room = usable_area(print_sheets.PAPER[paper][::-1] if sheet.turned else print_sheets.PAPER[paper])
         boxes = [np.array(one.piece.box(size)) + np.array([one.x, one.y] * 2) for one in sheet.placed]
         assert all((box >= -1e-9).all() and box[2] <= room[0] + 1e-9 and box[3] <= room[1] + 1e-9 for box in boxes)
         assert not any(a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3] for k, a in enumerate(boxes) for b in boxes[:k])
@@ -48,11 +48,11 @@ def test_nothing_leaves_the_paper_or_lies_on_another(paper, edge):
 
 
 def test_flaps_are_in_the_box_and_large_faces_go_without():
-    left, bottom, right, top = pieces(PARTITIONS[0])[0].box(Size(50.0, 7.0))
+    left, bottom, right, top = net_pieces(PARTITIONS[0])[0].box(Size(50.0, 7.0))
     assert (left, bottom, right, top) == (-7.0, 0.0, 200.0, 150.0)
-    assert arrange(176.0, (183.0, 257.0), (270.0, 170.0))[0].flap == 0.0
+    assert arrange_net(176.0, (183.0, 257.0), (270.0, 170.0))[0].flap == 0.0
     with pytest.raises(RigError, match="larger than the 183 x 257 mm"):
-        arrange(184.0, (183.0, 257.0), (270.0, 170.0))
+        arrange_net(184.0, (183.0, 257.0), (270.0, 170.0))
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_sheets_of_a_rig_are_on_the_paper_asked_for(two_cubes, tmp_path, capsys)
 def test_a_face_too_large_names_the_paper_that_would_do(two_cubes):
     target = replace(design_file.load(two_cubes).targets[0], edge=0.25, marker=0.2)
     with pytest.raises(RigError, match="it fits --paper A3"):
-        print_sheets.pages_of(target, "A4")
+        print_sheets.sheets_of_target(target, "A4")
 
 
 def test_bodies_are_smaller_by_the_paper(two_cubes):
@@ -84,13 +84,13 @@ def test_bodies_are_smaller_by_the_paper(two_cubes):
     import trimesh
 
     design = design_file.load(two_cubes)
-    body = trimesh.load_mesh(io.BytesIO(cube_stl.bodies(design, 2e-4)["P1"]), file_type="stl")
+    body = trimesh.load_mesh(io.BytesIO(cube_stl.cube_stl_files(design, 2e-4)["P1"]), file_type="stl")
     np.testing.assert_allclose(body.extents, (design.targets[0].edge - 4e-4) * 1e3, rtol=1e-6)
     assert body.is_watertight
 
 
 def test_a_cube_from_above_has_its_edge_and_place(two_cubes):
     target = design_file.load(two_cubes).targets[0]
-    shape = outline(target)
+    shape = target_outline(target)
     np.testing.assert_allclose(np.linalg.norm(np.roll(shape, -1, axis=0) - shape, axis=1), target.edge, rtol=1e-9)
     np.testing.assert_allclose(shape.mean(axis=0), target.pose.translation[:2], atol=1e-12)

@@ -11,13 +11,13 @@ from rig.model import motion_simulation
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.model.design import Sensor
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from synthetic import image_simulation, renderer, rig_meshes, recording_simulation, secret_machine
-from synthetic.occlusion import hidden
+from synthetic.occlusion import is_occluded
 from tests.conftest import SHARED
-from vision.reading.recording_corners import collect
+from vision.reading.recording_corners import collect_corners
 from vision.targets import marker_map
 
 
@@ -25,41 +25,41 @@ from vision.targets import marker_map
 def done(design):
     rng = np.random.default_rng(4)
     return recording_simulation.simulate(
-        secret_machine.draw(design, rng, 1.0, (parse("backlash:strut2:gap=5e-5"),)), plan.build(design, "sobol:8,moving:6"), rng
+        secret_machine.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=5e-5"),)), plan.build_plan(design, "sobol:8,moving:6"), rng
     )
 
 
 def test_what_is_written_is_read_back(done, tmp_path, rig_text):
-    recording_simulation.write(done, tmp_path / "rec", rig_text, np.random.default_rng(0), noise=0.0)
+    recording_simulation.write_recording(done, tmp_path / "rec", rig_text, np.random.default_rng(0), noise=0.0)
     found = recording_folder.load(tmp_path / "rec")
-    again = motion_simulation.run(done.world.true, found.commands, found.exposures.times()[1], done.world.effects, found.sensors)
-    np.testing.assert_allclose(difference(again.T_base_platform, done.run.T_base_platform), 0, atol=1e-9)
+    again = motion_simulation.run_machine(done.world.true, found.commands, found.exposures.times()[1], done.world.effects, found.sensors)
+    np.testing.assert_allclose(pose_difference(again.T_base_platform, done.run.T_base_platform), 0, atol=1e-9)
     assert {"ambient_temperature_C", "strut6_temperature_C", "payload_mass_kg"} <= set(found.sensors.channels)
     assert len(found.corners.uv) > 14 * 3 * 4 * 6
-    recording_simulation.write(done, tmp_path / "noisy", rig_text, np.random.default_rng(0), noise=0.1)
+    recording_simulation.write_recording(done, tmp_path / "noisy", rig_text, np.random.default_rng(0), noise=0.1)
     gap = recording_folder.load(tmp_path / "noisy").corners.uv - found.corners.uv
     assert np.std(gap) == pytest.approx(0.1, rel=0.05)
 
 
 def test_truth_makes_the_same_machine_again(done, tmp_path, design):
     secret_machine.write_truth(tmp_path / "t.json", done.world, done.run.T_base_platform)
-    again = secret_machine.from_truth(tmp_path / "t.json", design)
+    again = secret_machine.world_from_truth(tmp_path / "t.json", design)
     assert again.effects == done.world.effects
-    T = motion_simulation.run(again.true, done.plan.commands, done.plan.t, again.effects, done.sensors).T_base_platform
-    np.testing.assert_allclose(difference(T, done.run.T_base_platform), 0, atol=1e-12)
+    T = motion_simulation.run_machine(again.true, done.plan.commands, done.plan.t, again.effects, done.sensors).T_base_platform
+    np.testing.assert_allclose(pose_difference(T, done.run.T_base_platform), 0, atol=1e-12)
     tree = json.loads((tmp_path / "t.json").read_text())
     assert len(tree["poses"][0]) == 16 and tree["effects"][0] == {"effect": "backlash", "place": "strut 2", "parameters": {"gap": 5e-5}}
     (tmp_path / "half.json").write_text((tmp_path / "t.json").read_text()[:300])
     with pytest.raises(FileError, match="cut off"):
-        secret_machine.from_truth(tmp_path / "half.json", design)
+        secret_machine.world_from_truth(tmp_path / "half.json", design)
 
 
 def test_same_seed_same_recording(design, tmp_path, rig_text):
     texts = []
     for name in "ab":
         rng = np.random.default_rng(9)
-        s = recording_simulation.simulate(secret_machine.draw(design, rng), plan.build(design, "sobol:3", 9), rng)
-        recording_simulation.write(s, tmp_path / name, rig_text, rng, noise=0.05)
+        s = recording_simulation.simulate(secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:3", 9), rng)
+        recording_simulation.write_recording(s, tmp_path / name, rig_text, rng, noise=0.05)
         texts.append([path.read_bytes() for path in sorted((tmp_path / name).iterdir())])
     assert texts[0] == texts[1]
 
@@ -72,7 +72,7 @@ def test_what_is_hidden_is_hidden_by_solids(design):
     away /= np.linalg.norm(away)
 
     def blocked(eye, point):
-        return bool(hidden(design, [home], zero, np.array([eye], float), np.array([point], float))[0])
+        return bool(is_occluded(design, [home], zero, np.array([eye], float), np.array([point], float))[0])
 
     assert blocked(middle + 0.5 * away, middle - 0.05 * away)  # through the strut
     assert not blocked(middle + 0.5 * away, middle + 0.05 * away)
@@ -86,11 +86,11 @@ def test_what_is_hidden_is_hidden_by_solids(design):
 @pytest.mark.slow
 def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_path, opengl):
     rng = np.random.default_rng(2)
-    s = recording_simulation.simulate(secret_machine.draw(design, rng), plan.build(design, "sobol:1"), rng)
-    recording_simulation.write(
+    s = recording_simulation.simulate(secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:1"), rng)
+    recording_simulation.write_recording(
         s, tmp_path / "rec", rig_text, rng, images=image_simulation.Images(Sensor(blur=0.5, read_noise=0.5), "cluttered", processes=1)
     )
-    found = collect(recording_folder.load(tmp_path / "rec"), marker_map(design)).corners
+    found = collect_corners(recording_folder.load(tmp_path / "rec"), marker_map(design)).corners
     true = {tuple(row[:4]): row[4:] for row in recording_simulation.truth_corners(s)}
     keys = list(zip(found.frame.tolist(), found.camera, found.marker.tolist(), found.corner.tolist()))
     errors = np.array([uv - true[key] for key, uv in zip(keys, found.uv) if key in true])
@@ -100,7 +100,7 @@ def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_
 
 def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl):
     rng = np.random.default_rng(3)
-    s = recording_simulation.simulate(secret_machine.draw(design, rng), plan.build(design, "moving:1"), rng)
+    s = recording_simulation.simulate(secret_machine.draw_machine(design, rng), plan.build_plan(design, "moving:1"), rng)
     images = image_simulation.Images(Sensor(exposure=0.1, exposures=3), processes=1)
     image_simulation._start(s, tmp_path, images, 5)
     image_simulation._prepare()
@@ -127,17 +127,17 @@ def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl
 
 def test_effects_that_cannot_be_drawn_are_refused():
     with pytest.raises(RigError, match="edge_bias is not drawn"):
-        image_simulation.check_drawable([parse("edge_bias:cameras:bias=0.1")])
-    image_simulation.check_drawable([parse("camera_bump:cam1:motion=1e-4/0/0/0/0/0,time=3"), parse("backlash:1:gap=1e-5")])
+        image_simulation.check_drawable([parse_effect("edge_bias:cameras:bias=0.1")])
+    image_simulation.check_drawable([parse_effect("camera_bump:cam1:motion=1e-4/0/0/0/0/0,time=3"), parse_effect("backlash:1:gap=1e-5")])
 
 
 def test_scene_has_everything(design):
-    parts = rig_meshes.parts(design)
+    parts = rig_meshes.rig_parts(design)
     bodies = {part.body for part in parts}
     assert {"base", "platform", "world"} <= bodies and sum(body.startswith("strut") for body in bodies) == 12
     assert sum(part.ink is not None for part in parts) == 40
     with pytest.raises(ValueError, match="background"):
-        rig_meshes.parts(design, "nice")
+        rig_meshes.rig_parts(design, "nice")
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the shared recordings beside the project")
@@ -147,10 +147,10 @@ def test_our_machine_moves_as_the_shared_recordings_did(name):
     found = recording_folder.load(SHARED / "recordings" / name)
     truth = json.loads((SHARED / "truth" / f"{name}.json").read_text())
     mechanism = replace(found.design.mechanism, **{key: truth[key] for key in ("base_joints", "platform_joints", "strut_zeros")})
-    effects = [parse(f"{e['effect']}:{e['place']}:" + ",".join(f"{k}={v}" for k, v in e["parameters"].items()))
+    effects = [parse_effect(f"{e['effect']}:{e['place']}:" + ",".join(f"{k}={v}" for k, v in e["parameters"].items()))
                for e in truth["effects"] if e["parameters"]]
-    T = motion_simulation.run(
+    T = motion_simulation.run_machine(
         replace(found.design, mechanism=mechanism), found.commands, found.exposures.times()[1], effects, found.sensors
     ).T_base_platform
-    errors = difference(T, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4)))
+    errors = pose_difference(T, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4)))
     assert np.abs(errors[:, :3]).max() < 3e-7 and np.abs(errors[:, 3:]).max() < 1.5e-6  # commands are written to 1e-7 m

@@ -12,11 +12,11 @@ from rig.model.design import Camera, Marker, Sensor, Target
 from rig.errors import MissingLibrary
 from rig.model.pose import pose
 from synthetic import renderer as render, rig_meshes
-from synthetic.image_sensor import expose
+from synthetic.image_sensor import expose_image
 from tests.synthetic.edges import edge_corners
-from vision.corners.marker_detection import place
+from vision.corners.marker_detection import fit_read_markers
 from vision.corners.marker_reader import Read
-from vision.predict import State, facing, see
+from vision.predict import State, facing, predict_sightings
 from vision.targets import marker_map
 
 
@@ -36,7 +36,7 @@ def wall(design, tilt, distortion, size=0.11):
 def drawn(rig):
     """(fine picture of a wall, its markers' identities, their exact corners (k, 4, 2) px)."""
     home = rig.mechanism.home
-    parts = [part for part in rig_meshes.parts(rig) if part.body in ("base", "world") and (part.uv is not None or part.normal is None
+    parts = [part for part in rig_meshes.rig_parts(rig) if part.body in ("base", "world") and (part.uv is not None or part.normal is None
                                                                                         or abs(part.centre[2]) > 0.3)]
     renderer = render.Renderer(parts, rig)
     try:
@@ -45,7 +45,7 @@ def drawn(rig):
         renderer.close()
     state, markers = State(rig.cameras, RigidTransform.concatenate([home]), {}), marker_map(rig)
     found = facing(state, markers, 0.3)
-    return image, markers.id[found.marker], see(found, state, markers)
+    return image, markers.id[found.marker], predict_sightings(found, state, markers)
 
 
 def edge_errors(image, exact, camera):
@@ -66,8 +66,8 @@ def test_corners_are_where_the_lens_puts_them(design, name, opengl):
         picture, numbers, exact = drawn(rig)
         mean = picture.reshape(1024, render.SAMPLES, 1280, render.SAMPLES).mean(axis=(1, 3))
         errors.append(edge_errors(mean.astype(float), exact, rig.cameras[0]))
-        image = expose(picture, Sensor(blur=0.5, bits=12), np.random.default_rng(0), render.SAMPLES) * np.float32(255 / 4095)
-        found = place(image, rig.cameras[0], marker_map(rig), Read(numbers, exact))
+        image = expose_image(picture, Sensor(blur=0.5, bits=12), np.random.default_rng(0), render.SAMPLES) * np.float32(255 / 4095)
+        found = fit_read_markers(image, rig.cameras[0], marker_map(rig), Read(numbers, exact))
         ours.append(found.corners - exact[[numbers.tolist().index(k) for k in found.marker]])
     assert all(len(e) >= 6 for e in errors)
     everything = np.concatenate(errors).reshape(-1, 2)
@@ -79,7 +79,7 @@ def test_corners_are_where_the_lens_puts_them(design, name, opengl):
 
 
 def test_struts_hide_markers(design, opengl):
-    parts = rig_meshes.parts(design)
+    parts = rig_meshes.rig_parts(design)
     pictures = []
     for chosen in (parts, [part for part in parts if not part.body.startswith("strut")]):
         renderer = render.Renderer(chosen, design)  # one at a time: a process has one EGL display
@@ -92,7 +92,7 @@ def test_struts_hide_markers(design, opengl):
 def test_each_camera_has_its_own_resolution(design, opengl):
     small = replace(design.cameras[1], width=320, height=256, matrix=np.array([[400.0, 0, 160], [0, 400, 128], [0, 0, 1]]))
     rig = replace(design, cameras=(design.cameras[0], small))
-    renderer = render.Renderer(rig_meshes.parts(rig, "cluttered", np.random.default_rng(0)), rig)
+    renderer = render.Renderer(rig_meshes.rig_parts(rig, "cluttered", np.random.default_rng(0)), rig)
     try:
         assert renderer.draw("cam0", rig.mechanism.home).shape == (2048, 2560)
         assert renderer.draw("cam1", rig.mechanism.home).shape == (512, 640)
@@ -120,7 +120,7 @@ def test_the_same_picture_whatever_lies_where_in_memory(opengl, design):
     pictures, kept = [], []
     for k in range(3):
         kept.append([object() for _ in range(1 + 997 * k)])
-        renderer = render.Renderer(rig_meshes.parts(small), small)
+        renderer = render.Renderer(rig_meshes.rig_parts(small), small)
         try:
             pictures.append(renderer.draw(small.cameras[0].name, small.mechanism.home).tobytes())
         finally:

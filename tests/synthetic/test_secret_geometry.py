@@ -9,10 +9,10 @@ from rig.cli import command_line
 from rig.model import motion_simulation
 from rig.recording import recording_folder
 from rig.formats.rig_toml.design_file import load
-from rig.effects.texts.effect_text import parse
-from rig.planning.layout.hexapod_layout import layout
-from rig.model.pose import difference
-from synthetic.secret_machine import from_truth
+from rig.effects.texts.effect_text import parse_effect
+from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.model.pose import pose_difference
+from synthetic.secret_machine import world_from_truth
 from tests.test_one_more_effect import RIGS
 
 SIGMA = (2e-5, 1e-4)  # m, rad
@@ -25,24 +25,24 @@ def simulated(folder, kind, *words, place="rig", rotations=True):
     argv = ["simulate", folder / "rig.toml", "--plan", "sobol:60,ladder:2", *words, "--out", folder / "rec", "--truth", folder / "truth.json"]
     assert command_line.main([str(word) for word in argv]) == 0
     found = recording_folder.load(folder / "rec")
-    return found, from_truth(folder / "truth.json", found.design), json.loads((folder / "truth.json").read_text())
+    return found, world_from_truth(folder / "truth.json", found.design), json.loads((folder / "truth.json").read_text())
 
 
 @pytest.mark.parametrize("kind, effect, place", [("arm", "backlash:joint2:gap=1e-3", "free"), ("planar2", "backlash:strut2:gap=1e-4", "rig")])
 def test_an_instrument_sees_what_the_machine_did(tmp_path, kind, effect, place):
     found, world, tree = simulated(tmp_path, kind, "--effect", effect, place=place)
     frames, t = found.exposures.times()
-    assert found.poses.frame.tolist() == frames.tolist() and world.effects == (parse(effect),)
-    run = motion_simulation.run(world.true, found.commands, t, world.effects, found.sensors)
-    off = difference(run.T_base_platform, found.poses.T_base_platform)
+    assert found.poses.frame.tolist() == frames.tolist() and world.effects == (parse_effect(effect),)
+    run = motion_simulation.run_machine(world.true, found.commands, t, world.effects, found.sensors)
+    off = pose_difference(run.T_base_platform, found.poses.T_base_platform)
     np.testing.assert_allclose(off.std(axis=0), np.repeat(SIGMA, 3), rtol=0.25)
-    without = difference(motion_simulation.run(world.true, found.commands, t).T_base_platform, found.poses.T_base_platform)
+    without = pose_difference(motion_simulation.run_machine(world.true, found.commands, t).T_base_platform, found.poses.T_base_platform)
     assert np.abs(without[:, :3]).max() > 20 * SIGMA[0] if kind == "arm" else np.abs(without[:, :3]).max() > 3 * SIGMA[0]
 
 
 def test_where_an_arm_stands_is_secret_only_where_nobody_knows(tmp_path):
     _, world, _ = simulated(tmp_path, "arm", "--secret", "0", place="rig")
-    assert not difference(world.true.mechanism.base, world.stated.mechanism.base).any()
+    assert not pose_difference(world.true.mechanism.base, world.stated.mechanism.base).any()
     np.testing.assert_allclose(world.true.mechanism.rows, world.stated.mechanism.rows, atol=1e-12)
 
 
@@ -54,7 +54,7 @@ def test_an_instrument_of_positions_writes_positions(tmp_path):
 
 def test_cameras_see_the_cubes_in_an_arms_hand(tmp_path):
     """The cameras and cubes of a hexapod's rig.toml about an arm that carries the platform's cubes."""
-    text = layout(0.3)
+    text = hexapod_layout(0.3)
     start, end = text.index("[mechanism]"), text.index("[[camera]]")
     arm = 'kind = "arm"\njoints = [[0.0, 0.2, 0.02, 0.1], [0.0, 0.25, 0.01, 0.0]]\nlimits = [[-0.3, 0.3], [-0.3, 0.3]]'  # its hand at 0.45 m
     (tmp_path / "rig.toml").write_text(f"{text[:start]}[mechanism]\n{arm}\n\n{text[end:]}")
@@ -82,6 +82,6 @@ def test_an_arm_as_found_is_drawn_anew_by_the_same_machine(tmp_path):
     (folder / "machine.json").write_bytes((tmp_path / "truth.json").read_bytes())
     assert command_line.main(["simulate", "--from", str(folder), "--out", str(tmp_path / "both")]) == 0
     drawn = {kind: recording_folder.load(tmp_path / "both" / kind).poses.T_base_platform for kind in ("with", "without")}
-    off = {kind: difference(T, found.poses.T_base_platform).std(axis=0) for kind, T in drawn.items()}
+    off = {kind: pose_difference(T, found.poses.T_base_platform).std(axis=0) for kind, T in drawn.items()}
     np.testing.assert_allclose(off["with"], np.sqrt(2) * np.repeat(SIGMA, 3), rtol=0.3)
     assert off["without"][:3].max() > 5 * SIGMA[0]

@@ -13,11 +13,11 @@ from calib.models.platform.identification import pose_jacobian
 from rig.model import motion_simulation
 from rig.planning import plan
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.model.pose import exp
 from synthetic import recording_simulation, secret_machine
 from vision import lens
-from vision.predict import State, facing, inside, see
+from vision.predict import State, facing, is_inside_image, predict_sightings
 from vision.targets import marker_map
 
 EFFECTS = [
@@ -43,15 +43,15 @@ SWALLOWED = {"refraction cam1", "lens_distortion cam1"}  # a lens swallows a win
 @pytest.fixture(scope="module")
 def signatures(design):
     rng = np.random.default_rng(0)
-    route = plan.build(design, "standard", 1)
-    s = recording_simulation.simulate(secret_machine.draw(design, rng, 0.0), route, rng)
+    route = plan.build_plan(design, "standard", 1)
+    s = recording_simulation.simulate(secret_machine.draw_machine(design, rng, 0.0), route, rng)
     markers, T = marker_map(design), s.run.T_base_platform
     found = facing(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
-    found = found.take(inside(found, see(found, State(design.cameras, T, {}), markers), design.cameras))
+    found = found.take(is_inside_image(found, predict_sightings(found, State(design.cameras, T, {}), markers), design.cameras))
     found = found.take(np.sort(rng.choice(len(found.frame), 6000, replace=False)))
 
     def look(cameras=design.cameras, poses=T):
-        return see(found, State(tuple(cameras), poses, {}), markers).ravel()
+        return predict_sightings(found, State(tuple(cameras), poses, {}), markers).ravel()
 
     clean = look()
     columns = [(look(poses=T * exp(1e-6 * J)) - clean) / 1e-6 for J in np.moveaxis(pose_jacobian(T, design.mechanism), -1, 0)]
@@ -62,10 +62,10 @@ def signatures(design):
     Q = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)[0]
     left = {}
     for text in EFFECTS:
-        effect = parse(text)
+        effect = parse_effect(text)
         rolls = effect.name == "rolling_shutter"
-        run = motion_simulation.run(design, route.commands, route.t, [effect], s.sensors, rates=rolls)
-        seen = see(found, State(design.cameras, run.T_base_platform, {}), markers, route.t, [effect], s.sensors, run if rolls else None)
+        run = motion_simulation.run_machine(design, route.commands, route.t, [effect], s.sensors, rates=rolls)
+        seen = predict_sightings(found, State(design.cameras, run.T_base_platform, {}), markers, route.t, [effect], s.sensors, run if rolls else None)
         raw = seen.ravel() - clean
         rest = raw - Q @ (Q.T @ raw)
         left[" ".join(text.split(":")[:2])] = (np.linalg.norm(rest) / np.linalg.norm(raw), rest / np.linalg.norm(rest))

@@ -11,7 +11,7 @@ WIDE, SIZE, EDGE = 0.62, (640, 512), 0.075  # rad to either side; px; m
 
 def text():
     """Its rig.toml."""
-    whole = hexapod_layout.layout(0.3)
+    whole = hexapod_layout.hexapod_layout(0.3)
     looks = RigidTransform.from_components([0.0, 0.0, -0.04], Rotation.from_rotvec([np.pi, 0, 0]))
     lines = camera("cam0", looks, WIDE, SIZE, "hand")
     for i in range(6):

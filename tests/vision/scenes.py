@@ -6,20 +6,20 @@ import numpy as np
 
 from rig.planning import plan
 from synthetic import recording_simulation, secret_machine
-from vision.corner_observations import from_corners
+from vision.corner_observations import observations_from_corners
 from vision.targets import marker_map
 
 
 def scene(design, seed, frames=12, noise=0.04, size=1.0, spoil=None):
     """(Observations, stated Design, true Design, true poses) of one simulated recording. spoil : Corners -> Corners, or None."""
     rng = np.random.default_rng(seed)
-    secret = secret_machine.draw(design, rng, size)
+    secret = secret_machine.draw_machine(design, rng, size)
     strokes = design.mechanism.strut_range
-    route = plan.settled(plan.low_discrepancy(strokes, frames, seed=seed), strokes.mean(axis=1), plan.speed_of(design))
+    route = plan.settled_plan(plan.low_discrepancy(strokes, frames, seed=seed), strokes.mean(axis=1), plan.plan_speed(design))
     done = recording_simulation.simulate(secret, route, rng)
-    corners = recording_simulation.corners(done, noise, rng)
+    corners = recording_simulation.noisy_corners(done, noise, rng)
     corners = spoil(corners) if spoil else corners
-    return from_corners(corners, np.arange(frames), design, marker_map(design)), design, secret.true, done.run.T_base_platform
+    return observations_from_corners(corners, np.arange(frames), design, marker_map(design)), design, secret.true, done.run.T_base_platform
 
 
 def standing(observations, rng, sigma):

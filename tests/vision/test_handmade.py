@@ -6,17 +6,17 @@ from scipy.stats import chi2
 
 from rig.model.pose import log
 from tests.vision.handmade import Handmade, handmade
-from vision.bundle.marker_displacements import doubtful, moves
-from vision.bundle.estimate_update import aligned
+from vision.bundle.marker_displacements import are_places_doubtful, marker_displacements
+from vision.bundle.estimate_update import align_points
 from vision.recording_adjustment import Measurement
-from vision.corner_observations import from_corners
+from vision.corner_observations import observations_from_corners
 from vision.recording_measurement import solve
 from vision.targets import marker_map
 
 
 def measured(made: Handmade, places: str = "auto") -> Measurement:
     frames, markers = np.arange(len(made.T)), marker_map(made.stated)
-    observed = from_corners(made.corners, frames, made.stated, markers)
+    observed = observations_from_corners(made.corners, frames, made.stated, markers)
     return solve(observed, made.stated, markers, ("poses", "lenses"), None, frames * 1.0, places)
 
 
@@ -24,7 +24,7 @@ def squares(made: Handmade, m: Measurement) -> np.ndarray:
     """(markers,) normalised error squared of the places found, truth seen from the frame that the stated places hold; 6 is expected."""
     stated, true = marker_map(made.stated), marker_map(made.true)
     a, out, seen = m.adjustment, [], m.adjustment.unknowns.seen
-    truth = aligned(true.corners[seen].reshape(-1, 3), stated.corners[seen].reshape(-1, 3)) * true.T_body_marker
+    truth = align_points(true.corners[seen].reshape(-1, 3), stated.corners[seen].reshape(-1, 3)) * true.T_body_marker
     for row, columns in a.unknowns.markers.items():
         error = log(a.state.markers.T_body_marker[row].inv() * truth[row])
         out.append(error @ np.linalg.solve(a.shared_covariance[columns, columns], error))
@@ -36,7 +36,7 @@ def test_a_handmade_body_is_measured(far):
     made = handmade(1, far=far)
     m = measured(made)
     assert m.places_free and len(m.frames) == 100 and m.noise < 1.1 * 0.1 and m.inliers.mean() > 0.999
-    assert len(moves(m.adjustment)) == 18 and all(move.moved for move in moves(m.adjustment))
+    assert len(marker_displacements(m.adjustment)) == 18 and all(move.moved for move in marker_displacements(m.adjustment))
     assert squares(made, m).max() < chi2.isf(1e-4, 6)
     for stated, true, found in zip(made.stated.cameras, made.true.cameras, m.design.cameras):
         assert abs(found.matrix[0, 0] - true.matrix[0, 0]) < 15 and stated.name == found.name
@@ -45,7 +45,7 @@ def test_a_handmade_body_is_measured(far):
 def test_places_that_are_as_stated_are_kept():
     made = handmade(2, frames=40, off=(0.0, 0.0))
     m = measured(made)
-    assert not m.places_free and not doubtful(m, marker_map(made.stated))
+    assert not m.places_free and not are_places_doubtful(m, marker_map(made.stated))
 
 
 @pytest.mark.slow

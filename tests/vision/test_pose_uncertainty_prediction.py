@@ -10,7 +10,7 @@ from rig.recording import recording_folder
 from rig.errors import RigError
 from rig.model.pose import exp
 from tests.loops import rig
-from vision.pose_uncertainty_prediction import foreseen
+from vision.pose_uncertainty_prediction import predict_pose_uncertainty
 from vision.recording_measurement import measure_recording
 from vision.combined_recordings import _apart
 
@@ -27,7 +27,7 @@ def measured(request, tmp_path_factory):
 
 def test_poses_seen_already_are_foretold_as_they_were_measured(measured):
     found, design = measured
-    told = foreseen(found, design, found.T_base_platform)
+    told = predict_pose_uncertainty(found, design, found.T_base_platform)
     assert told.seen.all() and told.common.shape == found.common.shape
     total = [told.covariance + told.common @ np.swapaxes(told.common, 1, 2), found.covariance]
     for part in (slice(0, 3), slice(3, 6)):
@@ -43,16 +43,16 @@ def test_what_no_camera_would_see_is_left_out(measured):
     found, design = measured
     away = RigidTransform.from_translation([0.0, 0.0, 50.0]) * found.T_base_platform[:1]
     both = RigidTransform.concatenate([found.T_base_platform[:2], away])
-    told = foreseen(found, design, both)
+    told = predict_pose_uncertainty(found, design, both)
     assert told.seen.tolist() == [True, True, False] and len(told.covariance) == len(told.common) == 2
-    none = foreseen(found, design, away)
+    none = predict_pose_uncertainty(found, design, away)
     assert not none.seen.any() and none.covariance.shape == (0, 6, 6)
 
 
 def test_markers_whose_places_were_adjusted_are_refused():
     unsure = SimpleNamespace(adjustment=SimpleNamespace(unknowns=SimpleNamespace(local_poses={})), places_free=True)
     with pytest.raises(RigError, match="markers where they are stated"):
-        foreseen(unsure, None, RigidTransform.identity())
+        predict_pose_uncertainty(unsure, None, RigidTransform.identity())
 
 
 def test_a_camera_alone_in_a_hand_stands_where_it_stood():

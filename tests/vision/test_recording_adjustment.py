@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rig.errors import NotEnoughData
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from tests.vision.scenes import known, nees, scene, standing
 from vision.recording_adjustment import measure
-from vision.corner_observations import correlation_of, whitener
+from vision.corner_observations import corner_correlation, whitener
 from vision.targets import marker_map
 
 
@@ -27,14 +27,14 @@ def test_covariance_is_true_with_cameras_known(design):
     m = measure(observations, known(stated, true), marker_map(design), free=())
     assert len(m.frames) == 1500
     assert m.noise == pytest.approx(0.04, rel=0.01)
-    assert np.mean(nees(difference(m.T_base_platform, T), m.covariance)) == pytest.approx(6, rel=0.05)
+    assert np.mean(nees(pose_difference(m.T_base_platform, T), m.covariance)) == pytest.approx(6, rel=0.05)
 
 
 def recordings(design, seeds, frames):
     for seed in seeds:
         observations, stated, _, T = scene(design, seed, frames=frames)
         m = measure(observations, stated, marker_map(design))
-        yield m, difference(m.T_base_platform, T)
+        yield m, pose_difference(m.T_base_platform, T)
 
 
 @pytest.mark.slow
@@ -67,7 +67,7 @@ def test_errors_that_come_back_in_every_frame_are_not_averaged_away(design):
         observations, stated, true, T = scene(design, seed, frames=30, noise=0.01)
         m = measure(standing(observations, np.random.default_rng(seed), 0.03), stated, marker_map(design))
         assert m.standing == pytest.approx(0.03, rel=0.35)
-        ratios.append(joint_chi2(m, difference(m.T_base_platform, T)) / len(T))
+        ratios.append(joint_chi2(m, pose_difference(m.T_base_platform, T)) / len(T))
     assert 4 < np.mean(ratios) < 8
 
 
@@ -82,7 +82,7 @@ def test_outliers_are_set_aside_and_leave_no_trace(design):
         m = measure(replace(observations, uv=uv), stated, marker_map(design))
         assert not m.inliers[rows].any() and m.inliers.sum() >= len(observations) - len(rows) - 3
         poses.append(m.T_base_platform)
-    np.testing.assert_allclose(difference(*poses), 0, atol=1e-7)
+    np.testing.assert_allclose(pose_difference(*poses), 0, atol=1e-7)
 
 
 def test_a_frame_that_cannot_be_solved_is_reported_and_not_filled_in(design):
@@ -94,7 +94,7 @@ def test_a_frame_that_cannot_be_solved_is_reported_and_not_filled_in(design):
     m = measure(kept, stated, marker_map(design))
     assert m.frames.tolist() == [0, 1, 4, 5, 6, 7, 8, 9]
     assert "no marker" in m.unsolved[2] and "single sighting" in m.unsolved[3]
-    assert np.abs(difference(m.T_base_platform, T[m.frames])).max() < 1e-3
+    assert np.abs(pose_difference(m.T_base_platform, T[m.frames])).max() < 1e-3
 
 
 @pytest.mark.parametrize("left", [0, 1])
@@ -126,7 +126,7 @@ def test_a_cube_turned_round_is_cast_out_whole(design):
     m = measure(replace(observations, marker=marker, points=points), stated, markers)
     swapped = np.isin(observations.marker, (0, 2))
     assert not m.inliers[swapped].any() and m.inliers[~swapped].mean() > 0.99
-    assert np.abs(difference(m.T_base_platform, T)).max() < 5e-4
+    assert np.abs(pose_difference(m.T_base_platform, T)).max() < 5e-4
 
 
 def correlated(observations, rng, sigma):
@@ -139,7 +139,7 @@ def correlated(observations, rng, sigma):
     uv = o.uv + (factor @ rng.normal(size=(len(first), 8, 1))).reshape(-1, 2)
     C = np.tile(factor @ factor.T, (len(first), 1, 1))
     own = np.stack([C[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)
-    return replace(o, uv=uv, covariance=own, correlation=correlation_of(C).reshape(-1, 2, 8), stated=True)
+    return replace(o, uv=uv, covariance=own, correlation=corner_correlation(C).reshape(-1, 2, 8), stated=True)
 
 
 @pytest.mark.slow
@@ -150,7 +150,7 @@ def test_corners_of_a_marker_are_weighed_together(design):
         noisy = correlated(observations, np.random.default_rng(seed), 0.04)
         m = measure(noisy, stated, marker_map(design))
         without = measure(replace(noisy, correlation=None), stated, marker_map(design))
-        errors = [difference(one.T_base_platform, T) for one in (m, without)]
+        errors = [pose_difference(one.T_base_platform, T) for one in (m, without)]
         together.append(joint_chi2(m, errors[0]) / len(T))
         apart.append(joint_chi2(without, errors[1]) / len(T))
         gain.append((errors[1] ** 2).mean(axis=0) / (errors[0] ** 2).mean(axis=0))

@@ -9,11 +9,11 @@ from rig.planning import plan
 from rig.recording import recording_folder
 from rig.errors import NotEnoughData
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from synthetic import recording_simulation, secret_machine
 from vision.bundle import bundle_adjustment as adjusting
 from vision.bundle.held_out_frames import crossvalidate
-from vision.bundle.observability import determined
+from vision.bundle.observability import determined_combinations
 from vision.recording_measurement import measure_recording
 
 
@@ -24,8 +24,10 @@ def seen(design, text, folder, seed, count, home, noise=0.04):
     commands = plan.low_discrepancy(strokes, max(count, 2), seed=seed)[:count]
     if home:
         commands[0] = hexapod.inverse(design.mechanism.home, design.mechanism)
-    done = recording_simulation.simulate(secret_machine.draw(design, rng), plan.settled(commands, strokes.mean(axis=1), plan.speed_of(design)), rng)
-    recording_simulation.write(done, folder, text, rng, noise)
+    done = recording_simulation.simulate(
+        secret_machine.draw_machine(design, rng), plan.settled_plan(commands, strokes.mean(axis=1), plan.plan_speed(design)), rng
+    )
+    recording_simulation.write_recording(done, folder, text, rng, noise)
     return recording_folder.load(folder), done.run.T_base_platform
 
 
@@ -34,10 +36,10 @@ def agrees(design, text, folder, seed, count, home, noise):
     read, true = seen(design, text, folder, seed, count, home, noise)
     measured, _ = measure_recording(read, places="auto")
     assert len(measured.frames) == count and not measured.unsolved
-    assert determined(measured.adjustment).lines()
+    assert determined_combinations(measured.adjustment).lines()
     held = crossvalidate(measured.used(), measured.adjustment)
     assert bool(held) == (count > 1) and (held or "one frame" in held.reason)
-    error = difference(measured.T_base_platform, true)
+    error = pose_difference(measured.T_base_platform, true)
     return np.einsum("ni,nij,nj->n", error, np.linalg.inv(measured.covariance), error).mean()
 
 
@@ -59,8 +61,8 @@ def test_few_frames_are_measured_whatever_the_draw(design, rig_text, tmp_path, c
 
 def test_an_optimum_is_found_although_its_cost_is_rounded(design, rig_text, tmp_path, monkeypatch):
     """At the bottom a step promises less than the cost's last digits: that is the optimum, not a way that is lost."""
-    exact = adjusting.cost_of
-    monkeypatch.setattr(adjusting, "cost_of", lambda *arguments: exact(*arguments) * (1 + 1e-10))
+    exact = adjusting.adjustment_cost
+    monkeypatch.setattr(adjusting, "adjustment_cost", lambda *arguments: exact(*arguments) * (1 + 1e-10))
     measured, _ = measure_recording(seen(design, rig_text, tmp_path / "rec", 3, 4, True)[0])
     assert len(measured.frames) == 4
 
@@ -68,7 +70,7 @@ def test_an_optimum_is_found_although_its_cost_is_rounded(design, rig_text, tmp_
 def test_a_camera_that_shows_no_base_stands_where_it_is_stated(tmp_path):
     """Two cubes hide each other from some camera; its stated pose is then worth 10 mm, and what it alone sees is no better. What others see as well
     says where it stands."""
-    text = hexapod_layout.layout(0.3, cameras=3, cubes=2)
+    text = hexapod_layout.hexapod_layout(0.3, cameras=3, cubes=2)
     (tmp_path / "rig.toml").write_text(text)
     design = design_file.load(tmp_path / "rig.toml")
     read, true = seen(design, text, tmp_path / "rec", 6, 1, True)
@@ -76,15 +78,15 @@ def test_a_camera_that_shows_no_base_stands_where_it_is_stated(tmp_path):
     alone = only_rows(read, (np.array(read.corners.camera) == "cam2") | np.isin(read.corners.marker, on_base))
     for some, least, most in ((alone, 5e-3, 1.0), (read, 0.0, 5e-4)):
         measured, _ = measure_recording(some)
-        statement = " ".join(determined(measured.adjustment).lines())
+        statement = " ".join(determined_combinations(measured.adjustment).lines())
         assert "shows too little of the base" in statement and "worth 10 mm" in statement
         stated = np.sqrt(np.trace(measured.covariance[0, :3, :3]))
-        assert least < stated < most and np.linalg.norm(difference(measured.T_base_platform, true)[0, :3]) < 3 * stated
+        assert least < stated < most and np.linalg.norm(pose_difference(measured.T_base_platform, true)[0, :3]) < 3 * stated
 
 
 def test_what_nothing_determines_is_named(tmp_path):
     """Without targets on the base two cameras that never see the platform together are not tied to each other."""
-    text = hexapod_layout.layout(0.3, cameras=3, cubes=2)
+    text = hexapod_layout.hexapod_layout(0.3, cameras=3, cubes=2)
     head, *targets = text.split("[[target]]")
     text = "[[target]]".join([head, *(t for t in targets if 'body = "platform"' in t)])
     (tmp_path / "rig.toml").write_text(text)

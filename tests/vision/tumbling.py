@@ -8,8 +8,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.model.design import Actuator, Camera, Design, Free, Marker, Platform, Target
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Corners
-from vision.corner_observations import from_corners
-from vision.predict import State, facing, inside, see
+from vision.corner_observations import observations_from_corners
+from vision.predict import State, facing, is_inside_image, predict_sightings
 from vision.targets import face_pose, marker_map
 
 
@@ -35,10 +35,10 @@ def scene(seed, frames=120, noise=0.1, off=1e-3):
     platform = RigidTransform.from_components(np.stack([0.08 * wave[:, 0], -0.35 + 0.03 * wave[:, 1], 0.1 + 0.03 * wave[:, 2]], axis=1), turn)
     true = State(stated.cameras, platform, {0: cameras}, moved)
     found = facing(true, moved, np.cos(np.radians(70)))
-    uv = see(found, true, moved)
-    whole = inside(found, uv, stated.cameras, 5)
+    uv = predict_sightings(found, true, moved)
+    whole = is_inside_image(found, uv, stated.cameras, 5)
     found, uv = found.take(whole), uv[whole]
     n = len(uv)
     corners = Corners(np.repeat(found.frame, 4), ["cam0"] * 4 * n, np.repeat(markers.id[found.marker], 4), np.tile(np.arange(4), n),
                       (uv + noise * rng.normal(size=uv.shape)).reshape(-1, 2), None)
-    return from_corners(corners, np.arange(frames), stated, markers), stated, true, t
+    return observations_from_corners(corners, np.arange(frames), stated, markers), stated, true, t

@@ -12,12 +12,12 @@ import numpy as np
 
 from rig.model.design import Camera
 from rig.errors import NotEnoughData, RigError
-from vision.bundle.normal_equations import linearise, normal_equations, promised, reduce, step
-from vision.bundle.repeated_corners import condensed
+from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
+from vision.bundle.repeated_corners import merge_repeated_corners
 from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.estimate_update import move, offset, to_datums
+from vision.bundle.estimate_update import update_estimate, offset_from_stated, to_datums
 from vision.bundle.printing_errors import Printing
-from vision.bundle.unknown_priors import lens_prior, unknowns
+from vision.bundle.unknown_priors import lens_prior, adjustment_unknowns
 from vision.corner_observations import Observations, Whitener, whitener
 from vision.predict import State, predict
 
@@ -79,8 +79,15 @@ class Adjustment:
         return self.shared_factor @ self.shared_factor.T
 
 
-def adjust(observations: Observations, state: State, free: Sequence[str] = ("poses", "lenses"), progress: Callable[[float], None] | None = None,
-           stated: State | None = None, worth: Callable[[Camera], np.ndarray] = lens_prior, printing: Printing | None = None) -> Adjustment:
+def adjust_bundle(
+    observations: Observations,
+    state: State,
+    free: Sequence[str] = ("poses", "lenses"),
+    progress: Callable[[float], None] | None = None,
+    stated: State | None = None,
+    worth: Callable[[Camera], np.ndarray] = lens_prior,
+    printing: Printing | None = None,
+) -> Adjustment:
     """Cameras, places and poses that fit all corners best, weighted by the corners' covariance.
 
     observations : Observations, outliers taken out; state : State to start from, with its markers where these are free
@@ -97,25 +104,25 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
     Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000
     """
     stated = state if stated is None else stated
-    u, estimate = unknowns(observations, state, stated, free, worth, printing)
+    u, estimate = adjustment_unknowns(observations, state, stated, free, worth, printing)
     if 2 * len(observations) < int(u.used.sum()) + int((u.prior == 0).sum()):
         raise NotEnoughData(f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns")
-    few, spare = condensed(observations, state)
+    few, spare = merge_repeated_corners(observations, state)
     W = whitener(few)
     damping, cost, blocks = 0.0, np.inf, None
     for _ in range(MAX_ITERATIONS):
         if blocks is None:
             residual, derivatives = linearise(few, estimate, u, W)
-            away = offset(estimate, stated, u)
+            away = offset_from_stated(estimate, stated, u)
             cost = float((residual**2).sum() + (u.prior * away**2).sum()) + spare
             blocks = normal_equations(few, derivatives, u, away)
             if progress:
                 progress(cost)
-        steps = step(blocks, u, damping)
-        moved = move(estimate, u, *steps)
-        new = cost_of(few, moved, stated, u, W) + spare
+        steps = solve_step(blocks, u, damping)
+        moved = update_estimate(estimate, u, *steps)
+        new = adjustment_cost(few, moved, stated, u, W) + spare
         if not new <= cost:
-            if promised(blocks, *(step(blocks, u) if damping else steps)) <= CONVERGED * max(cost, 1.0):
+            if predicted_decrease(blocks, *(solve_step(blocks, u) if damping else steps)) <= CONVERGED * max(cost, 1.0):
                 if new - cost <= CONVERGED * max(cost, 1.0):
                     estimate = moved
                 break  # at the bottom: what a step still promises drowns in the rounding of the cost; taken, it is as good to the last digits
@@ -132,23 +139,23 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
     return replace(_finish(observations, few, W, to_datums(estimate, stated, u), stated, u, tuple(free)), printing=printing)
 
 
-def cost_of(observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, W: Whitener) -> float:
+def adjustment_cost(observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, W: Whitener) -> float:
     """Sum of whitened squares, the priors' included; infinite where a corner falls behind its camera. W : Whitener."""
     uv, ahead = predict(observations, estimate.state)
     if (ahead[:, 2] <= 0).any():
         return np.inf
-    return float((W(observations.uv - uv) ** 2).sum() + (unknowns.prior * offset(estimate, stated, unknowns) ** 2).sum())
+    return float((W(observations.uv - uv) ** 2).sum() + (unknowns.prior * offset_from_stated(estimate, stated, unknowns) ** 2).sum())
 
 
 def _finish(observations: Observations, few: Observations, W: Whitener, estimate: Estimate, stated: State, u: Unknowns,
             free: tuple[str, ...]) -> Adjustment:
     """The Adjustment of Observations that were adjusted as few, with their Whitener."""
     residual, derivatives = linearise(few, estimate, u, W)
-    away = offset(estimate, stated, u)
+    away = offset_from_stated(estimate, stated, u)
     blocks = normal_equations(few, derivatives, u, away)
     uv, _ = predict(observations, estimate.state)
     residual = whitener(observations)(observations.uv - uv)
-    gain, reduced, _ = reduce(blocks)
+    gain, reduced, _ = schur_complement(blocks)
     factor = u.basis @ _inverse_root(u.basis.T @ reduced @ u.basis, u)
     given = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2
     cost = float((residual**2).sum() + (u.prior * away**2).sum())

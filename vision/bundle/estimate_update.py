@@ -7,31 +7,31 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.pose import exp, log
 from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.printing_errors import off, printed
+from vision.bundle.printing_errors import printing_offsets, apply_printing_errors
 from vision.predict import State
 from vision.targets import MarkerMap
 
 
-def motion_of(name: str, markers: MarkerMap, stated: MarkerMap, unknowns: Unknowns) -> RigidTransform:
+def target_motion(name: str, markers: MarkerMap, stated: MarkerMap, unknowns: Unknowns) -> RigidTransform:
     """RigidTransform, how the seen markers of a target, together, have moved from where they were stated, about its middle."""
     own = [row for row in unknowns.seen if markers.target[row] == name]
     middle = RigidTransform.from_translation(unknowns.middles[name])
-    return middle.inv() * aligned(stated.corners[own].reshape(-1, 3), markers.corners[own].reshape(-1, 3)) * middle
+    return middle.inv() * align_points(stated.corners[own].reshape(-1, 3), markers.corners[own].reshape(-1, 3)) * middle
 
 
-def marker_moves_of(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
+def marker_motions(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
     """RigidTransform (m,), what moved each marker beyond its target's own motion; nothing where the marker is held."""
-    own = stated.placed.T_body_marker.inv() * shifts(estimate, unknowns).inv() * estimate.state.placed.T_body_marker
+    own = stated.placed.T_body_marker.inv() * marker_shifts(estimate, unknowns).inv() * estimate.state.placed.T_body_marker
     held = np.array([row not in unknowns.markers for row in range(len(estimate.state.placed.id))])
     return RigidTransform.from_matrix(np.where(held[:, None, None], np.eye(4), own.as_matrix()))
 
 
-def held_by_cameras(unknowns: Unknowns, state: State) -> bool:
+def cameras_hold_base(unknowns: Unknowns, state: State) -> bool:
     """Whether fixed cameras, held as stated, hold the base frame by themselves."""
     return not unknowns.poses and len(state.moving) < len(state.cameras)
 
 
-def move(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, local: np.ndarray) -> Estimate:
+def update_estimate(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, local: np.ndarray) -> Estimate:
     """Estimate after steps shared (s,) and local (F, l), both in scaled units."""
     state, step = estimate.state, shared * unknowns.scale
     cameras = list(state.cameras)
@@ -45,10 +45,10 @@ def move(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, local: np.n
               for i, T in state.moving.items()}
     markers, marker_moves, target_moves = state.markers, estimate.marker_moves, dict(estimate.target_moves)
     if unknowns.markers or unknowns.targets:
-        before = shifts(estimate, unknowns)
+        before = marker_shifts(estimate, unknowns)
         for name, columns in unknowns.targets.items():
             target_moves[name] = target_moves[name] * exp(step[columns])
-        after = shifts(replace(estimate, target_moves=target_moves), unknowns)
+        after = marker_shifts(replace(estimate, target_moves=target_moves), unknowns)
         own = np.zeros((len(state.placed.id), 6))
         for row, columns in unknowns.markers.items():
             own[row] = step[columns]
@@ -56,11 +56,11 @@ def move(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, local: np.n
         T = after * before.inv() * state.placed.T_body_marker * exp(own)
         markers = replace(state.placed, T_body_marker=T)
     elif unknowns.prints.rows:
-        markers = printed(state.placed, unknowns.prints, step)
+        markers = apply_printing_errors(state.placed, unknowns.prints, step)
     return Estimate(State(tuple(cameras), state.platform * exp(local[:, :6] * POSE_SCALE), moving, markers), marker_moves, target_moves)
 
 
-def shifts(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
+def marker_shifts(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
     """RigidTransform (m,), what its target's motion does to each marker, in the body's frame."""
     matrices = np.tile(np.eye(4), (len(estimate.state.placed.id), 1, 1))
     for name, T in estimate.target_moves.items():
@@ -70,7 +70,7 @@ def shifts(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
     return RigidTransform.from_matrix(matrices)
 
 
-def offset(estimate: Estimate, stated: State, unknowns: Unknowns) -> np.ndarray:
+def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) -> np.ndarray:
     """(s,) how far lenses, places, prints and cameras' poses that are held have moved from what was stated, in scaled units; 0 for other poses."""
     out, cameras = np.zeros(unknowns.shared), estimate.state.cameras
     for i, columns in unknowns.poses.items():
@@ -86,7 +86,7 @@ def offset(estimate: Estimate, stated: State, unknowns: Unknowns) -> np.ndarray:
     for name, columns in unknowns.targets.items():
         out[columns] = log(estimate.target_moves[name])
     if unknowns.prints.rows:
-        off(estimate.state.placed, stated.placed, unknowns.prints, out)
+        printing_offsets(estimate.state.placed, stated.placed, unknowns.prints, out)
     return out / unknowns.scale
 
 
@@ -101,8 +101,8 @@ def to_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate
     on_platform, T = state.placed.on_platform, state.placed.T_body_marker
     for on in (False, True):
         body = unknowns.seen[on_platform[unknowns.seen] == on]
-        held = not on and held_by_cameras(unknowns, state)
-        D[on] = RigidTransform.identity() if held or not len(body) else aligned(
+        held = not on and cameras_hold_base(unknowns, state)
+        D[on] = RigidTransform.identity() if held or not len(body) else align_points(
             state.placed.corners[body].reshape(-1, 3), stated.placed.corners[body].reshape(-1, 3))
     free = np.array([row in unknowns.markers or name in unknowns.targets for row, name in enumerate(state.placed.target)])
     shift = RigidTransform.concatenate([D[on] if moves else RigidTransform.identity() for on, moves in zip(on_platform.tolist(), free)])
@@ -116,10 +116,10 @@ def to_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate
             target_moves[name] = middle.inv() * D[bool(on_platform[state.placed.target.index(name)])] * middle * T_target
         return Estimate(moved, estimate.marker_moves, target_moves)
     found = Estimate(moved, estimate.marker_moves, target_moves)
-    return replace(found, marker_moves=marker_moves_of(found, stated, unknowns))
+    return replace(found, marker_moves=marker_motions(found, stated, unknowns))
 
 
-def aligned(points: np.ndarray, goal: np.ndarray) -> RigidTransform:
+def align_points(points: np.ndarray, goal: np.ndarray) -> RigidTransform:
     """RigidTransform that maps points (n, 3) m onto goal (n, 3) best. Source: Kabsch 1976, by SciPy."""
     turn, _ = Rotation.align_vectors(goal - goal.mean(axis=0), points - points.mean(axis=0))
     return RigidTransform.from_components(goal.mean(axis=0) - turn.apply(points.mean(axis=0)), turn)

@@ -6,10 +6,10 @@ from typing import Literal
 import numpy as np
 
 from vision.bundle.bundle_adjustment import Adjustment
-from vision.bundle.normal_equations import linearise, normal_equations, reduce
-from vision.bundle.estimate_update import offset
-from vision.bundle.unknown_priors import unknowns
-from vision.corner_observations import Observations, only, whitener
+from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
+from vision.bundle.estimate_update import offset_from_stated
+from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.corner_observations import Observations, observations_of_frames, whitener
 
 FOLDS = 10
 ALONE = 1e-9  # of the information in some direction; a stretch whose absence leaves less was the only one to tell it
@@ -57,17 +57,17 @@ def crossvalidate(observations: Observations, adjustment: Adjustment, folds: int
     if len(observations.frames) < 2:
         return NotHeldOut("there is one frame alone, and nothing to predict it from")
     stated = adjustment.stated
-    u, estimate = unknowns(observations, adjustment.state, stated, adjustment.free, printing=adjustment.printing)
-    away = offset(estimate, stated, u)
+    u, estimate = adjustment_unknowns(observations, adjustment.state, stated, adjustment.free, printing=adjustment.printing)
+    away = offset_from_stated(estimate, stated, u)
     stretch = np.minimum(np.arange(len(observations.frames)) * folds // len(observations.frames), folds - 1)
     parts = []
     for fold in np.unique(stretch):
         frames = np.flatnonzero(stretch == fold)
-        part, own_u = only(observations, frames), replace(u, used=u.used[frames])
+        part, own_u = observations_of_frames(observations, frames), replace(u, used=u.used[frames])
         residual, derivatives = linearise(part, replace(estimate, state=estimate.state.at(frames)), own_u,
                                           whitener(part))
         blocks = normal_equations(part, derivatives, own_u, np.zeros(u.shared))
-        gain, reduced, right = reduce(blocks)
+        gain, reduced, right = schur_complement(blocks)
         own = float(np.einsum("fl,fl->", blocks.own, np.linalg.solve(blocks.local, blocks.own[..., None])[..., 0]))
         parts.append((reduced - np.diag(u.prior), right, float((residual**2).sum()) - own, 2 * len(part) - int(own_u.used.sum()), len(part)))
     prior, pull = np.diag(u.prior), -u.prior * away

@@ -9,12 +9,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Marker
 from rig.model.pose import log
-from vision.bundle.bundle_adjustment import Adjustment, adjust
-from vision.bundle.normal_equations import linearise, normal_equations, promised, step
-from vision.bundle.estimate_update import offset
-from vision.bundle.unknown_priors import unknowns
+from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
+from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, solve_step
+from vision.bundle.estimate_update import offset_from_stated
+from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.corner_observations import Observations, whitener
-from vision.pose.ambiguous_poses import MOST, angle, expect, reach_of
+from vision.pose.ambiguous_poses import MOST, rotation_angle, expected_pose, neighbour_distance
 from vision.predict import State, predict
 from vision.targets import MarkerMap
 
@@ -73,7 +73,7 @@ class Places:
     odd: dict[int, float]
 
 
-def places(measurement: Measured, t: np.ndarray) -> Places:
+def marker_places(measurement: Measured, t: np.ndarray) -> Places:
     """Places of a Measurement whose markers were free. t : (F,) s of all frames of the recording."""
     m, a = measurement, measurement.adjustment
     solved = np.searchsorted(m.observations.frames, m.frames)
@@ -81,28 +81,28 @@ def places(measurement: Measured, t: np.ndarray) -> Places:
     rest = tuple(group for group in a.free if group not in ("markers", "targets"))
     stated = replace(a.stated, platform=a.state.platform, moving=a.state.moving, markers=a.stated.markers,
                      cameras=tuple(replace(s, pose=c.pose) for s, c in zip(a.stated.cameras, a.state.cameras)))
-    before = adjust(kept, stated, rest, stated=a.stated)
+    before = adjust_bundle(kept, stated, rest, stated=a.stated)
     weighted = before.cost / before.dof, a.cost / a.dof
-    return Places(moves(a), m.frames, _by_frame(kept, before.state, len(m.frames)), _by_frame(kept, a.state, len(m.frames)),
+    return Places(marker_displacements(a), m.frames, _by_frame(kept, before.state, len(m.frames)), _by_frame(kept, a.state, len(m.frames)),
                   weighted, _odd(m, t[solved]))
 
 
-def doubtful(measurement: Measured, markers: MarkerMap) -> bool:
+def are_places_doubtful(measurement: Measured, markers: MarkerMap) -> bool:
     """Whether the stated places of the markers are what most of the corners' scatter comes from: what one linear step with all of them free
     promises to take away. markers : MarkerMap as stated"""
     a, kept = measurement.adjustment, measurement.used()
     state = replace(a.state, markers=markers)
-    u, estimate = unknowns(kept, state, replace(a.stated, markers=markers), (*a.free, "markers"))
+    u, estimate = adjustment_unknowns(kept, state, replace(a.stated, markers=markers), (*a.free, "markers"))
     W = whitener(kept)
     residual, derivatives = linearise(kept, estimate, u, W)
-    away = offset(estimate, replace(a.stated, markers=markers), u)
+    away = offset_from_stated(estimate, replace(a.stated, markers=markers), u)
     blocks = normal_equations(kept, derivatives, u, away)
-    left = (residual**2).sum() - promised(blocks, *step(blocks, u))
+    left = (residual**2).sum() - predicted_decrease(blocks, *solve_step(blocks, u))
     dof = 2 * len(kept) - u.used.sum() - u.basis.shape[1]
     return bool(dof > 0 and left / dof < HALVED**2 * a.cost / a.dof)
 
 
-def listed(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
+def adjusted_markers(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
     """{target name: (Marker, ...)} as adjusted."""
     m = measurement.adjustment.state.placed
     out: dict[str, list[Marker]] = {}
@@ -111,7 +111,7 @@ def listed(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
     return {name: tuple(rows) for name, rows in out.items()}
 
 
-def moves(a: Adjustment) -> tuple[Move, ...]:
+def marker_displacements(a: Adjustment) -> tuple[Move, ...]:
     """(Move, ...) of the markers that an Adjustment left free."""
     u, out = a.unknowns, []
     moved = log(a.stated.placed.T_body_marker.inv() * a.state.placed.T_body_marker)
@@ -138,12 +138,12 @@ def _by_frame(observations: Observations, state: State, count: int) -> np.ndarra
 def _odd(m: Measured, t: np.ndarray) -> dict[int, float]:
     """{frame number: degrees} of solved frames whose platform turns against those around it by more than these predict."""
     found = dict(enumerate(m.T_base_platform.as_matrix()))
-    reach = reach_of(found, t)
+    reach = neighbour_distance(found, t)
     out: dict[int, float] = {}
     if reach is None:
         return out
     for f, T in found.items():
-        expected, limit = expect(found, f, t, reach)
-        if expected is not None and limit < MOST and angle(expected, T) > max(2 * limit, MOST):
-            out[int(m.frames[f])] = float(np.degrees(angle(expected, T)))
+        expected, limit = expected_pose(found, f, t, reach)
+        if expected is not None and limit < MOST and rotation_angle(expected, T) > max(2 * limit, MOST):
+            out[int(m.frames[f])] = float(np.degrees(rotation_angle(expected, T)))
     return out

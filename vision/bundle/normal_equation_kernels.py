@@ -6,7 +6,7 @@ from rig.compute.numba_kernels import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def motions(J: np.ndarray, points: np.ndarray, out: np.ndarray) -> None:
+def motion_derivatives(J: np.ndarray, points: np.ndarray, out: np.ndarray) -> None:
     """Into out (n, 2, 6) the derivatives to small motions on the right, from those J (n, 2, 3) to the points (n, 3) that they move."""
     for n in range(len(J)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
@@ -17,7 +17,7 @@ def motions(J: np.ndarray, points: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def turn(J: np.ndarray, R: np.ndarray, at: np.ndarray, some: np.ndarray, out: np.ndarray) -> None:
+def rotate_derivatives(J: np.ndarray, R: np.ndarray, at: np.ndarray, some: np.ndarray, out: np.ndarray) -> None:
     """Into out (n, 2, 3) J (n, 2, 3) times the matrix of R (m, 3, 3) that each is `at` (n,), or J itself but for `some` (n,)."""
     for n in range(len(J)):
         for c in range(2):
@@ -38,7 +38,7 @@ def whiten(own: np.ndarray, scale: np.ndarray, marker: np.ndarray, rows: np.ndar
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add(rows: np.ndarray, frame: np.ndarray, marker: np.ndarray, own_columns: np.ndarray, shared_columns: np.ndarray,
+def add_corners(rows: np.ndarray, frame: np.ndarray, marker: np.ndarray, own_columns: np.ndarray, shared_columns: np.ndarray,
         sums: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]) -> None:
     """Add a camera's corners to sums (local (F, l, l), cross (F, l, s), shared (s, s), own (F, l), common (s,)) of normal equations.
 

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.compute.parallel_map import threaded
+from rig.compute.parallel_map import thread_map
 from vision.bundle import normal_equation_kernels
-from vision.bundle.corner_jacobians import Seen, moved, seen, turned
+from vision.bundle.corner_jacobians import Seen, motion_jacobian, camera_jacobians, rotate_jacobian
 from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.estimate_update import shifts
-from vision.bundle.printing_errors import SIDE, derivative
+from vision.bundle.estimate_update import marker_shifts
+from vision.bundle.printing_errors import SIDE, printing_jacobian
 from vision.corner_observations import Observations, Whitener
 from vision.predict import body_points
 from vision.targets import SQUARE
@@ -67,8 +67,8 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
     def one(view: Seen) -> Derivatives:
         i, rows, uv, J_base, J_camera, J_lens = view
         on, marker, corner = observations.on_platform[rows], observations.marker[rows], observations.corner[rows]
-        J_body = turned(J_base, R_platform, observations.frame[rows], on)
-        local, own_columns = [np.where(on[:, None, None], moved(J_body, body[rows]), 0.0)], [np.arange(6)]
+        J_body = rotate_jacobian(J_base, R_platform, observations.frame[rows], on)
+        local, own_columns = [np.where(on[:, None, None], motion_jacobian(J_body, body[rows]), 0.0)], [np.arange(6)]
         shared, columns = [np.zeros((len(on), 2, 0))], [np.zeros((markers, 0), int)]
         if i in unknowns.local_poses:
             local.append(J_camera)
@@ -78,19 +78,19 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
                 shared.append(J)
                 columns.append(np.tile(_range(of[i]), (markers, 1)))
         if unknowns.markers or unknowns.prints.rows:
-            J_marker, at = turned(J_body, R_marker, marker), in_marker[marker, corner]
+            J_marker, at = rotate_jacobian(J_body, R_marker, marker), in_marker[marker, corner]
         if unknowns.markers:
-            shared.append(moved(J_marker, at))
+            shared.append(motion_jacobian(J_marker, at))
             columns.append(np.array([_range(unknowns.markers.get(row, slice(0, 6))) for row in range(markers)]))
         if unknowns.prints.rows:
-            printed, parts = derivative(J_marker, moved(J_marker, at), at), unknowns.prints.parts
+            printed, parts = printing_jacobian(J_marker, motion_jacobian(J_marker, at), at), unknowns.prints.parts
             if unknowns.prints.together.stop > unknowns.prints.together.start:
                 shared.append(printed[..., SIDE:])
                 columns.append(np.tile(_range(unknowns.prints.together), (markers, 1)))
             shared.append(printed[..., parts])
             columns.append(np.array([_range(unknowns.prints.rows.get(row, slice(0, len(parts)))) for row in range(markers)]))
         if unknowns.targets:
-            shared.append(moved(turned(J_body, turns, marker), arms[marker, corner]))
+            shared.append(motion_jacobian(rotate_jacobian(J_body, turns, marker), arms[marker, corner]))
             names = state.placed.target[:markers]
             columns.append(np.array([_range(unknowns.targets.get(name, slice(0, 6))) for name in names]))
         every, mine = np.concatenate(columns, axis=1), np.concatenate(own_columns)
@@ -100,8 +100,8 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
         return Derivatives(rows, whitener.mix(whole, rows), mine, every)
 
     residual, found = np.empty((len(observations), 2)), {}
-    views = list(seen(observations, state))
-    for view, derivatives in zip(views, threaded(one, views)):
+    views = list(camera_jacobians(observations, state))
+    for view, derivatives in zip(views, thread_map(one, views)):
         residual[derivatives.rows], found[view[0]] = derivatives.whole[..., -1], derivatives
     return residual, found
 
@@ -113,7 +113,7 @@ def _range(columns: slice) -> np.ndarray:
 def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     """Corners (m, 4, 3) m along each target's own axes, about its middle, and those axes (m, 3, 3) in the body."""
     markers = estimate.state.placed
-    shift = shifts(estimate, unknowns)
+    shift = marker_shifts(estimate, unknowns)
     middle = np.array([unknowns.middles.get(name, np.zeros(3)) for name in markers.target])
     turns = shift.rotation.as_matrix()
     before = (markers.corners - shift.translation[:, None]) @ turns  # the corners, their target's motion taken back
@@ -126,14 +126,14 @@ def normal_equations(observations: Observations, derivatives: dict[int, Derivati
     blocks = Blocks(np.zeros((frames, l, l)), np.zeros((frames, l, s)), np.diag(unknowns.prior), np.zeros((frames, l)), -unknowns.prior * offset)
     sums = blocks.local, blocks.cross, blocks.shared, blocks.own, blocks.common
     for found in derivatives.values():
-        normal_equation_kernels.add(
+        normal_equation_kernels.add_corners(
             found.whole, observations.frame[found.rows], observations.marker[found.rows], found.own_columns, found.shared_columns, sums
         )
     blocks.local[:, np.arange(l), np.arange(l)] += ~unknowns.used  # unknowns that nothing sees stay put
     return blocks
 
 
-def step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def solve_step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Steps of the shared unknowns (s,) and of each frame's own (F, l), scaled: the frames' eliminated first (Schur complement)."""
     diagonal = np.einsum("fii->fi", blocks.local)
     H = blocks.local + damping * diagonal[:, :, None] * np.eye(unknowns.local)
@@ -145,15 +145,15 @@ def step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[np.n
     return shared, solved[..., -1] - solved[..., :-1] @ shared
 
 
-def promised(blocks: Blocks, shared: np.ndarray, local: np.ndarray) -> float:
-    """By how much the undamped steps of `step` lower the cost where it is as its linearisation has it.
+def predicted_decrease(blocks: Blocks, shared: np.ndarray, local: np.ndarray) -> float:
+    """By how much the undamped steps of `solve_step` lower the cost where it is as its linearisation has it.
 
-    shared, local : the steps (s,), (frames, l), scaled, as `step` gives them
+    shared, local : the steps (s,), (frames, l), scaled, as `solve_step` gives them
     """
     return float(blocks.common @ shared + (blocks.own * local).sum())
 
 
-def reduce(blocks: Blocks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def schur_complement(blocks: Blocks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(gain (F, l, s), reduced (s, s), right (s,)): the frames' own unknowns eliminated; own = ... - gain @ shared."""
     solved = np.linalg.solve(blocks.local, np.concatenate([blocks.cross, blocks.own[..., None]], axis=-1))
     return solved[..., :-1], *_reduced(blocks, solved)

@@ -15,7 +15,7 @@ NAMED = 0.15  # share of a combination from which an unknown is named as part of
 
 
 @dataclass(frozen=True, slots=True)
-class Determined:
+class DeterminedUnknowns:
     """unknowns : number adjusted; undetermined : (share of the stated uncertainty that is left, (names)) of combinations, weakest first
     entangled : (name, name, correlation) of pairs hardly told apart; held : what was not adjusted, or holds a frame, in words
     """
@@ -40,7 +40,7 @@ class Determined:
             out.append("every adjusted combination is determined by the images better than by what was stated")
         return out
 
-    def from_the_hand(self) -> "Determined":
+    def from_the_hand(self) -> "DeterminedUnknowns":
         """The same where the platform carries the cameras, and the body that they see is the base."""
         swap = {"platform frame": "base frame", "base frame": "platform frame"}
         return replace(self, held=tuple(re.sub("|".join(swap), lambda word: swap[word[0]], line) for line in self.held))
@@ -55,8 +55,8 @@ class Determined:
                 + f"; {'; '.join(self.held)}")
 
 
-def determined(adjustment: Adjustment) -> Determined:
-    """Determined of an Adjustment: its covariance held against what each unknown was worth before."""
+def determined_combinations(adjustment: Adjustment) -> DeterminedUnknowns:
+    """DeterminedUnknowns of an Adjustment: its covariance held against what each unknown was worth before."""
     kept = np.flatnonzero(~adjustment.of_prints)  # how markers are printed, no recording tells marker by marker: that is said in one line
     u, names = adjustment.unknowns, [" ".join(adjustment.shared_names[k]) for k in kept]
     worth = np.where(np.isfinite(adjustment.prior), adjustment.prior, POSE_WORTH)[kept]
@@ -69,7 +69,7 @@ def determined(adjustment: Adjustment) -> Determined:
     correlation = covariance / np.outer(np.where(known, sigma, 1), np.where(known, sigma, 1))
     alike = np.argwhere(np.triu(np.abs(correlation) > ENTANGLED, 1) & known & known[:, None])
     pairs = sorted(alike.tolist(), key=lambda ij: -abs(correlation[ij[0], ij[1]]))
-    return Determined(len(names), tuple(weak), tuple((names[i], names[j], float(correlation[i, j])) for i, j in pairs), _held(adjustment, u))
+    return DeterminedUnknowns(len(names), tuple(weak), tuple((names[i], names[j], float(correlation[i, j])) for i, j in pairs), _held(adjustment, u))
 
 
 def _names(vector: np.ndarray, names: list[str]) -> tuple[str, ...]:

@@ -64,7 +64,7 @@ class Prints(NamedTuple):
 NONE = Prints([], {}, slice(0, 0))
 
 
-def printed(markers: MarkerMap, prints: Prints, step: np.ndarray) -> MarkerMap:
+def apply_printing_errors(markers: MarkerMap, prints: Prints, step: np.ndarray) -> MarkerMap:
     """The MarkerMap after a step (s,) of the shared unknowns, m, rad and shares."""
     own, grown = np.zeros((len(markers.id), len(NAMES))), float(step[prints.together].sum())
     for row, columns in prints.rows.items():
@@ -73,7 +73,7 @@ def printed(markers: MarkerMap, prints: Prints, step: np.ndarray) -> MarkerMap:
     return replace(markers, T_body_marker=markers.T_body_marker * exp(own[:, :SIDE]), side=markers.side * np.exp(own[:, SIDE]))
 
 
-def off(markers: MarkerMap, stated: MarkerMap, prints: Prints, out: np.ndarray) -> None:
+def printing_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, out: np.ndarray) -> None:
     """Write into out (s,) how far markers are from stated, m, rad and shares.
 
     Only each marker's whole side shows in images: of it the part that all have in common is what its prior and theirs make likeliest.
@@ -88,7 +88,7 @@ def off(markers: MarkerMap, stated: MarkerMap, prints: Prints, out: np.ndarray) 
         out[columns] = away[row, prints.parts]
 
 
-def derivative(J: np.ndarray, moved: np.ndarray, in_marker: np.ndarray) -> np.ndarray:
+def printing_jacobian(J: np.ndarray, moved: np.ndarray, in_marker: np.ndarray) -> np.ndarray:
     """(n, 2, 7) of corners to NAMES. J : (n, 2, 3) to the corner in its marker's frame; moved : (n, 2, 6) to a motion; in_marker : (n, 3) m"""
     return np.concatenate([moved, J @ in_marker[..., None]], axis=2)
 

@@ -9,15 +9,15 @@ from functools import partial
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from rig.compute.parallel_map import threaded
-from vision.bundle.bundle_adjustment import Adjustment, adjust
-from vision.bundle.repeated_corners import as_one, repeats, sums
-from vision.bundle.normal_equations import linearise, normal_equations, promised, reduce, step
-from vision.bundle.estimate_update import offset
+from rig.compute.parallel_map import thread_map
+from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
+from vision.bundle.repeated_corners import merge_rows, find_repeats, group_sums
+from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
+from vision.bundle.estimate_update import offset_from_stated
 from vision.bundle.printing_errors import KINDS, NAMES, Printing
-from vision.bundle.robust_adjustment import Sorted, standing_error, within_gate
-from vision.bundle.unknown_priors import unknowns
-from vision.corner_observations import Observations, only, whitener
+from vision.bundle.robust_adjustment import Sorted, repeated_corner_error, is_within_gate
+from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.corner_observations import Observations, observations_of_frames, whitener
 from vision.predict import State
 
 MOST = 2.0  # of what is tolerated; markers farther off than that were not printed so, they were put elsewhere
@@ -41,7 +41,7 @@ class _Told:
     dof: float
 
 
-def printed(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> Sorted:
+def estimate_printing_errors(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> Sorted:
     """The Sorted of an adjustment with markers taken to be printed as the recording tells, or as it was where it tells nothing.
 
     observations : Observations of all frames; fit : Sorted of them, places of markers as stated
@@ -49,13 +49,13 @@ def printed(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> S
     corner by corner and camera by camera: prints must show beyond that. What they then explain is taken off it, and they are told again.
     """
     a = fit.adjustment
-    kept = replace(only(observations, fit.solved), covariance=fit.covariance[np.isin(observations.frame, fit.solved)])
+    kept = replace(observations_of_frames(observations, fit.solved), covariance=fit.covariance[np.isin(observations.frame, fit.solved)])
     good = fit.inliers[np.isin(observations.frame, fit.solved)]
     if len(np.unique(kept.marker[good])) < FEWEST:
         return fit
     used, standing = np.zeros(len(good), bool), np.inf
     for turn in range(AGAIN):
-        weights, now = standing_error(kept, good, a.state)
+        weights, now = repeated_corner_error(kept, good, a.state)
         if now >= FALLS * standing and (turn >= SORTED or (good == used).all()):
             break
         used, standing = good, now
@@ -63,8 +63,8 @@ def printed(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> S
         printing = _printing(_told(weighed, fit.adjustment, free))
         if printing is None:
             return fit
-        a = adjust(weighed, replace(a.state, markers=a.stated.markers), free, stated=a.stated, printing=printing)
-        good = within_gate(kept, a.state)
+        a = adjust_bundle(weighed, replace(a.state, markers=a.stated.markers), free, stated=a.stated, printing=printing)
+        good = is_within_gate(kept, a.state)
     cost = a.cost - (a.whitened**2).sum() + (whitener(kept.take(used))(a.residuals) ** 2).sum()  # standing errors in it, as in fit.scale
     scale = float(np.sqrt(cost / a.dof))
     inliers = fit.inliers.copy()
@@ -74,27 +74,27 @@ def printed(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> S
 
 def _merged(observations: Observations, state: State) -> Observations:
     """Observations in which repeats of a corner are one, their mean, weighed as all of them: they count as one degree of freedom."""
-    rows, group, first = repeats(observations, state.moving)
+    rows, group, first = find_repeats(observations, state.moving)
     count = np.bincount(group)
-    return as_one(observations, rows, first, sums(observations.uv[rows], group) / count[:, None],
+    return merge_rows(observations, rows, first, group_sums(observations.uv[rows], group) / count[:, None],
                   observations.covariance[first] / count[:, None, None])
 
 
 def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _Told:
     """_Told of observations weighed as standing_error has it, linearised at an Adjustment."""
     one = _merged(observations, a.state)
-    u, estimate = unknowns(one, a.state, a.stated, free, printing=TRIAL)
+    u, estimate = adjustment_unknowns(one, a.state, a.stated, free, printing=TRIAL)
     residual, derivatives = linearise(one, estimate, u, whitener(one))
-    away = offset(estimate, a.stated, u)
+    away = offset_from_stated(estimate, a.stated, u)
     blocks = normal_equations(one, derivatives, u, away)
-    _, reduced, _ = reduce(blocks)
+    _, reduced, _ = schur_complement(blocks)
     covariance = u.basis @ np.linalg.inv(u.basis.T @ reduced @ u.basis) @ u.basis.T
     columns = np.concatenate([np.arange(c.start, c.stop) for c in (*u.prints.rows.values(), u.prints.together)])
     inverse = np.linalg.inv(covariance[np.ix_(columns, columns)])
     kind = [k for k, part in enumerate(KINDS) for _ in range(len(NAMES))[part]]
-    shared, local = step(blocks, u)
+    shared, local = solve_step(blocks, u)
     right = inverse @ shared[columns]
-    cost = float((residual**2).sum() + (u.prior * away**2).sum()) - promised(blocks, shared, local) + float(right @ shared[columns])
+    cost = float((residual**2).sum() + (u.prior * away**2).sum()) - predicted_decrease(blocks, shared, local) + float(right @ shared[columns])
     return _Told(inverse - np.eye(len(columns)), right, np.array(kind * len(u.prints.rows) + [len(KINDS) - 1]), cost,
                  a.dof - 2 * (len(observations) - len(one)))
 
@@ -106,7 +106,7 @@ def _printing(told: _Told) -> Printing | None:
     while there.any():
         kinds = np.flatnonzero(there).tolist()
         fewer = [there & (np.arange(len(KINDS)) != k) for k in kinds]
-        without = dict(zip(kinds, threaded(partial(_likeliest, told, start=sigma), fewer)))
+        without = dict(zip(kinds, thread_map(partial(_likeliest, told, start=sigma), fewer)))
         least = min(without, key=lambda k: without[k][1])
         if without[least][1] - best > PROOF:
             return Printing(*sigma.tolist())

@@ -13,29 +13,29 @@ from vision.corner_observations import Observations, inverse_roots
 from vision.predict import State
 
 
-def condensed(observations: Observations, state: State) -> tuple[Observations, float]:
+def merge_repeated_corners(observations: Observations, state: State) -> tuple[Observations, float]:
     """(Observations with such repeats as one each, all in the first frame; what their sum of whitened squares lacks then: the repeats' own about
     their means).
 
     Corners whose errors are told to hang together in their marker stay as they are.
     """
     o = observations
-    rows, group, first = repeats(o, state.moving)
+    rows, group, first = find_repeats(o, state.moving)
     if o.correlation is not None or not len(rows):
         return o, 0.0
     if state.markers is None and (o.points[rows] != o.points[first][group]).any():
         return o, 0.0  # each was told where it is by itself
     root = inverse_roots(o.covariance[rows])
     weight = np.swapaxes(root, 1, 2) @ root
-    covariance = np.linalg.inv(sums(weight, group))
-    uv, frame = (covariance @ sums(weight @ o.uv[rows, :, None], group))[..., 0], o.frame.copy()
+    covariance = np.linalg.inv(group_sums(weight, group))
+    uv, frame = (covariance @ group_sums(weight @ o.uv[rows, :, None], group))[..., 0], o.frame.copy()
     frame[first] = 0
-    both = as_one(replace(o, frame=frame), rows, first, uv, covariance)
+    both = merge_rows(replace(o, frame=frame), rows, first, uv, covariance)
     about = o.uv[rows] - uv[group]
     return both.take(np.lexsort((both.corner, both.marker, both.frame, both.camera))), float(((root @ about[..., None]) ** 2).sum())
 
 
-def repeats(observations: Observations, moving: Collection[int], inliers: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def find_repeats(observations: Observations, moving: Collection[int], inliers: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(rows (n,) of the base's corners that fixed cameras see, which of their groups each is of (n,), each group's first row (groups,)).
 
     A group is one corner of one marker in one camera, frame after frame. moving : indices of the cameras that are not fixed
@@ -49,7 +49,7 @@ def repeats(observations: Observations, moving: Collection[int], inliers: np.nda
     return rows, group, rows[first]
 
 
-def as_one(observations: Observations, rows: np.ndarray, first: np.ndarray, uv: np.ndarray, covariance: np.ndarray) -> Observations:
+def merge_rows(observations: Observations, rows: np.ndarray, first: np.ndarray, uv: np.ndarray, covariance: np.ndarray) -> Observations:
     """Observations of whose rows (n,) only each group's first (groups,) is left, at uv (groups, 2) px with covariance (groups, 2, 2) px^2."""
     places, own, left = observations.uv.copy(), observations.covariance.copy(), np.ones(len(observations), bool)
     places[first], own[first] = uv, covariance
@@ -57,7 +57,7 @@ def as_one(observations: Observations, rows: np.ndarray, first: np.ndarray, uv: 
     return replace(observations, uv=places, covariance=own).take(left)
 
 
-def sums(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+def group_sums(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     """(groups, ...) sums of values (n, ...) over the rows of each group (n,)."""
     flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
     return np.stack([np.bincount(group, weights=column) for column in flat.T], axis=1).reshape(-1, *values.shape[1:])

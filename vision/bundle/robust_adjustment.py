@@ -9,9 +9,9 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
-from vision.bundle.bundle_adjustment import Adjustment, adjust
-from vision.bundle.repeated_corners import repeats, sums
-from vision.corner_observations import Observations, inverse_roots, only
+from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
+from vision.bundle.repeated_corners import find_repeats, group_sums
+from vision.corner_observations import Observations, inverse_roots, observations_of_frames
 from vision.pose.frame_poses import PLATFORM
 from vision.pose.pose_refinement import GATE, MEDIAN
 from vision.predict import State, predict
@@ -58,10 +58,10 @@ def adjust_robustly(observations: Observations, state: State, free: Sequence[str
             reasons = sorted(set(unsolved.values()))
             raise NotEnoughData(f"none of {count} frames could be solved: " + "; ".join(reasons[:5]))
         mine = np.isin(observations.frame, solved)
-        plain = only(observations, solved)
+        plain = observations_of_frames(observations, solved)
         kept = replace(plain, covariance=factor[mine][:, None, None] * plain.covariance)
         gate = wide * CLOSING**rounds
-        good = within_gate(kept, state.at(solved), gate)
+        good = is_within_gate(kept, state.at(solved), gate)
         weak = _unsupported(kept, good, state, {(int(np.searchsorted(solved, f)), body) for f, body in vouched if f in solved})
         if weak:
             unsolved.update({int(solved[f]): reason for f, reason in weak.items()})
@@ -72,7 +72,7 @@ def adjust_robustly(observations: Observations, state: State, free: Sequence[str
         inliers, rounds = good, rounds + 1
         if progress:
             progress(rounds - 1, ROUNDS)
-        result = adjust(kept.take(good), state.at(solved), free, stated=stated)
+        result = adjust_bundle(kept.take(good), state.at(solved), free, stated=stated)
         state = _spread(result.state, state, solved)
         if state.moving and gate < BLURRED:
             factor[mine] = _scatter(plain, good, result.state)
@@ -111,19 +111,19 @@ def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> n
     return ((alike + np.where(known, total, 0) / typical) / (alike + np.where(known, size, 0)))[group]
 
 
-def standing_error(observations: Observations, inliers: np.ndarray, state: State) -> tuple[np.ndarray, float]:
+def repeated_corner_error(observations: Observations, inliers: np.ndarray, state: State) -> tuple[np.ndarray, float]:
     """(covariances (n, 2, 2) to weigh corners by, standing error px).
 
     A base marker seen by a fixed camera stands on the same pixels in every frame, and what the pixel grid does to it comes
     back every time: n repeats are not n observations. Their scatter about their own mean is the noise; what their means miss
     beyond that is the standing error s, and weighing each repeat by C + n s^2 gives all n together the weight of one mean.
     """
-    rows, index, _ = repeats(observations, state.moving, inliers)
+    rows, index, _ = find_repeats(observations, state.moving, inliers)
     count, covariance = np.bincount(index), observations.covariance.copy()
     if not len(count) or (count > 1).sum() < STANDING_GROUPS:
         return covariance, 0.0
     residual = observations.uv[rows] - predict(observations.take(rows), state)[0]
-    mean = sums(residual, index) / count[:, None]
+    mean = group_sums(residual, index) / count[:, None]
     many = count > 1
     within = ((residual - mean[index])[many[index]] ** 2).sum() / (2 * (count[many] - 1).sum())
     unknowns = 12 * len(np.unique(observations.camera[rows]))  # what each camera bends to follow its standing errors
@@ -167,7 +167,7 @@ def _squares(observations: Observations, state: State) -> np.ndarray:
     return square
 
 
-def within_gate(observations: Observations, state: State, least: float = 0.0) -> np.ndarray:
+def is_within_gate(observations: Observations, state: State, least: float = 0.0) -> np.ndarray:
     """(n,) bool, the corners within GATE of where the state puts them, by the residuals' own scale, or within `least` px."""
     square = _squares(observations, state)
     scale = np.sqrt(np.median(square) / MEDIAN)

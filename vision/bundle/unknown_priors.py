@@ -14,7 +14,7 @@ from rig.model.pose import skew
 from rig.model.manufacturing_tolerances import SIDES
 from vision import lens
 from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.estimate_update import held_by_cameras, marker_moves_of, motion_of
+from vision.bundle.estimate_update import cameras_hold_base, marker_motions, target_motion
 from vision.bundle.printing_errors import NAMES, NONE, SIDE, Printing, Prints
 from vision.corner_observations import Observations
 from vision.predict import State
@@ -39,7 +39,7 @@ def lens_prior(camera: Camera) -> np.ndarray:
     return np.array(focal + [CENTRE_PRIOR * camera.width] * 2 + [TERM_PRIOR[name] for name in lens.terms(camera.distortion)[4:]])
 
 
-def unknowns(observations: Observations, state: State, stated: State, free: Sequence[str],
+def adjustment_unknowns(observations: Observations, state: State, stated: State, free: Sequence[str],
              worth: Callable[[Camera], np.ndarray] = lens_prior, printing: Printing | None = None) -> tuple[Unknowns, Estimate]:
     """Unknowns of an adjustment, and the Estimate to start from. Raises ValueError for a group that there is not.
 
@@ -96,8 +96,8 @@ def unknowns(observations: Observations, state: State, stated: State, free: Sequ
     found = Unknowns(poses, lenses, markers, targets, local_poses, len(scale), local, used, np.array(scale), np.array(prior), names,
                      np.eye(len(scale)), middles, rows, prints)
     found = replace(found, basis=_basis(observations, state, found))
-    start = Estimate(state, None, {name: motion_of(name, state.placed, stated.placed, found) for name in targets})
-    return found, replace(start, marker_moves=marker_moves_of(start, stated, found)) if markers else start
+    start = Estimate(state, None, {name: target_motion(name, state.placed, stated.placed, found) for name in targets})
+    return found, replace(start, marker_moves=marker_motions(start, stated, found)) if markers else start
 
 
 def _anchored(observations: Observations) -> set[int]:
@@ -129,7 +129,7 @@ def _basis(observations: Observations, state: State, unknowns: Unknowns) -> np.n
         target = np.array(m.target)
         for on in (False, True):
             body = seen[m.on_platform[seen] == on]
-            if len(body) and (on or not held_by_cameras(unknowns, state)):
+            if len(body) and (on or not cameras_hold_base(unknowns, state)):
                 rows.append(_mean_motion(m, body, unknowns, True))
         if unknowns.markers and unknowns.targets:
             rows += [_mean_motion(m, seen[target[seen] == name], unknowns, False) for name in unknowns.targets]

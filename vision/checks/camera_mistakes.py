@@ -18,7 +18,7 @@ ALIKE = (0.015, 0.01, 1.0)  # of the focal length, of the width, px: within whic
 ZOOMED = 0.05  # share beyond which that is a mistake
 
 
-def poses(pose: RigidTransform) -> Iterator[tuple[str, RigidTransform]]:
+def alternative_camera_poses(pose: RigidTransform) -> Iterator[tuple[str, RigidTransform]]:
     """(what the stated pose is, the pose as it should be) of other ways to state a camera's pose."""
     t, R = pose.translation, pose.rotation
     v = R.as_rotvec()
@@ -44,7 +44,7 @@ def poses(pose: RigidTransform) -> Iterator[tuple[str, RigidTransform]]:
         yield f"the sign of {'xyz'[axis]} of its position is reversed", RigidTransform.from_components(t * np.where(np.arange(3) == axis, -1, 1), R)
 
 
-def exchanges(seen: Seen) -> Iterator[Candidate]:
+def exchanged_cameras(seen: Seen) -> Iterator[Candidate]:
     """Two cameras' corners, or all their stated figures, exchanged."""
     names = [camera.name for camera in seen.design.cameras]
     for a, b in combinations(names, 2):
@@ -54,11 +54,11 @@ def exchanges(seen: Seen) -> Iterator[Candidate]:
                seen.with_corners(camera=[other.get(name, name) for name in seen.corners.camera]))
 
 
-def posed(seen: Seen) -> Iterator[Candidate]:
+def alternative_pose_trials(seen: Seen) -> Iterator[Candidate]:
     """All cameras' stated poses stated another way, then each alone: for rigs whose cameras hold the base frame."""
     cameras = seen.design.cameras
-    for k, (what, _) in enumerate(poses(cameras[0].pose)):
-        turned = [list(poses(camera.pose))[k][1] for camera in cameras]
+    for k, (what, _) in enumerate(alternative_camera_poses(cameras[0].pose)):
+        turned = [list(alternative_camera_poses(camera.pose))[k][1] for camera in cameras]
         yield f"rig.toml: cameras: {what.replace('its', 'their')}", BEFORE, seen.with_cameras(tuple(
             replace(camera, pose=pose) for camera, pose in zip(cameras, turned)))
         for i, camera in enumerate(cameras if len(cameras) > 1 else ()):
@@ -66,7 +66,7 @@ def posed(seen: Seen) -> Iterator[Candidate]:
                                                                                         *cameras[i + 1:]))
 
 
-def lenses(seen: Seen) -> Iterator[Candidate]:
+def alternative_lenses(seen: Seen) -> Iterator[Candidate]:
     """Matrices and distortions in another order, with another sign or of another size of image: of all cameras, then of each alone."""
     cameras = seen.design.cameras
     for what, do, other in _LENSES:
@@ -80,7 +80,7 @@ def lenses(seen: Seen) -> Iterator[Candidate]:
                 yield f"rig.toml: camera {camera.name}: {what}", do, seen.with_cameras((*cameras[:i], mended[i], *cameras[i + 1:]))
 
 
-def focal(seen: Seen, adjusted: tuple[Camera, ...]) -> Iterator[Candidate]:
+def focal_length_mistakes(seen: Seen, adjusted: tuple[Camera, ...]) -> Iterator[Candidate]:
     """The focal lengths that adjusting found, where they are far from those stated. adjusted : the Cameras of Seen, adjusted to its corners"""
     ratios = {k: float(a.matrix[0, 0] / b.matrix[0, 0]) for k, (a, b) in enumerate(zip(adjusted, seen.design.cameras))}
     off = {k: ratio for k, ratio in ratios.items() if ZOOMS[0] < ratio < ZOOMS[1] and abs(ratio - 1) > ZOOMED}
@@ -93,14 +93,14 @@ def focal(seen: Seen, adjusted: tuple[Camera, ...]) -> Iterator[Candidate]:
                _focal(off[k])(camera) if k in off else camera for k, camera in enumerate(cameras))))
 
 
-def terms(camera: Camera) -> Iterator[tuple[str, str, Camera]]:
+def alternative_distortions(camera: Camera) -> Iterator[tuple[str, str, Camera]]:
     """(what, do, Camera) of distortions with another sign or in another order."""
     for what, do, other in _LENSES:
         if "distortion" in what and not _same(other(camera), camera):
             yield what, do, other(camera)
 
 
-def bend(a: Camera, b: Camera) -> float:
+def distortion_difference(a: Camera, b: Camera) -> float:
     """px, RMS over the image of a by which the distortions of two cameras differ."""
     x, y = np.meshgrid(np.linspace(-0.45, 0.45, 9) * a.width / a.matrix[0, 0], np.linspace(-0.45, 0.45, 9) * a.height / a.matrix[1, 1])
     points = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
@@ -108,19 +108,21 @@ def bend(a: Camera, b: Camera) -> float:
     return float(np.sqrt((gap**2).sum(axis=1).mean()))
 
 
-def read_otherwise(seen: Seen, adjusted: tuple[Camera, ...]) -> Candidate | None:
+def matching_lens_reading(seen: Seen, adjusted: tuple[Camera, ...]) -> Candidate | None:
     """The way of reading all stated lenses, or one camera's, that gives what adjusting found; None where none does, or the stated ones do already.
 
     adjusted : the Cameras of Seen, adjusted from lenses of which nothing is known
     """
-    found = [one for one in lenses(seen) if all(alike(a, b) for a, b in zip(one[2].design.cameras, adjusted))]
-    return found[0] if found and not all(alike(a, b) for a, b in zip(seen.design.cameras, adjusted)) else None
+    found = [one for one in alternative_lenses(seen) if all(is_same_lens(a, b) for a, b in zip(one[2].design.cameras, adjusted))]
+    return found[0] if found and not all(is_same_lens(a, b) for a, b in zip(seen.design.cameras, adjusted)) else None
 
 
-def alike(a: Camera, b: Camera) -> bool:
+def is_same_lens(a: Camera, b: Camera) -> bool:
     """Whether two cameras are one lens: as near as a lens that was calibrated once is to what it is today."""
     gap = np.abs(a.matrix[:2] - b.matrix[:2])
-    return bool(gap[[0, 1], [0, 1]].max() < ALIKE[0] * a.matrix[0, 0] and gap[:, 2].max() < ALIKE[1] * a.width and bend(a, b) < ALIKE[2])
+    return bool(
+        gap[[0, 1], [0, 1]].max() < ALIKE[0] * a.matrix[0, 0] and gap[:, 2].max() < ALIKE[1] * a.width and distortion_difference(a, b) < ALIKE[2]
+    )
 
 
 def _same(a: Camera, b: Camera) -> bool:

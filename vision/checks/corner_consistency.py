@@ -10,14 +10,14 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera, Design
 from rig.effects.catalogue.edge_bias import EdgeBias
-from rig.checks import Mistake, in_order, platform_commands_and_poses
+from rig.checks import Mistake, sort_mistakes, platform_commands_and_poses
 from rig.recording.recording_folder import Corners, Recording
-from vision.hand_mounted_cameras import exchanged, in_hand
-from vision.initial_lenses import lens_starts, plausible
+from vision.hand_mounted_cameras import recording_seen_from_hand, has_hand_cameras
+from vision.initial_lenses import initial_lenses, are_lenses_plausible
 from vision.recording_adjustment import Measurement
 from vision.checks import camera_mistakes as cameras, target_mistakes
 from vision.checks import corner_mistakes as order
-from vision.checks.trial_measurement import LOST, Seen, Trial, of, trial
+from vision.checks.trial_measurement import LOST, Seen, Trial, sample_frames, measure_sample
 
 FINE = 0.3  # px; a misfit below it is noise and what calibration takes up
 GROSS = 2.0  # px; a misfit beyond it is no matter of sizes and lenses alone
@@ -41,23 +41,23 @@ MOVING = 120  # frames whose poses are held against the commands
 Maker = Callable[[Seen], Iterator[tuple[str, str, Seen]]]
 
 
-def look(recording: Recording, corners: Corners, thorough: bool = False) -> tuple[Mistake, ...]:
+def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool = False) -> tuple[Mistake, ...]:
     """Mistakes that a recording's corners show, in order; nothing is written and nothing changed.
 
     corners : Corners of its images or its corners.csv; thorough : whether many frames are held against the commands,
     not a few, and the search goes on for longer
     """
-    held, recording = in_hand(recording.design), exchanged(recording)
+    held, recording = has_hand_cameras(recording.design), recording_seen_from_hand(recording)
     frames, t = recording.exposures.times()
-    seen = of(recording.design, corners, frames, t)
+    seen = sample_frames(recording.design, corners, frames, t)
     if seen is None:
         return ()
-    first = trial(seen)
+    first = measure_sample(seen)
     found, best = _seen(first, THOROUGH if thorough else SEARCH)
     if best.measured is not None and best.misfit < GROSS:  # else its cameras and poses are no evidence of anything
         found += ([] if held else _posed(best.measured, recording.design)) + _lens(best.measured, best.seen.design)
         found += [] if held else _moved(recording, corners if not any(one.spoils for one in found) else None, best.measured, thorough)
-    return in_order(found)
+    return sort_mistakes(found)
 
 
 def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
@@ -78,13 +78,19 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
             least = min(other.misfit for *_, other in rivals)
             what, do, other = min((one for one in rivals if one[2].misfit < ALIKE * least), key=lambda one: _elsewhere(one[2]))
             if other.misfit < 0.7 * best.misfit:
-                return [Mistake(f"{what}: corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {other.misfit:.3g} px so"
-                                + (" (20 px: not at all)" if first.misfit == LOST else ""), do, not target_mistakes.set_right(first.seen, other.seen),
-                                LIKELY * (1 - other.misfit / first.misfit))], other
+                return [
+                    Mistake(
+                        f"{what}: corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {other.misfit:.3g} px so"
+                        + (" (20 px: not at all)" if first.misfit == LOST else ""),
+                        do,
+                        not target_mistakes.is_corrected_by_commands(first.seen, other.seen),
+                        LIKELY * (1 - other.misfit / first.misfit),
+                    )
+                ], other
     if sized:
         return sized, best
-    bound = GROSS if target_mistakes.suspicious(first) else UNEXPLAINED
-    if first.misfit > bound and trial(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit:
+    bound = GROSS if target_mistakes.suspicious_targets(first) else UNEXPLAINED
+    if first.misfit > bound and measure_sample(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit:
         return [Mistake(f"corners and rig.toml do not agree: corners lie {first.misfit:.3g} px RMS from where they ought to, and {unexplained}",
                         "Look at `rig view REC --frame N`: sides, edges, faces and poses of the targets, matrix and size of the cameras",
                         first.misfit > 0.8 * LOST, 0.2)], first
@@ -99,7 +105,7 @@ def _stands(stated: Seen, other: Trial) -> bool:
     if other.measured is None:
         return True
     ones = list(zip(stated.design.cameras, other.seen.design.cameras, other.measured.design.cameras))
-    return all(cameras.alike(meant, adjusted) or (other.misfit < DONE and cameras.alike(was, meant)) for was, meant, adjusted in ones)
+    return all(cameras.is_same_lens(meant, adjusted) or (other.misfit < DONE and cameras.is_same_lens(was, meant)) for was, meant, adjusted in ones)
 
 
 def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
@@ -108,22 +114,22 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
     A reading of the stated lenses is named only where it gives what adjusting found: from where it begins, chance brings adjusting to an end
     """
     best = first
-    for begun in lens_starts(first.seen.design.cameras, partial(_loosened, first.seen)):
-        tried = trial(first.seen.with_cameras(begun))
+    for begun in initial_lenses(first.seen.design.cameras, partial(_loosened, first.seen)):
+        tried = measure_sample(first.seen.with_cameras(begun))
         best = min(best, tried, key=lambda one: one.misfit)
         if tried.misfit < DONE:
             break
     if best.misfit > min(DONE, BETTER * first.misfit) or best.measured is None:
         return None
     adjusted, stated = best.measured.design.cameras, first.seen.design.cameras
-    if not plausible(adjusted, stated):
+    if not are_lenses_plausible(adjusted, stated):
         return None
     tail = f"corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {best.misfit:.3g} px"
-    read = cameras.read_otherwise(first.seen, adjusted)
+    read = cameras.matching_lens_reading(first.seen, adjusted)
     if read is not None:
         what, do, other = read
-        return [Mistake(f"{what}: {tail} so", do, True, LIKELY * (1 - best.misfit / first.misfit))], trial(other)
-    off = [s.name for s, a in zip(stated, adjusted) if not cameras.alike(s, a)]
+        return [Mistake(f"{what}: {tail} so", do, True, LIKELY * (1 - best.misfit / first.misfit))], measure_sample(other)
+    off = [s.name for s, a in zip(stated, adjusted) if not cameras.is_same_lens(s, a)]
     if first.misfit < GROSS or not off:
         return [], best
     return [Mistake(f"rig.toml: {UNSTATED} of camera{'s' * (len(off) > 1)} {', '.join(off)}: {tail} with lenses of which nothing is known",
@@ -133,18 +139,18 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
 
 def _loosened(seen: Seen, cameras: tuple[Camera, ...]) -> tuple[Camera, ...] | None:
     """The cameras adjusted from these with markers' places free, None where nothing can be solved."""
-    measured = trial(seen.with_cameras(cameras), ("poses", "lenses", "markers")).measured
+    measured = measure_sample(seen.with_cameras(cameras), ("poses", "lenses", "markers")).measured
     return None if measured is None else measured.design.cameras
 
 
 def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
     """The print's scale, where that explains the misfit."""
-    tried = [(body, share, trial(other)) for body, share, other in target_mistakes.sizes(first.seen)]
+    tried = [(body, share, measure_sample(other)) for body, share, other in target_mistakes.marker_size_trials(first.seen)]
     if not tried:
         return [], first
     body, share, best = min(tried, key=lambda one: one[2].misfit)
-    share = target_mistakes.exact(first.seen, share, body, lambda seen: trial(seen).misfit)
-    at = trial(target_mistakes.with_sides(first.seen, share, body))
+    share = target_mistakes.best_size_ratio(first.seen, share, body, lambda seen: measure_sample(seen).misfit)
+    at = measure_sample(target_mistakes.scale_marker_sides(first.seen, share, body))
     best = at if at.misfit < best.misfit else best
     if (
         best.misfit**2 > HALF * first.misfit**2
@@ -154,7 +160,7 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
     ):
         return [], first
     who = next((t for t in first.seen.design.targets if body in (None, t.body)), None)
-    said = target_mistakes.said(share, who) + (f", those on the {body}" if body else "")
+    said = target_mistakes.size_ratio_text(share, who) + (f", those on the {body}" if body else "")
     return [Mistake(f"rig.toml: {said}: corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {best.misfit:.3g} px so",
                     "Measure the outer side of a black border and state it as marker (or side), in metres; print without fitting to the page", True,
                     LIKELY * (1 - best.misfit / first.misfit))], best
@@ -173,28 +179,35 @@ def _edges(first: Trial) -> float:
 
     if len(first.seen.corners.frame) % 4 or (np.bincount(first.seen.corners.corner, minlength=4) * 4 != len(first.seen.corners.frame)).any():
         return first.misfit
-    return min(trial(put(bias)).misfit for bias in BIASES)
+    return min(measure_sample(put(bias)).misfit for bias in BIASES)
 
 
 def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]:
     """((what, do, Trial) of every mistake there is a name for, kind by kind, until one of a kind explains all; whether `most` sufficed for it)."""
     seen = first.seen
     stated = not any(target.body == "base" for target in seen.design.targets)
-    makers: list[Maker] = [cameras.lenses]
+    makers: list[Maker] = [cameras.alternative_lenses]
     if first.misfit > GROSS:
-        makers = [order.candidates, cameras.exchanges, target_mistakes.exchanged, cameras.lenses, order.of_one, *([cameras.posed] if stated else [])]
-    wrong = target_mistakes.suspicious(first) if first.misfit > GROSS else []
-    ones: list[Maker] = [partial(target_mistakes.turned_faces, name=name) for name in wrong]
+        makers = [
+            order.corner_mistake_trials,
+            cameras.exchanged_cameras,
+            target_mistakes.exchanged_target_trials,
+            cameras.alternative_lenses,
+            order.single_camera_trials,
+            *([cameras.alternative_pose_trials] if stated else []),
+        ]
+    wrong = target_mistakes.suspicious_targets(first) if first.misfit > GROSS else []
+    ones: list[Maker] = [partial(target_mistakes.turned_face_trials, name=name) for name in wrong]
     ones += [
-        partial(target_mistakes.exchanged, names=wrong),
-        *(partial(kind, name=name) for kind in (target_mistakes.faces, target_mistakes.of_one) for name in wrong),
+        partial(target_mistakes.exchanged_target_trials, names=wrong),
+        *(partial(kind, name=name) for kind in (target_mistakes.exchanged_face_trials, target_mistakes.single_target_trials) for name in wrong),
     ]
-    zoomed = [lambda s, found=first.measured.design.cameras: cameras.focal(s, found)] if first.measured is not None else []
+    zoomed = [lambda s, found=first.measured.design.cameras: cameras.focal_length_mistakes(s, found)] if first.measured is not None else []
     tried: list[tuple[str, str, Trial]] = []
-    for make in [*ones, *zoomed, *([target_mistakes.edges] if first.misfit > GROSS else []), *makers]:
+    for make in [*ones, *zoomed, *([target_mistakes.cube_edge_trials] if first.misfit > GROSS else []), *makers]:
         least = LOST
         for what, do, other in make(seen):
-            tried.append((what, do, trial(other)))
+            tried.append((what, do, measure_sample(other)))
             least = min(least, tried[-1][2].misfit)
             if len(tried) >= most:
                 return tried, False
@@ -221,7 +234,7 @@ def _posed(m: Measurement, design: Design) -> list[Mistake]:
                         "Exchange the names, in rig.toml or in frames.csv and corners.csv, or the poses alone",
                         False, 0.9)]
     found = []
-    ways = {k: {what: _far(pose, seen[k].pose) for what, pose in cameras.poses(stated[k].pose)} for k in far}
+    ways = {k: {what: _far(pose, seen[k].pose) for what, pose in cameras.alternative_camera_poses(stated[k].pose)} for k in far}
     common = min(ways[far[0]], key=lambda what: max(ways[k][what] for k in far))
     if len(far) > 1 and all(ways[k][common] < min(1.0, HALVED * _far(stated[k].pose, seen[k].pose)) for k in far):
         return [Mistake(f"rig.toml: cameras {', '.join(stated[k].name for k in far)}: {common}{tail}", cameras.BEFORE, False, 0.85)]
@@ -246,11 +259,14 @@ def _lens(m: Measurement, design: Design) -> list[Mistake]:
     """Lenses that adjusting brought to what another sign or order of the stated terms is, where all others are as stated."""
     found: dict[tuple[str, str], list[str]] = {}
     ones = list(zip(design.cameras, m.design.cameras))
-    if not all(any(cameras.alike(way, seen) for way in (stated, *(other for *_, other in cameras.terms(stated)))) for stated, seen in ones):
+    if not all(
+        any(cameras.is_same_lens(way, seen) for way in (stated, *(other for *_, other in cameras.alternative_distortions(stated))))
+        for stated, seen in ones
+    ):
         return []  # lenses of which nothing was known: one of them resembles a term exchanged by chance
     for stated, seen in ones:
-        off = cameras.bend(stated, seen)
-        ways = {(what, do): cameras.bend(other, seen) for what, do, other in cameras.terms(stated)}
+        off = cameras.distortion_difference(stated, seen)
+        ways = {(what, do): cameras.distortion_difference(other, seen) for what, do, other in cameras.alternative_distortions(stated)}
         named = min(ways, key=lambda way: ways[way], default=None)
         if off > BENT and named is not None and ways[named] < min(SAME * off, cameras.ALIKE[2]):
             found.setdefault(named, []).append(stated.name)
@@ -267,12 +283,12 @@ def _moved(recording: Recording, corners: Corners | None, m: Measurement, thorou
     """What commands and the poses seen say of each other. corners : all there are, for more poses; None where they are not as stated."""
     if recording.commands is None or recording.design.mechanism.kind != "hexapod":
         return []
-    few = platform_commands_and_poses.of(recording, m.frames, m.T_base_platform)
-    if corners is not None and (thorough or platform_commands_and_poses.disagree(few)):
+    few = platform_commands_and_poses.moves_of_recording(recording, m.frames, m.T_base_platform)
+    if corners is not None and (thorough or platform_commands_and_poses.commands_disagree_with_poses(few)):
         frames, t = recording.exposures.times()
-        many = of(replace(recording.design, cameras=m.design.cameras), corners, frames, t, MOVING)
-        more = trial(many).measured if many is not None else None
+        many = sample_frames(replace(recording.design, cameras=m.design.cameras), corners, frames, t, MOVING)
+        more = measure_sample(many).measured if many is not None else None
         if more is not None:
-            m, few = more, platform_commands_and_poses.of(recording, more.frames, more.T_base_platform)
+            m, few = more, platform_commands_and_poses.moves_of_recording(recording, more.frames, more.T_base_platform)
     unsure = float(np.sqrt(np.einsum("nii->ni", m.covariance)[:, :3].sum(axis=1).mean()))  # m, shared errors of cameras and lenses included
-    return [] if few.miss() < UNSURE * unsure else list(platform_commands_and_poses.mistakes(few))
+    return [] if few.miss() < UNSURE * unsure else list(platform_commands_and_poses.command_pose_mistakes(few))

@@ -16,7 +16,7 @@ ORDERS = {
 }
 
 
-def candidates(seen: Seen) -> Iterator[Candidate]:
+def corner_mistake_trials(seen: Seen) -> Iterator[Candidate]:
     """(what, what to do, Seen with it undone) of mistakes in corners, all cameras alike; and in identities."""
     yield from _of(seen, [("", np.ones(len(seen.corners.frame), bool))])
     c = seen.corners
@@ -29,7 +29,7 @@ def candidates(seen: Seen) -> Iterator[Candidate]:
                    seen.with_corners(marker=moved))
 
 
-def of_one(seen: Seen) -> Iterator[Candidate]:
+def single_camera_trials(seen: Seen) -> Iterator[Candidate]:
     """The same, of one camera at a time."""
     names = np.array(seen.corners.camera)
     if len(seen.design.cameras) > 1:

@@ -22,7 +22,7 @@ RING = 72  # directions about a body's normal that are looked at
 BODIES = {"platform": "the platform", "base": "the base"}
 
 
-def remarks(design: Design) -> tuple[str, ...]:
+def cube_layout_remarks(design: Design) -> tuple[str, ...]:
     """What is to be said of a Design's targets, lengths in mm, angles in degrees; nothing where all is even."""
     if not design.targets:
         return ()

@@ -9,10 +9,10 @@ import numpy as np
 from rig.errors import FileError
 from rig.checks import Mistake
 from rig.recording.recording_folder import Corners, Recording
-from vision.corners.marker_detection import Detection, detect, dictionary_reader
+from vision.corners.marker_detection import Detection, detect_markers, dictionary_reader
 from vision.checks.trial_measurement import FRAMES
 from vision.reading.recording_corners import image_reader
-from vision.reading.parallel_images import in_parallel
+from vision.reading.parallel_images import map_images_in_threads
 from vision.targets import MarkerMap, marker_map
 
 FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5",
@@ -24,12 +24,12 @@ SURE = 0.7  # proof from which that is said
 OFF = 0.3  # px by which corners.csv may differ from what is read in the images, in the middle
 
 
-def read(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
+def read_image_sample(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
     """(Corners of some frames' images, None where there are none; Mistakes that the images show by themselves)."""
     markers = marker_map(recording.design)
     sights, found = _sights(recording, markers, FRAMES)
     rows = [(frame, name, int(number), k) for frame, name, _, seen in sights for number in seen.marker for k in range(4)]
-    found += dictionaries([image for _, _, image, _ in sights], Counter(number for _, _, number, k in rows if k == 0), markers)
+    found += other_dictionary_mistakes([image for _, _, image, _ in sights], Counter(number for _, _, number, k in rows if k == 0), markers)
     if not rows:
         return None, found
     frame, name, number, corner = zip(*rows)
@@ -38,12 +38,12 @@ def read(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
     return corners, found + list(_against(recording.corners, corners))
 
 
-def misread(recording: Recording) -> list[Mistake]:
+def image_mistakes(recording: Recording) -> list[Mistake]:
     """What a few frames' images surely say of dictionaries, identities and mirrors: what no measuring recovers from."""
     markers = marker_map(recording.design)
     sights, _ = _sights(recording, markers, FEW)
     seen = Counter(int(number) for *_, one in sights for number in one.marker)
-    return [one for one in dictionaries([image for _, _, image, _ in sights], seen, markers) if one.spoils and one.proof >= SURE]
+    return [one for one in other_dictionary_mistakes([image for _, _, image, _ in sights], seen, markers) if one.spoils and one.proof >= SURE]
 
 
 Sight = tuple[int, str, np.ndarray, Detection]
@@ -66,11 +66,11 @@ def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[
         camera = recording.design.camera(name)
         if image is not None and image.shape == (camera.height, camera.width):
             looked_at.append((frame, name, image))
-    seen = in_parallel(lambda one: detect(one[2], recording.design.camera(one[1]), markers), looked_at, None)
+    seen = map_images_in_threads(lambda one: detect_markers(one[2], recording.design.camera(one[1]), markers), looked_at, None)
     return [(*one, detection) for one, detection in zip(looked_at, seen)], found
 
 
-def dictionaries(images: list[np.ndarray], seen: Counter, markers: MarkerMap) -> list[Mistake]:
+def other_dictionary_mistakes(images: list[np.ndarray], seen: Counter, markers: MarkerMap) -> list[Mistake]:
     """Targets none of whose markers is read in images (height, width) uint8, though another dictionary's are; mirrored images.
 
     seen : how often each identity was read

@@ -28,7 +28,7 @@ def cube_turns() -> list[Rotation]:
     return sorted((R for R in turns.values() if R.magnitude() > 0.1), key=lambda R: round(R.magnitude(), 6))
 
 
-def scales(seen: Seen) -> dict[str, tuple[float, int]]:
+def marker_scale_ratios(seen: Seen) -> dict[str, tuple[float, int]]:
     """{body: (true over stated side of its markers, pairs that say so)}: distances between targets in one image against the stated ones.
 
     Each marker alone has its distance from the camera in units of its own side; how far two targets of one body are apart is stated.
@@ -60,15 +60,15 @@ def _alone(uv: np.ndarray, camera: Camera, side: float) -> np.ndarray | None:
     return found[2][0].ravel() if found[0] else None
 
 
-def sizes(seen: Seen) -> Iterator[tuple[str | None, float, Seen]]:
-    """(body, share, Seen) of markers' sides that are wrong, of all targets (None) or those of one body, about what `scales` says."""
-    told = {body: share for body, (share, pairs) in scales(seen).items() if pairs >= PAIRS}
+def marker_size_trials(seen: Seen) -> Iterator[tuple[str | None, float, Seen]]:
+    """(body, share, Seen) of markers' sides that are wrong, of all targets (None) or those of one body, about what `marker_scale_ratios` says."""
+    told = {body: share for body, (share, pairs) in marker_scale_ratios(seen).items() if pairs >= PAIRS}
     firsts = sorted({round(share, 3) for share in told.values() if abs(share - 1) > PRINTED / 2})
     for first in firsts:
         for share in first * np.array([1.0, 0.99, 1.01]):
-            yield None, float(share), with_sides(seen, float(share))
+            yield None, float(share), scale_marker_sides(seen, float(share))
     for body, share in told.items() if len(told) > 1 and firsts else ():
-        yield body, share, with_sides(seen, share, body)
+        yield body, share, scale_marker_sides(seen, share, body)
 
 
 def _named(target: Target) -> dict[str, float]:
@@ -80,7 +80,7 @@ def _named(target: Target) -> dict[str, float]:
     return out
 
 
-def with_sides(seen: Seen, factor: float, body: str | None = None) -> Seen:
+def scale_marker_sides(seen: Seen, factor: float, body: str | None = None) -> Seen:
     """The same with markers' sides multiplied, of all targets or of those on one body."""
     return seen.with_targets(tuple(t if body not in (None, t.body) else _resized(t, factor) for t in seen.design.targets))
 
@@ -91,7 +91,7 @@ def _resized(target: Target, factor: float) -> Target:
     return replace(target, marker=target.marker * factor)
 
 
-def said(share: float, target: Target | None) -> str:
+def size_ratio_text(share: float, target: Target | None) -> str:
     """What a ratio of true to stated side means."""
     off = f"the markers are printed {abs(share - 1):.1%} {'larger' if share > 1 else 'smaller'} than rig.toml states (scale of print)"
     if target is None:
@@ -108,15 +108,15 @@ def said(share: float, target: Target | None) -> str:
     return off
 
 
-def exact(seen: Seen, share: float, body: str | None, miss: Callable[[Seen], float]) -> float:
+def best_size_ratio(seen: Seen, share: float, body: str | None, miss: Callable[[Seen], float]) -> float:
     """The share near one at which the misfit (px) is least: the vertex of a parabola through three squares."""
     by = 0.004
-    squares = [miss(with_sides(seen, share * (1 + k * by), body)) ** 2 for k in (-1, 0, 1)]
+    squares = [miss(scale_marker_sides(seen, share * (1 + k * by), body)) ** 2 for k in (-1, 0, 1)]
     bend = squares[0] - 2 * squares[1] + squares[2]
     return share * (1 + by * float(np.clip((squares[0] - squares[2]) / (2 * bend), -4, 4))) if bend > 0 else share
 
 
-def exchanged(seen: Seen, names: list[str] | None = None) -> Iterator[Candidate]:
+def exchanged_target_trials(seen: Seen, names: list[str] | None = None) -> Iterator[Candidate]:
     """Targets exchanged with each other or on the other body; of all targets, their bodies and poses too. names : those meant, all by default"""
     targets = seen.design.targets
     meant = [i for i, t in enumerate(targets) if names is None or t.name in names]
@@ -148,7 +148,7 @@ def exchanged(seen: Seen, names: list[str] | None = None) -> Iterator[Candidate]
                 tuple(replace(t, pose=change(t.pose)) for t in targets))
 
 
-def of_one(seen: Seen, name: str) -> Iterator[Candidate]:
+def single_target_trials(seen: Seen, name: str) -> Iterator[Candidate]:
     """What may be wrong with one target: turned, its faces renamed, posed another way, of another size."""
     targets = seen.design.targets
     i = [t.name for t in targets].index(name)
@@ -172,7 +172,7 @@ def of_one(seen: Seen, name: str) -> Iterator[Candidate]:
                    put(replace(t, faces=tuple((face, max(number + by, 0)) for face, number in t.faces))))
 
 
-def turned_faces(seen: Seen, name: str) -> Iterator[Candidate]:
+def turned_face_trials(seen: Seen, name: str) -> Iterator[Candidate]:
     """One face of a cube glued on turned."""
     target = next(t for t in seen.design.targets if t.name == name)
     for face, number in target.faces:
@@ -185,7 +185,7 @@ def turned_faces(seen: Seen, name: str) -> Iterator[Candidate]:
                    seen.with_corners(corner=np.where(mine, (seen.corners.corner + quarters) % 4, seen.corners.corner)))
 
 
-def faces(seen: Seen, name: str) -> Iterator[Candidate]:
+def exchanged_face_trials(seen: Seen, name: str) -> Iterator[Candidate]:
     """Two faces of one cube exchanged."""
     targets = seen.design.targets
     i = [t.name for t in targets].index(name)
@@ -197,7 +197,7 @@ def faces(seen: Seen, name: str) -> Iterator[Candidate]:
                seen.with_targets((*targets[:i], replace(t, faces=tuple(swapped)), *targets[i + 1:])))
 
 
-def set_right(stated: Seen, mended: Seen) -> bool:
+def is_corrected_by_commands(stated: Seen, mended: Seen) -> bool:
     """Whether what was mended is set right by every command itself: markers of one cube on each other's faces are told by where they are seen."""
     if mended.corners is not stated.corners or mended.design.cameras is not stated.design.cameras:
         return False
@@ -206,7 +206,7 @@ def set_right(stated: Seen, mended: Seen) -> bool:
     return len(changed) == 1 and all(getattr(a, name) is getattr(b, name) and sorted(a.ids) == sorted(b.ids) for a, b in changed for name in alike)
 
 
-def edges(seen: Seen) -> Iterator[Candidate]:
+def cube_edge_trials(seen: Seen) -> Iterator[Candidate]:
     """The edges of all cubes stated too large or too small."""
     for by in EDGES:
         if all(not t.edge or t.edge + by > (t.marker or 0.0) for t in seen.design.targets):
@@ -215,7 +215,7 @@ def edges(seen: Seen) -> Iterator[Candidate]:
                        tuple(replace(t, edge=t.edge + by) if t.edge else t for t in seen.design.targets)))
 
 
-def suspicious(trial: Trial) -> list[str]:
+def suspicious_targets(trial: Trial) -> list[str]:
     """Names of targets with a marker most of whose corners are not where they ought to be, while most targets have none; the worst first."""
     if trial.measured is None or trial.miss is None:
         return []

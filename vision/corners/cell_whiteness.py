@@ -54,7 +54,7 @@ def tabulate(function: np.ndarray, table: np.ndarray) -> None:
 
 
 @kernel
-def edge(table: np.ndarray, x: float) -> tuple[float, float]:
+def edge_whiteness(table: np.ndarray, x: float) -> tuple[float, float]:
     """Share of white and its slope at x edge widths from an edge, from a table (STEPS, 4) of Tables."""
     at = min(max((x + SPAN / 2) * (STEPS / SPAN), 0.0), STEPS - 1e-6)
     i = int(at)
@@ -63,7 +63,7 @@ def edge(table: np.ndarray, x: float) -> tuple[float, float]:
 
 
 @kernel
-def away(cells: float, s: float, p: float) -> float:
+def edge_distance(cells: float, s: float, p: float) -> float:
     """Edge widths from an edge so many cells away, where an edge is s cells wide here and perspective changes cells by p: the line's distance in
     the image, not the nearest guess at it, which shifts every edge of a tilted marker the same way."""
     return cells / (s * (1 + p * cells))
@@ -81,18 +81,18 @@ def _meeting(h: float, k: float, rho: float) -> float:
 
 
 @kernel
-def pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray) -> Share:
+def cell_whiteness(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray) -> Share:
     """Share at cell coordinates X, Y in or next to cell (i, j), of edges as in Meeting, with their spread functions.
 
     cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first bit.
     """
     sx, sy, rho, px, py = meeting
     last = cells.shape[0] - 1
-    hl, hr, vl, vr = away(X - i, sx, px), away(X - i - 1, sx, px), away(Y - j, sy, py), away(Y - j - 1, sy, py)
-    Pa, pa = edge(table_x, hl)
-    Pb, pb = edge(table_x, hr)
-    Pc, pc = edge(table_y, vl)
-    Pd, pd = edge(table_y, vr)
+    hl, hr, vl, vr = edge_distance(X - i, sx, px), edge_distance(X - i - 1, sx, px), edge_distance(Y - j, sy, py), edge_distance(Y - j - 1, sy, py)
+    Pa, pa = edge_whiteness(table_x, hl)
+    Pb, pb = edge_whiteness(table_x, hr)
+    Pc, pc = edge_whiteness(table_y, vl)
+    Pd, pd = edge_whiteness(table_y, vr)
     y0, y1, y2 = min(max(j + 1, 0), last), min(max(j + 2, 0), last), min(max(j + 3, 0), last)
     x0, x1, x2 = min(max(i + 1, 0), last), min(max(i + 2, 0), last), min(max(i + 3, 0), last)
     s, gx, gy, gb = 0.0, 0.0, 0.0, 0.0
@@ -121,14 +121,16 @@ def pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meet
 
 
 @kernel
-def wide_pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray) -> Share:
+def blurred_cell_whiteness(
+    cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray
+) -> Share:
     """The same for cells (n + 4, n + 4) where edges are so wide that cells beyond the next ones are in sight: two to each side count."""
     sx, sy, rho, px, py = meeting
     last = cells.shape[0] - 1
-    h = (away(X - i + 1, sx, px), away(X - i, sx, px), away(X - i - 1, sx, px), away(X - i - 2, sx, px))
-    k = (away(Y - j + 1, sy, py), away(Y - j, sy, py), away(Y - j - 1, sy, py), away(Y - j - 2, sy, py))
-    across = (edge(table_x, h[0]), edge(table_x, h[1]), edge(table_x, h[2]), edge(table_x, h[3]))
-    down = (edge(table_y, k[0]), edge(table_y, k[1]), edge(table_y, k[2]), edge(table_y, k[3]))
+    h = (edge_distance(X - i + 1, sx, px), edge_distance(X - i, sx, px), edge_distance(X - i - 1, sx, px), edge_distance(X - i - 2, sx, px))
+    k = (edge_distance(Y - j + 1, sy, py), edge_distance(Y - j, sy, py), edge_distance(Y - j - 1, sy, py), edge_distance(Y - j - 2, sy, py))
+    across = (edge_whiteness(table_x, h[0]), edge_whiteness(table_x, h[1]), edge_whiteness(table_x, h[2]), edge_whiteness(table_x, h[3]))
+    down = (edge_whiteness(table_y, k[0]), edge_whiteness(table_y, k[1]), edge_whiteness(table_y, k[2]), edge_whiteness(table_y, k[3]))
     s, gx, gy, gb, above = 0.0, 0.0, 0.0, 0.0, 0.0
     for v in range(5):
         y = min(max(j + v, 0), last)

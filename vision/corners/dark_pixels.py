@@ -13,7 +13,7 @@ LEFT = 1  # columns and rows of zeros before the image's own
 
 
 @kernel
-def darker(image: np.ndarray, window: int, out: np.ndarray) -> None:
+def mark_dark_pixels(image: np.ndarray, window: int, out: np.ndarray) -> None:
     """out (height + 2, width + 2 or more) uint8, at LEFT rows and columns off: 1 where a pixel of an image (height, width) uint8 is darker, else 0.
 
     window : px, of WINDOWS. The image goes on beyond its border as it is there. out : zeros beyond the image's own pixels

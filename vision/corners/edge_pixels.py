@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.corners.numba_compilation import kernel, kernel_part
-from vision.corners.local_lens import along
+from vision.corners.local_lens import polynomial_at
 
 REACH = (
     3.6  # edge widths on either side of an edge that are looked at; with vision/corners/edge_spread.py's KNOTS by the rule in tests/bench/reach.py:
@@ -57,7 +57,7 @@ class Raster(NamedTuple):
 class Printed(NamedTuple):
     """One marker in an image: what is printed, and where it is looked for.
 
-    cells : (n + 4, n + 4), 1 white, 0 black, the n x n bits with their black border and a ring of white; outlook : int8, `outlook` of them
+    cells : (n + 4, n + 4), 1 white, 0 black, the n x n bits with their black border and a ring of white; outlook : int8, `pixel_edge_kinds` of them
     n : bits each way; margin : cells of white around it; directions : (2,) rows of the spread's tables for its X and its Y edges
     box : (4,) x0 y0 x1 y1 px, the part of the image cut out; lens : (2, TERMS) polynomials from local pixel to local ideal coordinates
     centre : (3,) x, y, scale px, of local coordinates
@@ -73,7 +73,7 @@ class Printed(NamedTuple):
     centre: np.ndarray
 
 
-def outlook(cells: np.ndarray) -> np.ndarray:
+def pixel_edge_kinds(cells: np.ndarray) -> np.ndarray:
     """(NOWHERE + 1,) int8 of cells (k, k): what a pixel sees, by row, column, and which of its cell's sides (1 left, 2 right, 4 top, 8 bottom) are
     in reach, or 16 for cells beyond the next.
 
@@ -183,7 +183,7 @@ def _look(rows: np.ndarray, span: tuple[int, int], marker: Printed, v: float, g:
     lens, n, margin = marker.lens, marker.n, marker.margin
     width = np.uintp(rows.shape[1])
     flat = rows.reshape(rows.size)
-    p, q = along(lens[0], v), along(lens[1], v)
+    p, q = polynomial_at(lens[0], v), polynomial_at(lens[1], v)
     pa, pb, pc, pd, pe = np.float32(p.a), np.float32(p.b), np.float32(p.c), np.float32(p.d), np.float32(p.e)
     qa, qb, qc, qd, qe = np.float32(q.a), np.float32(q.b), np.float32(q.c), np.float32(q.d), np.float32(q.e)
     h = g.astype(np.float32)

@@ -94,7 +94,7 @@ def empty_profile() -> np.ndarray:
     return np.zeros((DIRECTIONS, BINS, 3))
 
 
-def learn(spread: Spread, profile: np.ndarray, width: float) -> Spread:
+def learn_edge_spread(spread: Spread, profile: np.ndarray, width: float) -> Spread:
     """Spread that takes in what fits with `spread` have left.
 
     profile : (DIRECTIONS, BINS, 3); width : px, typical of the edges. Where there are too few pixels the spread stays as it was.

@@ -21,13 +21,13 @@ _NODES = _SPREAD * np.stack(np.meshgrid(*[np.cos(np.pi * (np.arange(5) + 0.5) / 
 _TO_POLYNOMIAL = np.linalg.pinv((_NODES[:, None, :] ** _ORDERS).prod(axis=2))
 
 
-def centres(quads: np.ndarray) -> np.ndarray:
+def local_centres(quads: np.ndarray) -> np.ndarray:
     """(m, 3) x, y, scale px of local coordinates about markers whose corners are quads (m, 4, 2) px."""
     middle = quads.mean(axis=1)
     return np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
 
 
-def table(camera: Camera) -> np.ndarray:
+def ideal_coordinate_table(camera: Camera) -> np.ndarray:
     """(rows, columns, 2) ideal coordinates of nodes SPACING px apart from -BEYOND * SPACING on, times the focal lengths; NaN beyond a lens."""
     return _table(camera.matrix.tobytes(), np.asarray(camera.distortion, float).tobytes(), camera.width, camera.height)
 
@@ -61,7 +61,7 @@ def _at(nodes: np.ndarray, x: float, y: float) -> tuple[float, float]:
 def polynomials(nodes: np.ndarray, centres: np.ndarray, out: np.ndarray) -> None:
     """out (m, 2, TERMS): from local pixel to local ideal coordinates around centres (m, 3) x, y, scale px.
 
-    Local pixel: (pixel - centre) / scale. Local ideal: (ideal * focal - its value at the centre) / scale. nodes : `table`
+    Local pixel: (pixel - centre) / scale. Local ideal: (ideal * focal - its value at the centre) / scale. nodes : `ideal_coordinate_table`
     """
     for m in range(len(centres)):
         cx, cy, scale = centres[m, 0], centres[m, 1], centres[m, 2]
@@ -85,7 +85,7 @@ class Along(NamedTuple):
 
 
 @kernel
-def along(terms: np.ndarray, v: float) -> Along:
+def polynomial_at(terms: np.ndarray, v: float) -> Along:
     """A polynomial (TERMS,) where v is held."""
     a = terms[0] + v * (terms[2] + v * (terms[5] + v * (terms[9] + v * terms[14])))
     b = terms[1] + v * (terms[4] + v * (terms[8] + v * terms[13]))
@@ -95,7 +95,7 @@ def along(terms: np.ndarray, v: float) -> Along:
 @kernel
 def _change(terms: np.ndarray, u: float, v: float) -> tuple[float, float]:
     """How a polynomial (TERMS,) changes with u and with v."""
-    p = along(terms, v)
+    p = polynomial_at(terms, v)
     with_v = (terms[2] + v * (2 * terms[5] + v * (3 * terms[9] + 4 * v * terms[14])) + u * (
         terms[4] + v * (2 * terms[8] + 3 * v * terms[13]) + u * (terms[7] + 2 * v * terms[12] + u * terms[11])))
     return p.b + u * (2 * p.c + u * (3 * p.d + 4 * u * p.e)), with_v
@@ -104,7 +104,7 @@ def _change(terms: np.ndarray, u: float, v: float) -> tuple[float, float]:
 @kernel
 def to_ideal(lens: np.ndarray, u: float, v: float) -> tuple[float, float]:
     """Local ideal coordinates of local pixel coordinates by the polynomials of a lens (2, TERMS)."""
-    x, y = along(lens[0], v), along(lens[1], v)
+    x, y = polynomial_at(lens[0], v), polynomial_at(lens[1], v)
     return x.a + u * (x.b + u * (x.c + u * (x.d + u * x.e))), y.a + u * (y.b + u * (y.c + u * (y.d + u * y.e)))
 
 

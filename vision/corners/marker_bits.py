@@ -33,7 +33,7 @@ class Codes(NamedTuple):
 
 
 @lru_cache
-def codes(name: str, numbers: tuple[int, ...]) -> Codes:
+def marker_codes(name: str, numbers: tuple[int, ...]) -> Codes:
     """Codes of the markers of a dictionary (OpenCV name)."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     n = dictionary.markerSize
@@ -43,7 +43,7 @@ def codes(name: str, numbers: tuple[int, ...]) -> Codes:
     return Codes(bits, n, int(CORRECTED * dictionary.maxCorrectionBits))
 
 
-def identified(image: np.ndarray, places: Candidates, wanted: Codes) -> tuple[np.ndarray, np.ndarray]:
+def identify_markers(image: np.ndarray, places: Candidates, wanted: Codes) -> tuple[np.ndarray, np.ndarray]:
     """(rows of the Codes (k,), corners (k, 4, 2) px from each marker's own first on) that Candidates of an image (height, width) uint8 show."""
     count = len(places.first) - 1
     rows, corners = np.full(count, -1), np.empty((count, 4, 2))

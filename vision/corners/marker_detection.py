@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera
 from vision.corners import edge_pixels, square_gauss_newton, local_lens, square_sides, square_fit
-from vision.corners.marker_reader import LeftOut, Read, search
+from vision.corners.marker_reader import LeftOut, Read, read_markers
 from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN, Spread
 from vision.predict import expected
 from vision.targets import MarkerMap, marker_cells
@@ -68,14 +68,14 @@ class Detection:
 
 
 @overload
-def grey(image: np.ndarray, reader: Literal[True] = True) -> tuple[np.ndarray, np.ndarray]: ...
+def grey_image(image: np.ndarray, reader: Literal[True] = True) -> tuple[np.ndarray, np.ndarray]: ...
 
 
 @overload
-def grey(image: np.ndarray, reader: bool) -> tuple[np.ndarray | None, np.ndarray]: ...
+def grey_image(image: np.ndarray, reader: bool) -> tuple[np.ndarray | None, np.ndarray]: ...
 
 
-def grey(image: np.ndarray, reader: bool = True) -> tuple[np.ndarray | None, np.ndarray]:
+def grey_image(image: np.ndarray, reader: bool = True) -> tuple[np.ndarray | None, np.ndarray]:
     """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or 16 bit, grey or colour.
 
     reader : whether the first is wanted. Raises ValueError for any other kind.
@@ -102,7 +102,7 @@ def dictionary_reader(name: str) -> cv2.aruco.ArucoDetector:
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
 
 
-def detect(image: np.ndarray, camera: Camera, marker_map: MarkerMap, spread: Spread = PLAIN, T_base_platform: RigidTransform | None = None,
+def detect_markers(image: np.ndarray, camera: Camera, marker_map: MarkerMap, spread: Spread = PLAIN, T_base_platform: RigidTransform | None = None,
            doubtful: bool = False) -> Detection:
     """All markers of a rig in one image.
 
@@ -115,13 +115,15 @@ def detect(image: np.ndarray, camera: Camera, marker_map: MarkerMap, spread: Spr
     """
     if T_base_platform is not None:
         rows, places = expected(camera, T_base_platform, marker_map)
-        found = place(grey(image, False)[1], camera, marker_map, Read(marker_map.id[rows], places), spread, EXPECTED_REACH, verify=True)
+        found = fit_read_markers(
+            grey_image(image, False)[1], camera, marker_map, Read(marker_map.id[rows], places), spread, EXPECTED_REACH, verify=True
+        )
         on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], [*found.marker, *(one.marker for one in found.left_out)])
         if len(rows) and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on)) and not (
                 doubtful and _others(image, marker_map, rows[~read], places[~read])):
             return found
-    eight, full = grey(image)
-    return place(full, camera, marker_map, search(eight, marker_map), spread)
+    eight, full = grey_image(image)
+    return fit_read_markers(full, camera, marker_map, read_markers(eight, marker_map), spread)
 
 
 def _others(image: np.ndarray, marker_map: MarkerMap, rows: np.ndarray, places: np.ndarray) -> bool:
@@ -129,15 +131,23 @@ def _others(image: np.ndarray, marker_map: MarkerMap, rows: np.ndarray, places: 
     for row, quad in zip(rows, places):
         around = AROUND * np.ptp(quad, axis=0).max()
         (x0, y0), (x1, y1) = np.maximum(quad.min(axis=0) - around, 0).astype(int), (quad.max(axis=0) + around).astype(int) + 1
-        quads, ids, _ = dictionary_reader(marker_map.dictionary[row]).detectMarkers(np.ascontiguousarray(grey(image[y0:y1, x0:x1])[0]))
+        quads, ids, _ = dictionary_reader(marker_map.dictionary[row]).detectMarkers(np.ascontiguousarray(grey_image(image[y0:y1, x0:x1])[0]))
         middle, side = quad.mean(axis=0) - [x0, y0], np.linalg.norm(quad - quad[_NEXT], axis=1).max()
         if ids is not None and any(np.linalg.norm(other[0].mean(axis=0) - middle) < side / 2 for other in quads):
             return True
     return False
 
 
-def place(full: np.ndarray, camera: Camera, marker_map: MarkerMap, read: Read, spread: Spread = PLAIN, reach: float = REACH, verify: bool = False,
-          profile: np.ndarray | None = None) -> Detection:
+def fit_read_markers(
+    full: np.ndarray,
+    camera: Camera,
+    marker_map: MarkerMap,
+    read: Read,
+    spread: Spread = PLAIN,
+    reach: float = REACH,
+    verify: bool = False,
+    profile: np.ndarray | None = None,
+) -> Detection:
     """Detection of markers that are Read.
 
     full : (height, width) in 255ths of white; spread : Spread of the camera's edges
@@ -182,16 +192,16 @@ def _cut_out(full: np.ndarray, camera: Camera, quads: np.ndarray, printed: _Prin
     """square.Squares of quads (m, 4, 2) px of one size."""
     height, width = full.shape
     sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
-    centres = local_lens.centres(quads)
+    centres = local_lens.local_centres(quads)
     polynomials = np.empty((len(quads), 2, local_lens.TERMS))
-    local_lens.polynomials(local_lens.table(camera), centres, polynomials)
+    local_lens.polynomials(local_lens.ideal_coordinate_table(camera), centres, polynomials)
     room = ROOM + reach + BEND * sides_px.max(axis=1)[:, None]
     low = np.clip(np.floor(quads.min(axis=1) - room), 0, [width, height]).astype(int)
     high = np.clip(np.ceil(quads.max(axis=1) + room) + 1, low, [width, height]).astype(int)
     boxes = np.concatenate([low, high], axis=1)
     starts = np.concatenate([[0], np.cumsum((high - low).prod(axis=1))])
     pixels = np.empty(starts[-1], np.float32)
-    square_sides.cut(full, boxes, starts, pixels)
+    square_sides.crop_boxes(full, boxes, starts, pixels)
     along = quads[:, _NEXT] - quads
     axes = np.stack([along[:, 0] - along[:, 2], along[:, 1] - along[:, 3]], axis=1)  # the marker's X and Y in the image
     directions = spread.rows(np.arctan2(axes[:, ::-1, 0], -axes[:, ::-1, 1]))  # an X edge lies along Y, its normal across
@@ -237,4 +247,4 @@ def _reason(status: int, cell: float, wandered: bool, noise: float, contrast: fl
 @cache
 def _pattern(name: str, number: int) -> tuple[np.ndarray, np.ndarray]:
     cells = marker_cells(name, number)
-    return cells, edge_pixels.outlook(cells)
+    return cells, edge_pixels.pixel_edge_kinds(cells)

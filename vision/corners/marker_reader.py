@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.corners.marker_bits import codes, identified
-from vision.corners.quadrangle_candidates import candidates
-from vision.corners.dark_pixels import LEFT, WINDOWS, darker
-from vision.corners.outline_tracing import squares
-from vision.corners.outline_quadrangles import room_for
+from vision.corners.marker_bits import marker_codes, identify_markers
+from vision.corners.quadrangle_candidates import marker_candidates
+from vision.corners.dark_pixels import LEFT, WINDOWS, mark_dark_pixels
+from vision.corners.outline_tracing import trace_quadrangles
+from vision.corners.outline_quadrangles import outline_buffers
 from vision.targets import MarkerMap
 
 SHORTEST, LONGEST = 0.03, 4.0  # of the image's longer side, that a marker's outline has pixels
@@ -38,15 +38,15 @@ class Read(NamedTuple):
     left_out: Sequence[LeftOut] = ()
 
 
-def search(eight: np.ndarray, marker_map: MarkerMap) -> Read:
+def read_markers(eight: np.ndarray, marker_map: MarkerMap) -> Read:
     """Read from an image (height, width) uint8; a marker that is seen twice is left out."""
     eight = np.require(eight, np.uint8, ["C", "W"])  # kernels are compiled for one kind of array
     found: dict[int, list[np.ndarray]] = {}
-    left_out, all_ = [], quadrangles(eight)
+    left_out, all_ = [], dark_quadrangles(eight)
     for name in dict.fromkeys(marker_map.dictionary):
         own = tuple(number for number, other in zip(marker_map.id.tolist(), marker_map.dictionary) if other == name)
-        wanted = codes(name, own)
-        for row, quad in zip(*identified(eight, candidates(all_, eight.shape, wanted.n + 2), wanted)):
+        wanted = marker_codes(name, own)
+        for row, quad in zip(*identify_markers(eight, marker_candidates(all_, eight.shape, wanted.n + 2), wanted)):
             found.setdefault(own[row], []).append(quad)
     for number in [number for number, quads in found.items() if len(quads) > 1]:
         left_out.append(LeftOut(number, f"seen {len(found.pop(number))} times in one image", True))
@@ -54,19 +54,19 @@ def search(eight: np.ndarray, marker_map: MarkerMap) -> Read:
     return Read(np.array(numbers, int), np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out)
 
 
-def quadrangles(eight: np.ndarray) -> np.ndarray:
+def dark_quadrangles(eight: np.ndarray) -> np.ndarray:
     """(n, 4, 2) px, int32, clockwise: outlines with four corners of what is dark in an image (height, width) uint8, and of what is bright within."""
     height, width = eight.shape
     longer = max(height, width)
     words = np.zeros((height + 2 * LEFT, -(-(width + 2 * LEFT) // WORD)), np.uint64)
-    marks, traced, parts = words.view(np.uint8), room_for(int(LONGEST * longer)), []
+    marks, traced, parts = words.view(np.uint8), outline_buffers(int(LONGEST * longer)), []
     found = np.empty((ROOM, 4, 2), np.int32)
     for window in WINDOWS:
-        darker(eight, window, marks)
-        count = squares(words, marks, int(SHORTEST * longer), traced, found)
+        mark_dark_pixels(eight, window, marks)
+        count = trace_quadrangles(words, marks, int(SHORTEST * longer), traced, found)
         if count > len(found):
             found = np.empty((count, 4, 2), np.int32)
-            darker(eight, window, marks)
-            squares(words, marks, int(SHORTEST * longer), traced, found)
+            mark_dark_pixels(eight, window, marks)
+            trace_quadrangles(words, marks, int(SHORTEST * longer), traced, found)
         parts.append(found[:count][::-1].copy())
     return np.concatenate(parts)

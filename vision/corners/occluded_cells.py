@@ -23,7 +23,7 @@ def _at(xi: float, yi: float, g: np.ndarray, top: int) -> tuple[int, int]:
 
 
 @kernel
-def covered(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, told: np.ndarray, hidden: np.ndarray) -> bool:
+def find_occluded_cells(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, told: np.ndarray, hidden: np.ndarray) -> bool:
     """Whether something covers part of a square; added to hidden (k, k) bool, the cells that it hides, and their neighbours.
 
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; told : (2, k, k) overwritten
@@ -47,7 +47,7 @@ def covered(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, told: np.ndarra
 
 
 @kernel
-def uncovered(pixels: EdgePixels, g: np.ndarray, hidden: np.ndarray) -> int:
+def remove_occluded_pixels(pixels: EdgePixels, g: np.ndarray, hidden: np.ndarray) -> int:
     """Keep those EdgePixels that lie outside hidden cells (k, k), in place; returns how many. g : (3, 3) homography to cells"""
     kept, top, start = 0, hidden.shape[0] - 1, 0
     for kind in range(KINDS):

@@ -8,7 +8,7 @@ HALVINGS = 14  # of the numbers' range
 
 
 @kernel
-def ranked(values: np.ndarray, rank: int) -> float:
+def order_statistic(values: np.ndarray, rank: int) -> float:
     """The number, of values (k,), that `rank` others are below, to a 16 000th of their range; 0 where there is none."""
     if len(values) == 0:
         return 0.0

@@ -23,13 +23,13 @@ class Traced(NamedTuple):
     corners: np.ndarray
 
 
-def room_for(most: int) -> Traced:
+def outline_buffers(most: int) -> Traced:
     """Traced of outlines of at most so many pixels."""
     return Traced(np.empty(most, np.int32), np.empty(most, np.int32), np.empty((MOST + 1, 2), np.int32), np.empty(MOST, np.int32))
 
 
 @kernel
-def four_corners(traced: Traced, pixels: int, found: np.ndarray, row: int) -> int:
+def quadrangle_of_outline(traced: Traced, pixels: int, found: np.ndarray, row: int) -> int:
     """1 where the outline of the first `pixels` of Traced is a convex quadrangle, 0 where not; its corners, clockwise, into found[row] (4, 2)."""
     x, y, corners = traced.x, traced.y, traced.corners
     away = AWAY * pixels

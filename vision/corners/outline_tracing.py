@@ -6,7 +6,7 @@ Source: border following, Suzuki and Abe, Computer Vision, Graphics, and Image P
 import numpy as np
 
 from vision.corners.numba_compilation import kernel, kernel_part
-from vision.corners.outline_quadrangles import Traced, four_corners
+from vision.corners.outline_quadrangles import Traced, quadrangle_of_outline
 
 FRESH, SEEN, RIGHT = 1, 2, 130  # of a dark pixel: on no outline yet, on one, and on one whose right neighbour is bright
 _X = np.array([1, 1, 0, -1, -1, -1, 0, 1])  # a pixel's neighbours, from the right one on against the clock
@@ -16,7 +16,7 @@ _1, _7, _8, _56, _0 = (np.uint64(k) for k in (1, 7, 8, 56, 0))
 
 
 @kernel
-def squares(words: np.ndarray, marks: np.ndarray, least: int, traced: Traced, found: np.ndarray) -> int:
+def trace_quadrangles(words: np.ndarray, marks: np.ndarray, least: int, traced: Traced, found: np.ndarray) -> int:
     """Write the corners of all outlines that are quadrangles to found (k, 4, 2), int32 pixels; returns how many there are.
 
     words, marks : (rows, columns / 8) uint64 and (rows, columns) uint8, the same memory: of `darker`, overwritten
@@ -47,7 +47,7 @@ def squares(words: np.ndarray, marks: np.ndarray, least: int, traced: Traced, fo
                 else:
                     pixels = _follow(flat, stride, around, at - 1, 0, traced)
                 if least <= pixels <= len(traced.x):
-                    count += four_corners(traced, pixels, found, count)
+                    count += quadrangle_of_outline(traced, pixels, found, count)
             before = word >> _56
     return count
 

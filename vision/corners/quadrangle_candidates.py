@@ -22,7 +22,7 @@ class Candidates(NamedTuple):
     first: np.ndarray
 
 
-def candidates(quads: np.ndarray, shape: tuple[int, int], size: int) -> Candidates:
+def marker_candidates(quads: np.ndarray, shape: tuple[int, int], size: int) -> Candidates:
     """Candidates out of quadrangles (n, 4, 2) px, in an image (height, width), for markers of `size` cells each way, their border included."""
     sides = np.sqrt(((quads - quads[:, [1, 2, 3, 0]]).astype(np.float32) ** 2).sum(axis=2))
     perimeters = sides.sum(axis=1)

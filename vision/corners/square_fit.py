@@ -13,21 +13,34 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.corners.uneven_illumination import TERMS, Bow, bow
+from vision.corners.uneven_illumination import TERMS, Bow, remove_uneven_illumination
 from vision.corners.cholesky import factor, solve
-from vision.corners.occluded_cells import covered, uncovered
+from vision.corners.occluded_cells import find_occluded_cells, remove_occluded_pixels
 from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, edge_pixels
 from vision.corners.square_gauss_newton import (
-    LIGHT, NO_CONTRAST, NO_PIXELS, NOT_READ, OK, UNKNOWNS, UNLIMITED, UNSETTLED, WANDERED, Square, Work, accumulate, corner_covariance, corners_at,
-    step,
+    LIGHT,
+    NO_CONTRAST,
+    NO_PIXELS,
+    NOT_READ,
+    OK,
+    UNKNOWNS,
+    UNLIMITED,
+    UNSETTLED,
+    WANDERED,
+    Square,
+    Work,
+    accumulate_normal_equations,
+    corner_covariance,
+    corners_at,
+    gauss_newton_step,
 )
 from vision.corners.numba_compilation import kernel, kernel_part
 from vision.corners.local_lens import to_image
-from vision.corners.square_fit_residuals import misfit, profile_left, segments
+from vision.corners.square_fit_residuals import covariance_inflation, residual_profile, edge_segment_sums
 from vision.corners.cell_whiteness import STEPS, Tables, tabulate
-from vision.corners.order_statistics import ranked
+from vision.corners.order_statistics import order_statistic
 from vision.corners.strip_whiteness import ROWS, STRIP
-from vision.corners.square_sides import homography, misread, straighten
+from vision.corners.square_sides import square_homography, misread_cell_count, fit_sides
 
 SAMPLE = 300  # pixels that take part while the fit is still on its way
 FEWEST = 60  # pixels near edges, below which nothing is fitted
@@ -100,7 +113,7 @@ class Fits(NamedTuple):
 
 class Room(NamedTuple):
     """What fits are worked out in: all pixels of a marker near edges, a sample of them, a raster to collect them in, Work, Bow, Tables, sums of
-    `segments`, and counts and cells of `covered`."""
+    `edge_segment_sums`, and counts and cells of `find_occluded_cells`."""
 
     every: EdgePixels
     sample: EdgePixels
@@ -152,7 +165,7 @@ def _median(sizes: np.ndarray) -> float:
     negative = 0
     for size in sizes:
         negative += size < 0
-    return ranked(sizes, (len(sizes) + negative) // 2)
+    return order_statistic(sizes, (len(sizes) + negative) // 2)
 
 
 @kernel_part
@@ -181,8 +194,8 @@ def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
         box = boxes[m]
         crop = squares.pixels[squares.starts[m] : squares.starts[m] + (box[2] - box[0]) * (box[3] - box[1])].reshape(box[3] - box[1], box[2] - box[0])
         if manner.reach > 0:
-            straighten(crop, box, fits.quads[m], n + 2, manner.reach)
-        if manner.wrong >= 0 and misread(crop, box, fits.quads[m], marker.cells) > manner.wrong:
+            fit_sides(crop, box, fits.quads[m], n + 2, manner.reach)
+        if manner.wrong >= 0 and misread_cell_count(crop, box, fits.quads[m], marker.cells) > manner.wrong:
             fits.status[m] = NOT_READ
             continue
         fits.status[m] = _fit_square(crop, marker, m, width, manner, fits, room)
@@ -209,17 +222,17 @@ def _finish(room: Room, square: Square, marker: Printed, m: int, weights: float,
     weights : sum of its pixels' weights; limit : grey levels, of a trusted residual
     """
     every, work, corners, covariance = room.every, room.work, fits.corners[m], fits.covariances[m]
-    over = bow(every, square, weights, work, room.bowed)
+    over = remove_uneven_illumination(every, square, weights, work, room.bowed)
     if not corners_at(square.g, marker.n, corners, work.J):
         return WANDERED
-    segments(every, square.g, work.rows, work.x, room.sums)
+    edge_segment_sums(every, square.g, work.rows, work.x, room.sums)
     noise2 = max(over, 1e-12) / max(weights - UNKNOWNS - TERMS, 1.0)
     fits.noise[m] = math.sqrt(noise2)
     corner_covariance(work, noise2, room.bowed.gain, room.bowed.own, covariance)
-    covariance *= misfit(room.sums, fits.noise[m])
+    covariance *= covariance_inflation(room.sums, fits.noise[m])
     to_image(marker.lens, marker.centre, fits.quads[m], corners, covariance)
     if fits.profile.shape[1]:
-        profile_left(every, square, room.bowed.sizes, room.tables, marker.directions, limit, fits.profile)
+        residual_profile(every, square, room.bowed.sizes, room.tables, marker.directions, limit, fits.profile)
     return OK
 
 
@@ -232,7 +245,7 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
     scale = centre[2]
     g, light, slope = np.empty((3, 3)), np.zeros(6), np.empty((2, 2))
     slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = lens[0, 1] / scale, lens[0, 2] / scale, lens[1, 1] / scale, lens[1, 2] / scale
-    if not homography(quad, lens, centre, n, g) or not corners_at(g, n, corners, work.J):
+    if not square_homography(quad, lens, centre, n, g) or not corners_at(g, n, corners, work.J):
         return WANDERED
     lit, limit, away, collected, part, count, used, whole, tabulated = False, UNLIMITED, np.inf, s, False, 0, 0, False, -1
     collections = 0
@@ -243,7 +256,7 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
                 to_image(lens, centre, quad, corners, fits.covariances[m])
                 quad[:] = corners
             there = edge_pixels(crop, marker, quad, g, s, room.raster, every)
-            count = uncovered(every, g, hidden) if dropped else there
+            count = remove_occluded_pixels(every, g, hidden) if dropped else there
             dropped = there - count
             if count < FEWEST:
                 return NO_PIXELS
@@ -255,13 +268,13 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
         tabulated = _tabulated(tables, tabulated, s, manner, marker.directions)
         square = Square(g, s, light, slope)
         used = used if part else count
-        counted = accumulate(sample if part else every, marker.cells, square, tables, limit, lit, work)
+        counted = accumulate_normal_equations(sample if part else every, marker.cells, square, tables, limit, lit, work)
         if not lit:
             lit = True
             if not _lighten(work, light):
                 return NO_CONTRAST
             continue
-        moved = step(square, n, scale, corners, work)
+        moved = gauss_newton_step(square, n, scale, corners, work)
         if moved.status != OK:
             return moved.status
         widened, s = abs(moved.width - s), moved.width
@@ -274,8 +287,8 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
             whole = moved.moved < SETTLED and widened < SAMPLE_STEADY * s
             part = not whole
         elif moved.moved < SETTLED and widened < STEADY * s and away < STRAYED and s <= WIDENED * collected:
-            if counted.doubted and covered(every, g, work.rows, room.told, hidden):
-                lost, left = lost + counted.doubted, uncovered(every, g, hidden)
+            if counted.doubted and find_occluded_cells(every, g, work.rows, room.told, hidden):
+                lost, left = lost + counted.doubted, remove_occluded_pixels(every, g, hidden)
                 dropped, count = dropped + count - left, left
                 if count < FEWEST:
                     return NO_PIXELS

@@ -7,7 +7,7 @@ import numpy as np
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, EdgePixels
 from vision.corners.square_gauss_newton import Square
 from vision.corners.numba_compilation import kernel
-from vision.corners.cell_whiteness import Tables, edge
+from vision.corners.cell_whiteness import Tables, edge_whiteness
 
 SIDE = 0.1  # of the information that the best seen cell's side has; one with less does not count
 SIDES = 16  # of cells, from which it is told whether they are where they ought to be; the homography takes eight of them
@@ -21,7 +21,7 @@ def _near(X: float, top: int) -> int:
 
 
 @kernel
-def segments(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, x: np.ndarray, sums: np.ndarray) -> None:
+def edge_segment_sums(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, x: np.ndarray, sums: np.ndarray) -> None:
     """sums (2, n + 5, n + 5, 2) over the pixels of each side of a cell, on X and on Y edges: slope times what the last step leaves, slope^2.
 
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; x : the last step
@@ -55,10 +55,10 @@ def segments(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, x: np.ndarray,
 
 
 @kernel
-def misfit(sums: np.ndarray, noise: float) -> float:
+def covariance_inflation(sums: np.ndarray, noise: float) -> float:
     """What the corners' covariance must be multiplied by, at least 1: how much more edges are out of place than noise moves them.
 
-    sums : of `segments`; noise : grey levels. White noise leaves a cell's side as far out of place as its pixels' slopes say; a blur of
+    sums : of `edge_segment_sums`; noise : grey levels. White noise leaves a cell's side as far out of place as its pixels' slopes say; a blur of
     another shape, rounding or a renderer's few samples to the pixel move neighbouring pixels alike, and sides farther than that.
     Source: a covariance from scores summed over clusters, Liang and Zeger 1986
     """
@@ -73,7 +73,7 @@ def misfit(sums: np.ndarray, noise: float) -> float:
 
 
 @kernel
-def profile_left(pixels: EdgePixels, square: Square, bowed: np.ndarray, tables: Tables, directions: np.ndarray, limit: float,
+def residual_profile(pixels: EdgePixels, square: Square, bowed: np.ndarray, tables: Tables, directions: np.ndarray, limit: float,
                  profile: np.ndarray) -> None:
     """Add what the fit leaves beside single edges, as a share of the contrast, to profile (d, BINS, 3): count, sum, sum of squares.
 
@@ -94,7 +94,7 @@ def profile_left(pixels: EdgePixels, square: Square, bowed: np.ndarray, tables: 
         h = sign * (X - at_edge) / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
         white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
         at = int(math.floor((h / PROFILED + 1) * bins / 2))
-        p, e = edge(table, h)
+        p, e = edge_whiteness(table, h)
         more = bowed[0] * xi * xi + bowed[1] * xi * yi + bowed[2] * yi * yi
         share = (pixels.greys[k] - black - more * (p + (1 - p) * light[3] / light[0])) / (white - black) - p
         if 0 <= at < bins and abs(share) * (white - black) < limit:

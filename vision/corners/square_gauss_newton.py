@@ -13,7 +13,7 @@ from vision.corners.cholesky import factor, solve
 from vision.corners.edge_pixels import KINDS, EdgePixels
 from vision.corners.numba_compilation import kernel, kernel_part
 from vision.corners.cell_whiteness import Tables
-from vision.corners.strip_whiteness import ROWS, STRIP, Seen, shares
+from vision.corners.strip_whiteness import ROWS, STRIP, Seen, strip_whiteness
 
 UNKNOWNS = 15
 LIGHT = 9  # the first unknown of the greys
@@ -72,7 +72,9 @@ class Moved(NamedTuple):
 
 
 @kernel
-def accumulate(pixels: EdgePixels, cells: np.ndarray, square: Square, tables: Tables, limit: float, lit: bool, work: Work) -> Counted:
+def accumulate_normal_equations(
+    pixels: EdgePixels, cells: np.ndarray, square: Square, tables: Tables, limit: float, lit: bool, work: Work
+) -> Counted:
     """work.H (ROWS, ROWS) = J J' over pixels, whose last row of J is the residual.
 
     pixels : EdgePixels; cells : of `Printed`; square : Square, at which J is taken; tables : Tables
@@ -84,7 +86,7 @@ def accumulate(pixels: EdgePixels, cells: np.ndarray, square: Square, tables: Ta
     for start in range(0, count, STRIP):
         size = min(STRIP, count - start)
         strip = work.rows[start // STRIP].reshape(ROWS * STRIP)
-        shares(pixels, start, size, seen, tables, strip)
+        strip_whiteness(pixels, start, size, seen, tables, strip)
         counted = _greys(pixels, start, size, square.light, limit if lit else UNLIMITED, strip, work.sizes)
         weights, doubted = weights + counted.weights, doubted + counted.doubted
         _multiply(strip, size, 0 if lit else LIGHT - 1, H)
@@ -98,7 +100,7 @@ def accumulate(pixels: EdgePixels, cells: np.ndarray, square: Square, tables: Ta
 def _greys(pixels: EdgePixels, start: int, size: int, light: np.ndarray, limit: float, strip: np.ndarray, sizes: np.ndarray) -> Counted:
     """Rows of J from the shares in a strip (ROWS * STRIP,) of the pixels start .. start + size; zeros up to a multiple of PADDED pixels.
 
-    light : as in Square; limit : as in `accumulate`; sizes : of Work
+    light : as in Square; limit : as in `accumulate_normal_equations`; sizes : of Work
     """
     x, y, greys, begin = pixels.x, pixels.y, pixels.greys, np.uintp(start)
     white, white_x, white_y = np.float32(light[0]), np.float32(light[1]), np.float32(light[2])
@@ -172,7 +174,7 @@ def corners_at(g: np.ndarray, n: int, corners: np.ndarray, J: np.ndarray) -> boo
 
 
 @kernel
-def step(square: Square, n: int, scale: float, corners: np.ndarray, work: Work) -> Moved:
+def gauss_newton_step(square: Square, n: int, scale: float, corners: np.ndarray, work: Work) -> Moved:
     """Move the square's g and light in place by a Gauss-Newton step.
 
     square : Square; n : bits each way; scale : px, of local coordinates; corners : (4, 2), overwritten; work : Work as accumulated

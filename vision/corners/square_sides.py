@@ -6,14 +6,14 @@ import numpy as np
 
 from vision.corners.numba_compilation import kernel, kernel_part
 from vision.corners.local_lens import to_ideal
-from vision.corners.order_statistics import ranked
+from vision.corners.order_statistics import order_statistic
 
 PROFILES = 8  # along each side
 FAINTEST = 6.0  # grey levels; a step below this is none
 
 
 @kernel
-def cut(image: np.ndarray, boxes: np.ndarray, starts: np.ndarray, out: np.ndarray) -> None:
+def crop_boxes(image: np.ndarray, boxes: np.ndarray, starts: np.ndarray, out: np.ndarray) -> None:
     """Copy the boxes (m, 4) x0 y0 x1 y1 of an image one after the other into out, flat float32, from starts (m,)."""
     for m in range(len(boxes)):
         k, x0, width = np.uintp(starts[m]), np.uintp(boxes[m, 0]), np.uintp(boxes[m, 2] - boxes[m, 0])
@@ -43,7 +43,7 @@ def _black_and_white(crop: np.ndarray, box: np.ndarray, quad: np.ndarray) -> tup
         x = (1 - t) * ((1 - s) * quad[0, 0] + s * quad[1, 0]) + t * ((1 - s) * quad[3, 0] + s * quad[2, 0]) - box[0]
         y = (1 - t) * ((1 - s) * quad[0, 1] + s * quad[1, 1]) + t * ((1 - s) * quad[3, 1] + s * quad[2, 1]) - box[1]
         inside[k] = _between(crop, x, y)
-    return ranked(inside, 5), ranked(inside, 58)
+    return order_statistic(inside, 5), order_statistic(inside, 58)
 
 
 @kernel_part
@@ -53,7 +53,7 @@ def _line(where: np.ndarray, offsets: np.ndarray, found: int) -> tuple[float, fl
     shift, turn = 0.0, 0.0
     if found < PROFILES // 2:
         return shift, turn
-    centre = ranked(offsets[:found], found // 2)
+    centre = order_statistic(offsets[:found], found // 2)
     for tries in range(2):  # the second time without those that stand apart
         n, st, stt, so, sot = 0, 0.0, 0.0, 0.0, 0.0
         for q in range(found):
@@ -73,7 +73,7 @@ def _line(where: np.ndarray, offsets: np.ndarray, found: int) -> tuple[float, fl
 
 
 @kernel
-def straighten(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, reach: float) -> None:
+def fit_sides(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, reach: float) -> None:
     """Move the sides of a quad (4, 2) px, in place, onto the steps from dark inside to bright outside that profiles across them show.
 
     A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size` cells; it stays
@@ -122,7 +122,7 @@ def straighten(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, r
 
 
 @kernel
-def homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n: int, g: np.ndarray) -> bool:
+def square_homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n: int, g: np.ndarray) -> bool:
     """g (3, 3), last entry 1: local ideal coordinates to cells, for a square of n + 2 cells whose corners are quad (4, 2) px.
 
     False where the corners do not turn clockwise around a convex figure. Source: Heckbert 1989, square to quadrilateral
@@ -151,7 +151,7 @@ def homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n: int, g
 
 
 @kernel
-def misread(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, cells: np.ndarray) -> int:
+def misread_cell_count(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, cells: np.ndarray) -> int:
     """How many of a marker's cells, its black border among them, have not the colour that they ought to; quad (4, 2) px.
 
     All of them where white is no brighter than black. Five points of each cell are read.

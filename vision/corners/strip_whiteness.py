@@ -10,7 +10,7 @@ import numpy as np
 
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
 from vision.corners.numba_compilation import kernel, kernel_part
-from vision.corners.cell_whiteness import NODES, SKEW, SPAN, STEPS, TOGETHER, WEIGHTS, Meeting, Tables, pattern, wide_pattern
+from vision.corners.cell_whiteness import NODES, SKEW, SPAN, STEPS, TOGETHER, WEIGHTS, Meeting, Tables, cell_whiteness, blurred_cell_whiteness
 
 ROWS = 16  # of a strip
 STRIP = 256  # pixels in a strip; its rows fit the processor's first cache
@@ -36,7 +36,7 @@ class Seen(NamedTuple):
 
 
 @kernel
-def shares(pixels: EdgePixels, start: int, size: int, seen: Seen, tables: Tables, strip: np.ndarray) -> None:
+def strip_whiteness(pixels: EdgePixels, start: int, size: int, seen: Seen, tables: Tables, strip: np.ndarray) -> None:
     """Leave in a strip (ROWS * STRIP,) float32, at rows 9, 2, 5, 6 and 8, of the pixels start .. start + size: the share of white, its
     derivatives to X and Y times w, -(X dX + Y dY), which is its derivative to perspective, and that to the logarithm of the edges' width.
     """
@@ -167,9 +167,9 @@ def _several(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, ta
         meeting = Meeting(s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay), (Xu * gu + Xv * gv) / (ax * ax),
                           (Yu * gu + Yv * gv) / (ay * ay))
         if REACH * max(meeting.sx, meeting.sy) > 1:
-            p, dX, dY, dB = wide_pattern(seen.cells, i, j, X, Y, meeting, tables.x, tables.y)
+            p, dX, dY, dB = blurred_cell_whiteness(seen.cells, i, j, X, Y, meeting, tables.x, tables.y)
         else:
-            p, dX, dY, dB = pattern(seen.cells, i, j, X, Y, meeting, tables.x, tables.y)
+            p, dX, dY, dB = cell_whiteness(seen.cells, i, j, X, Y, meeting, tables.x, tables.y)
         k = np.uintp(m)
         strip[_SHARE + k], strip[_D_X + k], strip[_D_Y + k] = p, dX * w, dY * w
         strip[_BOTH + k], strip[_WIDTH + k] = -(dX * X + dY * Y) * w, dB

@@ -28,7 +28,7 @@ class Bow(NamedTuple):
 
 
 @kernel
-def bow(pixels: EdgePixels, square: Square, weights: float, work: Work, found: Bow) -> float:
+def remove_uneven_illumination(pixels: EdgePixels, square: Square, weights: float, work: Work, found: Bow) -> float:
     """Take bowed light out of a fit whose last step was made: its Square moves on, and work.x and the residuals in work.rows with it.
 
     pixels : EdgePixels, of all of which work holds rows; weights : sum of their weights; found : Bow, overwritten

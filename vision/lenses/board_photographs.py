@@ -11,7 +11,7 @@ from rig.model.design import Camera
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.recording.exposures import read_image
 from rig.recording.image_file_check import MOST_OF_A_PHOTOGRAPH
-from vision.lenses.calibration_board import Board, BoardView, see
+from vision.lenses.calibration_board import Board, BoardView, find_board_corners
 from vision.lenses.lens_calibration import LEAST_CORNERS, MODELS, Fit, HeldOut, calibrate, choose, hold_out, observations_of, projection_uncertainty
 from vision.corner_observations import Observations
 
@@ -74,7 +74,7 @@ def calibrate_photographs(paths: Sequence[Path], board: Board, name: str = "cam0
     for again in (False, True):
         views = []
         for k, image in enumerate(images):
-            views.append(see(image, board, camera))
+            views.append(find_board_corners(image, board, camera))
             if progress:
                 progress("finding corners" + " again" * again, k + 1, len(images))
         left_out = tuple((path, _reason(view)) for path, view in zip(paths, views) if len(view.corner) < LEAST_CORNERS)

@@ -8,9 +8,9 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import DICTIONARIES, Camera
 from rig.errors import RigError
-from rig.formats.number_parsing import number, whole
+from rig.formats.number_parsing import parse_number, parse_whole_number
 from vision import lens
-from vision.corners.marker_detection import detect, grey
+from vision.corners.marker_detection import detect_markers, grey_image
 from vision.lenses import chessboard_corner
 from vision.targets import SQUARE, MarkerMap
 
@@ -65,7 +65,7 @@ def parse(text: str) -> Board:
     if len(parts) != 5:
         raise RigError(f"--board {text!r} has {len(parts)} parts, not 5: {KINDS[kind]}")
     try:
-        columns, rows = (whole(part) for part in parts[1].lower().split("x"))
+        columns, rows = (parse_whole_number(part) for part in parts[1].lower().split("x"))
     except ValueError:
         raise RigError(f"--board {text!r}: {parts[1]!r} is no size such as 5x7") from None
     if not (columns * rows >= 2 and 1 <= columns <= 100 and 1 <= rows <= 100) or (kind == "charuco" and min(columns, rows) < 3):
@@ -73,7 +73,7 @@ def parse(text: str) -> Board:
     lengths = []
     for name, part in zip(("square", "marker") if kind == "charuco" else ("side", "gap"), parts[2:4]):
         try:
-            lengths.append(number(part))
+            lengths.append(parse_number(part))
         except ValueError:
             raise RigError(f"--board {text!r}: {name} {part!r} is no number (m)") from None
         if not 0 < lengths[-1] <= LARGEST:
@@ -99,11 +99,11 @@ class BoardView:
     left_out: tuple[tuple[int, str], ...]
 
 
-def see(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
+def find_board_corners(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
     """BoardView of an image as cv2 reads it. camera : Camera whose lens bends the edges (no distortion for the first look)."""
     if board.kind == "aruco":
         return _markers(image, board, camera)
-    eight, full = grey(image)
+    eight, full = grey_image(image)
     found, ids, _ = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))).detectMarkers(eight)
     ids = np.zeros(0, int) if ids is None else ids.ravel()
     keep = [i for i, number in enumerate(ids) if number < len(board.places()) and (ids == number).sum() == 1]
@@ -142,7 +142,7 @@ def _markers(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
     map_ = MarkerMap(np.arange(len(middles)), np.zeros(len(middles), bool), RigidTransform.from_translation(middles),
                      np.full(len(middles), board.side), np.full(len(middles), gap), [board.dictionary] * len(middles), ["board"] * len(middles),
                      np.zeros(len(middles), int))
-    found = detect(image, camera, map_)
+    found = detect_markers(image, camera, map_)
     rows = (found.marker[:, None] * 4 + np.arange(4)).ravel()
     covariance = np.array([found.covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)]).reshape(4, -1, 2, 2).swapaxes(0, 1)
     return BoardView(rows, found.corners.reshape(-1, 2), covariance.reshape(-1, 2, 2),

@@ -10,9 +10,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.model.design import Camera
 from rig.errors import NotEnoughData
 from vision import lens
-from vision.bundle.bundle_adjustment import Adjustment, adjust
+from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.lenses.calibration_board import Board, BoardView
-from vision.corner_observations import Observations, only
+from vision.corner_observations import Observations, observations_of_frames
 from vision.pose.pose_refinement import GATE, MEDIAN
 from vision.predict import State, predict
 
@@ -75,7 +75,7 @@ def calibrate(observations: Observations, width: int, height: int, terms: int, n
     unmodelled = UNMODELLED**2
     for k in range(ROUNDS):
         weighed = replace(o, covariance=o.covariance + unmodelled * np.eye(2))
-        result = adjust(weighed.take(good), state, ("lenses",), stated=stated, worth=lambda camera: _worth(camera, terms))
+        result = adjust_bundle(weighed.take(good), state, ("lenses",), stated=stated, worth=lambda camera: _worth(camera, terms))
         state = result.state
         residuals = o.uv - predict(o, state)[0]
         square = (residuals**2).sum(axis=1)
@@ -93,10 +93,10 @@ def hold_out(observations: Observations, width: int, height: int, terms: int, in
     for f in range(len(o.frames)):
         own = o.frame == f
         rest = np.delete(np.arange(len(o.frames)), f)
-        fitted = calibrate(only(o, rest), width, height, terms, inliers=inliers[~own])
-        alone = only(o, np.array([f])).take(inliers[own])
+        fitted = calibrate(observations_of_frames(o, rest), width, height, terms, inliers=inliers[~own])
+        alone = observations_of_frames(o, np.array([f])).take(inliers[own])
         start = _start(alone, width, height, max(terms, 4), "held out", fitted.camera)
-        state = adjust(alone, start, ()).state
+        state = adjust_bundle(alone, start, ()).state
         square = (alone.uv - predict(alone, state)[0]) ** 2
         by_image.append(float(np.sqrt(square.mean())))
         total, count = total + square.sum(), count + len(alone)

@@ -25,14 +25,14 @@ class Reach:
     beside: float
 
 
-def choose(found: Poses, undecided: dict[int, Sequence[np.ndarray]], t: np.ndarray) -> Poses:
+def choose_by_neighbours(found: Poses, undecided: dict[int, Sequence[np.ndarray]], t: np.ndarray) -> Poses:
     """{frame: T_world_body} of frames whose pose their neighbours decide, as matrices.
 
     found : {frame: (4, 4)} solved; undecided : {frame: ((4, 4), ...)} candidates; t : (F,) s
     One candidate must lie within what neighbours predict solved frames to, and every other beyond it and WORSE times as far.
     A frame so decided is a neighbour in its turn.
     """
-    reach, known = reach_of(found, t), dict(found)
+    reach, known = neighbour_distance(found, t), dict(found)
     chosen: Poses = {}
     if reach is None:
         return chosen
@@ -40,10 +40,10 @@ def choose(found: Poses, undecided: dict[int, Sequence[np.ndarray]], t: np.ndarr
     while waiting:
         fresh = {}
         for f in waiting:
-            expected, limit = expect(known, f, t, reach)
+            expected, limit = expected_pose(known, f, t, reach)
             if expected is None or not limit < MOST:
                 continue
-            miss = np.array([angle(expected, one) for one in undecided[f]])
+            miss = np.array([rotation_angle(expected, one) for one in undecided[f]])
             order = np.argsort(miss)
             if miss[order[0]] <= limit and (miss[order[1:]] > max(limit, WORSE * miss[order[0]])).all():
                 fresh[f] = undecided[f][order[0]]
@@ -53,34 +53,34 @@ def choose(found: Poses, undecided: dict[int, Sequence[np.ndarray]], t: np.ndarr
     return chosen
 
 
-def astray(found: Poses, t: np.ndarray) -> dict[int, str]:
+def pose_outliers(found: Poses, t: np.ndarray) -> dict[int, str]:
     """{frame: reason} of solved frames (4, 4) that turn away from neighbours which predict all the others well: a flip."""
-    reach = reach_of(found, t)
+    reach = neighbour_distance(found, t)
     odd: dict[int, str] = {}
     if reach is None:
         return odd
     for f, T in found.items():
         if None not in _near(found, f, t):
-            expected, limit = expect(found, f, t, reach)
-            if expected is not None and angle(expected, T) > max(2 * limit, MOST):
-                odd[f] = f"it turns by {np.degrees(angle(expected, T)):.0f} degrees against the frames before and after"
+            expected, limit = expected_pose(found, f, t, reach)
+            if expected is not None and rotation_angle(expected, T) > max(2 * limit, MOST):
+                odd[f] = f"it turns by {np.degrees(rotation_angle(expected, T)):.0f} degrees against the frames before and after"
     return odd
 
 
-def reach_of(found: Poses, t: np.ndarray) -> Reach | None:
+def neighbour_distance(found: Poses, t: np.ndarray) -> Reach | None:
     """Reach that solved frames show of each other, or None where too few have neighbours. t : (F,) s"""
     between, beside = [], []
     for f, T in found.items():
         before, after = _near(found, f, t)
         if before is not None and after is not None:
-            between.append(angle(_between(found, before, after, f, t), T) / (t[after] - t[before]) ** 2)
-            beside.append(angle(found[before], T) / (t[f] - t[before]))
+            between.append(rotation_angle(_between(found, before, after, f, t), T) / (t[after] - t[before]) ** 2)
+            beside.append(rotation_angle(found[before], T) / (t[f] - t[before]))
     if len(between) < ENOUGH:
         return None
     return Reach(MARGIN * np.quantile(between, 0.9), MARGIN * np.quantile(beside, 0.9))
 
 
-def expect(found: Poses, f: int, t: np.ndarray, reach: Reach) -> tuple[np.ndarray | None, float]:
+def expected_pose(found: Poses, f: int, t: np.ndarray, reach: Reach) -> tuple[np.ndarray | None, float]:
     """((4, 4), rad) expected of frame f from solved frames near it, and how far off it may be; (None, inf) where there are none."""
     before, after = _near(found, f, t)
     ways = [(reach.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
@@ -106,6 +106,6 @@ def _between(found: Poses, before: int, after: int, f: int, t: np.ndarray) -> np
     return out
 
 
-def angle(a: np.ndarray, b: np.ndarray) -> float:
+def rotation_angle(a: np.ndarray, b: np.ndarray) -> float:
     """rad between the rotations of two poses (4, 4)."""
     return float(np.arccos(np.clip((np.einsum("ij,ij", a[:3, :3], b[:3, :3]) - 1) / 2, -1, 1)))

@@ -15,7 +15,7 @@ HELD = 0.5  # share of a camera's corners near where they should be, from which 
 MOST = 60  # sightings of markers by which a camera is placed: more only take longer
 
 
-def joined(views: Views, cameras: Sequence[Camera], found: Frames, held: set[int], t: np.ndarray | None = None,
+def place_cameras_by_poses(views: Views, cameras: Sequence[Camera], found: Frames, held: set[int], t: np.ndarray | None = None,
            progress: Callable[[int, int], None] | None = None) -> dict[int, RigidTransform]:
     """{camera index: T_base_camera} of fixed cameras that the base did not place and that the located frames contradict, by the poses that the
     placed ones alone give the platform.

@@ -11,7 +11,7 @@ from rig.model.design import Camera
 from rig.compute.parallel_map import parallel_map
 from vision.corner_observations import Observations
 from vision.pose.body_pose import Located, Unsolved, View, inverse, locate, undistorted
-from vision.pose.ambiguous_poses import Poses, astray, choose
+from vision.pose.ambiguous_poses import Poses, pose_outliers, choose_by_neighbours
 from vision.targets import MarkerMap
 
 SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other
@@ -73,7 +73,7 @@ class Views:
                            o.corner[rows], self.focal, T_camera_world), self.map, self.finest)
 
 
-def resect(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
+def locate_fixed_cameras(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
     """{camera index: T_base_camera} of the fixed cameras, from the base's corners, the median over all frames of each."""
     o, found = views.observations, {}
     for i, camera in enumerate(cameras):
@@ -89,7 +89,7 @@ def resect(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]
     return found
 
 
-def related(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
+def locate_cameras_by_body(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
     """{camera index: T_base_camera} of fixed cameras that see no base, from the body itself, which each locates by itself: where they stand to
     each other, the middle over the frames that they share with one of them, and all together where they are stated, in the mean.
 
@@ -173,11 +173,11 @@ def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tu
     why = {f: answer.reason for f, answer in answers.items() if not answer}
     chosen = {}
     if t is not None:
-        for f, reason in astray(found, t).items():
+        for f, reason in pose_outliers(found, t).items():
             del found[f]
             why[f] = reason
         doubtful: dict[int, Sequence[np.ndarray]] = {f: [one.matrix for one in answer.candidates]
                                                      for f, answer in answers.items() if not answer and answer.candidates}
-        chosen = choose(found, doubtful, t)
+        chosen = choose_by_neighbours(found, doubtful, t)
         why.update({f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen})
     return found | chosen, set(chosen), {f: reason for f, reason in why.items() if f not in chosen}

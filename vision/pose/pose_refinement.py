@@ -3,7 +3,7 @@
 import numpy as np
 
 from rig.compute.numba_kernels import njit
-from rig.model.rotation_increment import turned
+from rig.model.rotation_increment import rotate_increment
 
 GATE = 5.0  # standard deviations; beyond, a corner is an outlier
 ITERATIONS = 25
@@ -52,7 +52,7 @@ def refine(corners: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], to_ca
         for i in range(3):
             for k in range(3):
                 matrix[i, 3] += matrix[i, k] * step[k]
-        turned(matrix[:3, :3], step[3:])
+        rotate_increment(matrix[:3, :3], step[3:])
         calm = np.abs(step).max() < CALM
     return scale
 

@@ -9,16 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.compute.dask_cluster import everywhere
+from rig.compute.dask_cluster import shared_path
 from rig.model.design import Camera
 from rig.recording.exposures import read_image
 from rig.recording.recording_folder import Corners, Recording
 from vision.corners import local_lens
-from vision.corners.marker_detection import Detection, grey, place
+from vision.corners.marker_detection import Detection, grey_image, fit_read_markers
 from vision.corners.marker_reader import Read
 from vision.corners.edge_spread import PLAIN
 from vision.reading.recording_corners import Collected, by_image, corners_of
-from vision.reading.parallel_images import shared_out
+from vision.reading.parallel_images import map_images_in_processes
 from vision.targets import MarkerMap
 
 SETTLED = 2e-3  # px, by which a lens may bend a marker otherwise than another: that moves corners by a tenth of it
@@ -26,21 +26,21 @@ ROUNDS = 3  # of placing and measuring; a round leaves a few hundredths of what 
 STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretched, its corners have anyway
 
 
-def otherwise(corners: Corners, placed_by: Mapping[str, Camera], cameras: Sequence[Camera]) -> float:
+def lens_difference(corners: Corners, placed_by: Mapping[str, Camera], cameras: Sequence[Camera]) -> float:
     """px by which lenses as measured bend some marker otherwise than those that it was placed by. corners : all four of every marker"""
-    most, names, centres = 0.0, np.array(corners.camera)[::4], local_lens.centres(corners.uv.reshape(-1, 4, 2))
+    most, names, centres = 0.0, np.array(corners.camera)[::4], local_lens.local_centres(corners.uv.reshape(-1, 4, 2))
     for camera in cameras:
         own = centres[names == camera.name]
         if len(own):
             bent = np.empty((2, len(own), 2, local_lens.TERMS))
             for k, one in enumerate((placed_by[camera.name], camera)):
-                local_lens.polynomials(local_lens.table(one), own, bent[k])
+                local_lens.polynomials(local_lens.ideal_coordinate_table(one), own, bent[k])
             apart = np.abs(bent[1] - bent[0])[..., STRAIGHT:].sum(axis=-1) * own[:, 2:]
             most = max(most, float(np.nanmax(apart)))
     return most
 
 
-def placed_anew(recording: Recording, collected: Collected, cameras: Sequence[Camera], marker_map: MarkerMap,
+def refit_corners(recording: Recording, collected: Collected, cameras: Sequence[Camera], marker_map: MarkerMap,
                 progress: Callable[[int, int], None] | None = None) -> Collected:
     """Collected with every marker placed once more, from where it was found, by cameras as measured.
 
@@ -49,12 +49,14 @@ def placed_anew(recording: Recording, collected: Collected, cameras: Sequence[Ca
     lenses, seen = {camera.name: camera for camera in cameras}, by_image(collected.corners)
     images = [(int(frame), camera, name, Read(*seen[int(frame), camera])) for frame, camera, name in
               zip(recording.exposures.frame, recording.exposures.camera, recording.exposures.image) if name and (int(frame), camera) in seen]
-    folder, spread = everywhere(recording.folder), collected.spread
+    folder, spread = shared_path(recording.folder), collected.spread
 
     def one(image: tuple[int, str, str, Read]) -> Detection:
         _, camera, name, read = image
-        return place(grey(read_image(folder / name), False)[1], lenses[camera], marker_map, read, spread.get(camera, PLAIN), reach=0.0)
+        return fit_read_markers(
+            grey_image(read_image(folder / name), False)[1], lenses[camera], marker_map, read, spread.get(camera, PLAIN), reach=0.0
+        )
 
-    found = shared_out(one, images, progress)
+    found = map_images_in_processes(one, images, progress)
     corners, correlation = corners_of([(frame, camera, d) for (frame, camera, *_), d in zip(images, found)])
     return replace(collected, corners=corners, correlation=correlation, cameras=lenses)

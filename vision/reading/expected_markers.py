@@ -9,10 +9,10 @@ from scipy.spatial.transform import RigidTransform
 from rig.model import mechanisms
 from rig.model.design import Camera, Design
 from rig.errors import NotConverged, NotEnoughData
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from rig.recording.recording_folder import Corners, Recording
 from vision.recording_adjustment import Measurement, measure
-from vision.corner_observations import from_corners
+from vision.corner_observations import observations_from_corners
 from vision.pose.frame_poses import Views, locate_frames
 from vision.pose.body_pose import FINEST
 from vision.predict import State, predict
@@ -38,12 +38,14 @@ class Expectation:
 
     def locate(self, corners: Corners, frame: int, design: Design) -> RigidTransform | None:
         """T_base_platform of a frame from its Corners alone, or None."""
-        observations = from_corners(corners, np.array([frame]), design, self.markers)
+        observations = observations_from_corners(corners, np.array([frame]), design, self.markers)
         poses = locate_frames(Views(observations, self.cameras, self.markers, FINEST), self.cameras).poses if len(observations) else {}
         return RigidTransform.from_matrix(poses[0]) if 0 in poses else None
 
 
-def taught(recording: Recording, corners: Corners, correlation: np.ndarray, repeated: Sequence[int], markers: MarkerMap) -> Expectation | None:
+def learn_expectation(
+    recording: Recording, corners: Corners, correlation: np.ndarray, repeated: Sequence[int], markers: MarkerMap
+) -> Expectation | None:
     """Expectation from the corners of some frames, searched for in whole images; None where they do not show the rig as stated.
 
     corners, correlation : Corners and (n, 2, 8); repeated : identities that one of those images shows twice
@@ -54,7 +56,7 @@ def taught(recording: Recording, corners: Corners, correlation: np.ndarray, repe
     if len(frames) < LEAST or len(repeated) or markers.stage.any():
         return None
     try:
-        m = measure(from_corners(corners, frames, design, markers, correlation), design, markers)
+        m = measure(observations_from_corners(corners, frames, design, markers, correlation), design, markers)
     except NotEnoughData:
         return None
     if m.unsolved or suspects(m, markers):
@@ -69,11 +71,11 @@ def _commanded(recording: Recording, m: Measurement, frames: np.ndarray) -> dict
     numbers, _, values = recording.commanded()
     mechanism = recording.design.mechanism
     try:
-        T = mechanisms.of(mechanism).forward(values, mechanism)
+        T = mechanisms.kinematics_of(mechanism).forward(values, mechanism)
     except NotConverged:
         return {}
     at = np.searchsorted(numbers, frames)
-    T = T * exp(np.median(difference(T[at], m.T_base_platform), axis=0))
+    T = T * exp(np.median(pose_difference(T[at], m.T_base_platform), axis=0))
     o = m.observations
     here = State(m.design.cameras, T[at], m.adjustment.state.moving)
     miss = ((o.uv - predict(o, here)[0]) ** 2).sum(axis=1)[m.inliers & o.on_platform]

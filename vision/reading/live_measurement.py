@@ -17,17 +17,17 @@ from scipy.spatial.transform import RigidTransform
 from rig.model.design import Camera, Design
 from rig.errors import NotEnoughData
 from rig.model.pose import adjoint
-from rig.compute.worker_processes import cores
+from rig.compute.worker_processes import worker_count
 from rig.recording.recording_folder import Corners
-from vision.corners.marker_detection import REACH, Detection, detect, grey, place
+from vision.corners.marker_detection import REACH, Detection, detect_markers, grey_image, fit_read_markers
 from vision.corners.edge_spread import PLAIN, Spread
-from vision.hand_mounted_cameras import in_hand, seen_from
+from vision.hand_mounted_cameras import has_hand_cameras, design_seen_from_hand
 from vision.recording_adjustment import Measurement, measure
-from vision.corner_observations import Observations, from_corners, nothing_seen
-from vision.pose.frame_poses import Views, locate_frames, resect
+from vision.corner_observations import Observations, observations_from_corners, observations_without_corners
+from vision.pose.frame_poses import Views, locate_frames, locate_fixed_cameras
 from vision.pose.body_pose import FINEST
 from vision.predict import State, expected, predict
-from vision.reading.corner_refit import ROUNDS, SETTLED, otherwise
+from vision.reading.corner_refit import ROUNDS, SETTLED, lens_difference
 from vision.reading.recording_corners import corners_of, learn_spread
 from vision.targets import marker_map
 
@@ -56,12 +56,12 @@ class Sight:
     expected: dict[str, tuple[int, ...]]
 
 
-def told_by_limbs(frame: int, T_base_platform: RigidTransform, covariance: np.ndarray) -> Sight:
+def sight_from_limbs(frame: int, T_base_platform: RigidTransform, covariance: np.ndarray) -> Sight:
     """Sight of a frame whose pose others told, with its covariance (6, 6), m and rad on the right: no camera looked at it."""
-    return Sight(frame, T_base_platform, covariance, "", nothing_seen(frame), np.zeros((0, 2)), np.zeros(0, bool), {}, {})
+    return Sight(frame, T_base_platform, covariance, "", observations_without_corners(frame), np.zeros((0, 2)), np.zeros(0, bool), {}, {})
 
 
-def from_hand(sight: Sight) -> Sight:
+def sight_from_hand(sight: Sight) -> Sight:
     """The Sight of a base that was seen from the platform: where the platform stands, by the inverse, with its covariance."""
     T = sight.T_base_platform
     if T is None:
@@ -86,8 +86,8 @@ class Live:
     def __init__(self, design: Design) -> None:
         if not design.cameras or not design.targets:
             raise NotEnoughData(f"measuring takes a camera and a target at least; rig.toml has {len(design.cameras)} and {len(design.targets)}")
-        self._held = in_hand(design)
-        design = seen_from(design) if self._held else design.without_stages()
+        self._held = has_hand_cameras(design)
+        design = design_seen_from_hand(design) if self._held else design.without_stages()
         self.design, self.markers = design, marker_map(design)
         self.cameras = design.cameras
         self.noise: float | None = None
@@ -96,7 +96,7 @@ class Live:
         self._measurement: Measurement | None = None
         self._first: list[tuple[int, str, np.ndarray]] = []  # images from which the cameras' edges are learnt; none once they are
         self._spread = {camera.name: PLAIN for camera in design.cameras}
-        self._pool, self._beside = ThreadPoolExecutor(cores()), ThreadPoolExecutor(1)
+        self._pool, self._beside = ThreadPoolExecutor(worker_count()), ThreadPoolExecutor(1)
         self._adjusting: Future[_Adjusted] | None = None
         self._told = 0  # frames of the last adjustment that was begun
 
@@ -107,7 +107,7 @@ class Live:
             T_expected = T_expected.inv()
         by_name = {camera.name: camera for camera in self.cameras}
         adjusted = self._measurement is not None and T_expected is not None
-        work = [(name, self._pool.submit(detect, image, by_name[name], self.markers, self._spread[name],
+        work = [(name, self._pool.submit(detect_markers, image, by_name[name], self.markers, self._spread[name],
                                          T_expected if adjusted and by_name[name].mount == "fixed" else None))
                 for name, image in images.items()]
         detections = {name: future.result() for name, future in work}
@@ -117,7 +117,7 @@ class Live:
             self._first += [(frame, name, image) for name, image in images.items()]
         sight = self._locate(frame, rows, detections)
         self._solved += sight.T_base_platform is not None
-        return from_hand(sight) if self._held else sight
+        return sight_from_hand(sight) if self._held else sight
 
     def adjust(self) -> None:
         """Begin to adjust cameras to all frames so far where it is time to; what comes of it is taken over with a frame to come."""
@@ -142,21 +142,21 @@ class Live:
     def _adjusted(self, rows: Rows, first: Images, cameras: dict[str, Camera]) -> _Adjusted:
         """Cameras adjusted to all of some rows. first : images from which to learn how each camera's edges look and which are placed once more,
         or none; cameras : {name: Camera} by which these are placed at first"""
-        full = {(frame, name): grey(image)[1] for frame, name, image in first}
+        full = {(frame, name): grey_image(image)[1] for frame, name, image in first}
         seen = {(frame, name): detection for frame, name, detection in rows if (frame, name) in full}
         spread = {name: learn_spread([(full[key], d.read) for key, d in seen.items() if key[1] == name], camera, self.markers)
                   for name, camera in cameras.items() if any(key[1] == name for key in seen)}
         measurement, again, placed_by = None, dict[tuple[int, str], Detection](), cameras
         for _ in range(1 + (ROUNDS if seen else 0)):
-            again = {key: place(full[key], placed_by[key[1]], self.markers, d.read, spread[key[1]], 0.0 if again else REACH)
+            again = {key: fit_read_markers(full[key], placed_by[key[1]], self.markers, d.read, spread[key[1]], 0.0 if again else REACH)
                      for key, d in (again or seen).items()}
             corners, correlation = corners_of([(frame, name, again.get((frame, name), detection)) for frame, name, detection in rows])
-            observed = from_corners(corners, np.unique(corners.frame), self.design, self.markers, correlation)
+            observed = observations_from_corners(corners, np.unique(corners.frame), self.design, self.markers, correlation)
             try:
                 measurement = measure(observed, self.design, self.markers)
             except NotEnoughData:
                 return _Adjusted(None, spread, again)
-            if not seen or otherwise(corners_of([(*key, d) for key, d in again.items()])[0], placed_by, measurement.design.cameras) < SETTLED:
+            if not seen or lens_difference(corners_of([(*key, d) for key, d in again.items()])[0], placed_by, measurement.design.cameras) < SETTLED:
                 break
             placed_by = {camera.name: camera for camera in measurement.design.cameras}
         return _Adjusted(measurement, spread, again)
@@ -170,7 +170,7 @@ class Live:
 
     def _locate(self, frame: int, rows: list[tuple[int, str, Detection]], detections: dict[str, Detection]) -> Sight:
         corners, correlation = corners_of(rows)
-        observed = from_corners(corners, np.array([frame]), self.design, self.markers, correlation)
+        observed = observations_from_corners(corners, np.array([frame]), self.design, self.markers, correlation)
         observed = replace(observed, covariance=observed.covariance * self._factor)
         nothing = Sight(frame, None, None, "no marker of the rig is seen", observed, np.full((len(observed), 2), np.nan),
                         np.zeros(len(observed), bool),
@@ -197,8 +197,8 @@ class Live:
     def _resected(self, corners: Corners) -> tuple[Camera, ...]:
         """Cameras where their own images of the base's markers put them, before they are adjusted."""
         every, correlation = corners_of(self._rows)
-        observed = from_corners(every, np.unique(every.frame), self.design, self.markers, correlation)
-        found = resect(Views(observed, self.design.cameras, self.markers, FINEST), self.design.cameras)
+        observed = observations_from_corners(every, np.unique(every.frame), self.design, self.markers, correlation)
+        found = locate_fixed_cameras(Views(observed, self.design.cameras, self.markers, FINEST), self.design.cameras)
         return tuple(replace(camera, pose=found.get(i, camera.pose)) for i, camera in enumerate(self.design.cameras))
 
     def _ought(self, cameras: tuple[Camera, ...], name: str, T: RigidTransform) -> tuple[int, ...]:

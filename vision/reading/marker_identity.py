@@ -13,7 +13,7 @@ import numpy as np
 
 from vision.corners.marker_detection import dictionary_reader
 from vision.recording_adjustment import Measurement
-from vision.predict import Sightings, expected, facing, see
+from vision.predict import Sightings, expected, facing, predict_sightings
 from vision.targets import MarkerMap
 
 LEAST = 3  # sightings from which anything is said of a marker
@@ -113,7 +113,7 @@ def _misplaced(m: Measurement, marker_map: MarkerMap) -> dict[int, Suspect]:
 def _look(m: Measurement, marker_map: MarkerMap, marker: int, camera: int, frame: int, quad: np.ndarray) -> tuple[str, int, int] | None:
     """(kind, other identity, turn) of the place that a quad (4, 2) px of a marker is in, or None."""
     count = len(marker_map.id)
-    places = see(Sightings(np.full(count, frame), np.full(count, camera), np.arange(count)), m.adjustment.state, marker_map)
+    places = predict_sightings(Sightings(np.full(count, frame), np.full(count, camera), np.arange(count)), m.adjustment.state, marker_map)
     sides = np.linalg.norm(places - np.roll(places, 1, axis=1), axis=2).mean(axis=1)
     distance = np.linalg.norm(places[:, _ORDERS] - quad, axis=3).mean(axis=2) / sides[:, None]  # (markers, orders)
     distance[np.arange(count) != marker, 4:] = np.inf  # the far side of a cube looks like a mirrored one
@@ -161,7 +161,7 @@ def _reads_at(image: np.ndarray, place: np.ndarray, name: str) -> int | None:
     return None
 
 
-def why_none(images: Sequence[np.ndarray], marker_map: MarkerMap) -> str:
+def no_marker_reason(images: Sequence[np.ndarray], marker_map: MarkerMap) -> str:
     """Why no marker of a rig was found in images [(height, width) uint8]: of another dictionary, mirrored. "" where nothing is told."""
     stated = sorted(set(marker_map.dictionary))
     for name in stated:

@@ -8,7 +8,7 @@ from typing import TypeVar
 import cv2
 
 from rig.compute.parallel_map import parallel_map
-from rig.compute.worker_processes import cores, gathered
+from rig.compute.worker_processes import worker_count, executor_map
 
 EACH = 2  # images for each process, below which it is not worth starting any
 
@@ -16,13 +16,13 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def in_parallel(one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None) -> list[Result]:
+def map_images_in_threads(one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None) -> list[Result]:
     """What comes of each item of some work on images, in order, by threads: few items, or that share images. progress : called with (done, of)"""
-    with _one_thread_each(), ThreadPoolExecutor(cores()) as pool:
-        return gathered(pool, one, work, progress)
+    with _one_thread_each(), ThreadPoolExecutor(worker_count()) as pool:
+        return executor_map(pool, one, work, progress)
 
 
-def shared_out(one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None) -> list[Result]:
+def map_images_in_processes(one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None) -> list[Result]:
     """The same by processes, or by a cluster: many items that each read an image of their own. What `one` changes elsewhere is lost."""
     def alone(item: Item) -> Result:
         cv2.setNumThreads(1)

@@ -9,19 +9,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.compute.dask_cluster import everywhere
+from rig.compute.dask_cluster import shared_path
 from rig.model.design import Camera, Design
 from rig.errors import FileError
-from rig.recording.exposures import read_image, refused, undecodable
+from rig.recording.exposures import read_image, unusable_images_error, undecodable_images
 from rig.recording.recording_folder import Corners, Recording
-from vision.corners.marker_detection import Detection, detect, grey, place
-from vision.corners.marker_reader import Read, search
-from vision.corners.edge_spread import PLAIN, Spread, empty_profile, learn
+from vision.corners.marker_detection import Detection, detect_markers, grey_image, fit_read_markers
+from vision.corners.marker_reader import Read, read_markers
+from vision.corners.edge_spread import PLAIN, Spread, empty_profile, learn_edge_spread
 from vision.recording_adjustment import Measurement
-from vision.corner_observations import correlation_of
+from vision.corner_observations import corner_correlation
 from vision.predict import expected
 from vision.reading import expected_markers
-from vision.reading.parallel_images import in_parallel, shared_out
+from vision.reading.parallel_images import map_images_in_threads, map_images_in_processes
 from vision.targets import MarkerMap
 
 LEARN_FROM = 12  # images of each camera from which its edge spread is learnt
@@ -69,20 +69,20 @@ def image_reader(recording: Recording) -> Callable[[int, str], np.ndarray | None
 
     def read(frame: int, camera: str) -> np.ndarray | None:
         name = names.get((int(frame), camera))
-        return None if name is None else grey(read_image(recording.folder / name))[0]
+        return None if name is None else grey_image(read_image(recording.folder / name))[0]
 
     return read
 
 
-def collect(recording: Recording, marker_map: MarkerMap, progress: Callable[[int, int], None] | None = None) -> Collected:
+def collect_corners(recording: Recording, marker_map: MarkerMap, progress: Callable[[int, int], None] | None = None) -> Collected:
     """Collected from every image of a recording, see `_collected`. Raises FileError naming all images that cannot be decoded."""
     try:
         return _collected(recording, marker_map, progress)
     except FileError:
-        bad = undecodable(recording.folder, recording.exposures)
+        bad = undecodable_images(recording.folder, recording.exposures)
         if not bad:
             raise
-        raise refused(bad) from None
+        raise unusable_images_error(bad) from None
 
 
 def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[int, int], None] | None) -> Collected:
@@ -93,7 +93,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     another marker is in the place of one that is not, and on a rig that is not as it is stated.
     Raises FileError naming the image that cannot be decoded or has another size than its camera.
     """
-    e, design, folder = recording.exposures, recording.design, everywhere(recording.folder)
+    e, design, folder = recording.exposures, recording.design, shared_path(recording.folder)
     work = [(int(e.frame[i]), design.camera(e.camera[i]), name) for i, name in enumerate(e.image) if name]
     tell = _counter(progress, len(work))
     found: dict[int, Detection] = {}
@@ -102,39 +102,41 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
 
     def searched(k: int) -> tuple[np.ndarray, Read]:
         _, camera, name = work[k]
-        eight, full = grey(_image(folder, camera, name))
-        return full, search(eight, marker_map)
+        eight, full = grey_image(_image(folder, camera, name))
+        return full, read_markers(eight, marker_map)
 
-    whole = dict(zip(taught, in_parallel(searched, taught, None)))
+    whole = dict(zip(taught, map_images_in_threads(searched, taught, None)))
     spread = {name: learn_spread([whole[k] for k in taught if work[k][1].name == name], camera, marker_map) for name, camera in stated.items()}
 
     def placed(k: int) -> Detection:
         full, read = whole[k]
-        return place(full, work[k][1], marker_map, read, spread[work[k][1].name])
+        return fit_read_markers(full, work[k][1], marker_map, read, spread[work[k][1].name])
 
-    found.update(zip(taught, in_parallel(placed, taught, tell)))
+    found.update(zip(taught, map_images_in_threads(placed, taught, tell)))
     rest = [k for k in range(len(work)) if k not in found]
     rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
-    known = expected_markers.taught(recording, *corners_of(rows), _repeated(_left_out(rows)), marker_map) if len(rest) > len(taught) else None
+    known = (
+        expected_markers.learn_expectation(recording, *corners_of(rows), _repeated(_left_out(rows)), marker_map) if len(rest) > len(taught) else None
+    )
     cameras = {name: camera for name in stated if known is not None and (camera := known.camera(name)) is not None}
 
     def bent(k: int) -> Detection:
         camera = cameras[work[k][1].name]
-        return place(whole[k][0], camera, marker_map, found[k].read, spread[camera.name], reach=0.0)
+        return fit_read_markers(whole[k][0], camera, marker_map, found[k].read, spread[camera.name], reach=0.0)
 
     adjusted = [k for k in taught if work[k][1].name in cameras]  # whose markers the lens as stated bent otherwise than those of other images
-    found.update(zip(adjusted, in_parallel(bent, adjusted, None)))
+    found.update(zip(adjusted, map_images_in_threads(bent, adjusted, None)))
     whole.clear()
     lenses = stated | cameras
 
     def one(item: tuple[Camera, str, RigidTransform | None]) -> Detection:
         camera, name, T = item
-        return detect(_image(folder, camera, name), lenses[camera.name], marker_map, spread[camera.name],
+        return detect_markers(_image(folder, camera, name), lenses[camera.name], marker_map, spread[camera.name],
                       T if camera.name in cameras else None, doubtful=True)
 
     if known is None or known.commanded:
         commanded = known.commanded if known else {}
-        found.update(zip(rest, shared_out(one, [(*work[k][1:], commanded.get(work[k][0])) for k in rest], tell)))
+        found.update(zip(rest, map_images_in_processes(one, [(*work[k][1:], commanded.get(work[k][0])) for k in rest], tell)))
     else:
         found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
     rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
@@ -163,7 +165,7 @@ def _one_after_the_other(work: list[tuple[int, Camera, str]], rest: list[int], f
     for frame in sorted({frame for frame, *_ in work}):
         own = [k for k, (number, *_) in enumerate(work) if number == frame]
         fresh = [k for k in own if k in rest]
-        out.update(zip(fresh, in_parallel(one, [(*work[k][1:], last) for k in fresh], tell)))
+        out.update(zip(fresh, map_images_in_threads(one, [(*work[k][1:], last) for k in fresh], tell)))
         last = known.locate(corners_of([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design)
     return out
 
@@ -186,24 +188,24 @@ def learn_spread(searched: Sequence[tuple[np.ndarray, Read]], camera: Camera, ma
     """Spread of a camera's edges. searched : (image (height, width) in 255ths of white, Read from it) each"""
     def first(item: tuple[np.ndarray, Read]) -> tuple[np.ndarray, Detection]:
         full, read = item
-        return full, place(full, camera, marker_map, read)
+        return full, fit_read_markers(full, camera, marker_map, read)
 
-    seen = [(full, d.read) for full, d in in_parallel(first, searched, None) if len(d.marker)]
+    seen = [(full, d.read) for full, d in map_images_in_threads(first, searched, None) if len(d.marker)]
     spread = PLAIN
     for _ in range(ROUNDS if seen else 0):
         def again(item: tuple[np.ndarray, Read], spread: Spread = spread) -> tuple[Detection, np.ndarray]:
             full, read = item
             profile = empty_profile()
-            return place(full, camera, marker_map, read, spread, reach=0.0, profile=profile), profile
+            return fit_read_markers(full, camera, marker_map, read, spread, reach=0.0, profile=profile), profile
 
-        done = in_parallel(again, seen, None)
+        done = map_images_in_threads(again, seen, None)
         blur = np.concatenate([d.blur for d, _ in done])
         if len(blur):
-            spread = learn(spread, sum((profile for _, profile in done[1:]), done[0][1]), float(np.median(blur)))
+            spread = learn_edge_spread(spread, sum((profile for _, profile in done[1:]), done[0][1]), float(np.median(blur)))
     return spread
 
 
-def look_again(recording: Recording, collected: Collected, measurement: Measurement, marker_map: MarkerMap,
+def search_missed_markers(recording: Recording, collected: Collected, measurement: Measurement, marker_map: MarkerMap,
                progress: Callable[[int, int], None] | None = None) -> Collected:
     """Collected with the markers added that ought to be seen, by the measured poses and cameras, and were not read.
 
@@ -215,7 +217,7 @@ def look_again(recording: Recording, collected: Collected, measurement: Measurem
     for frame, name, number in zip(collected.corners.frame.tolist(), collected.corners.camera, collected.corners.marker.tolist()):
         seen[frame, name].add(number)
     bodies = {k: dict(zip(m.frames.tolist(), m.T_base_platform)) for k, m in {0: measurement, **measurement.stages}.items()}
-    work, folder = [], everywhere(recording.folder)
+    work, folder = [], shared_path(recording.folder)
     for frame, camera_name, name in zip(recording.exposures.frame.tolist(), recording.exposures.camera, recording.exposures.image):
         camera = camera_of.get(camera_name)
         if name and camera is not None and camera.mount != "moving":
@@ -230,12 +232,12 @@ def look_again(recording: Recording, collected: Collected, measurement: Measurem
         if not fresh:
             return None
         numbers, places = marker_map.id[rows[fresh]], places[fresh]
-        _, full = grey(read_image(folder / name))
-        d = place(full, camera, marker_map, Read(numbers, places), spread.get(camera.name, PLAIN), verify=True)
+        _, full = grey_image(read_image(folder / name))
+        d = fit_read_markers(full, camera, marker_map, Read(numbers, places), spread.get(camera.name, PLAIN), verify=True)
         at = [numbers.tolist().index(number) for number in d.marker]
         return d.take(np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool))
 
-    found = [(frame, camera.name, d) for (camera, *_, frame), d in zip(work, shared_out(one, work, progress)) if d is not None]
+    found = [(frame, camera.name, d) for (camera, *_, frame), d in zip(work, map_images_in_processes(one, work, progress)) if d is not None]
     extra, correlation = corners_of(found)
     return replace(collected, corners=_joined(collected.corners, extra), correlation=np.concatenate([collected.correlation, correlation]))
 
@@ -250,7 +252,7 @@ def corners_of(found: Sequence[Found]) -> tuple[Corners, np.ndarray]:
     uv = np.concatenate([d.corners for *_, d in found] or [np.zeros((0, 4, 2))]).reshape(-1, 2)
     frame = np.repeat(np.array([number for number, *_ in found], int), 4 * np.array(sizes, int))
     return (Corners(frame, names, np.repeat(marker, 4), np.tile(np.arange(4), len(marker)), uv, own),
-            correlation_of(covariance).reshape(-1, 2, 8))
+            corner_correlation(covariance).reshape(-1, 2, 8))
 
 
 def by_image(corners: Corners) -> dict[tuple[int, str], tuple[np.ndarray, np.ndarray]]:

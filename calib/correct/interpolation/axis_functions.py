@@ -9,8 +9,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from calib.correct.interpolation.field import Known, merged
-from calib.correct.interpolation.regression_fields import EMPTY, Regressed, likeliest
+from calib.correct.interpolation.field import Known, merge_repeats
+from calib.correct.interpolation.regression_fields import EMPTY, Regressed, most_likely_field
 
 KNOTS = (2, 3, 5, 9, 17, 33)  # tried
 SAMPLES = 2  # for each knot, at the least
@@ -41,10 +41,10 @@ class Axes(Regressed):
     @classmethod
     def fit(cls, known: Known) -> Self:
         """The sum of functions with as many knots as is likeliest, through samples anywhere; knots where samples lie equally dense."""
-        each = merged(known)
+        each = merge_repeats(known)
         n, axes = each.configurations.shape
         counts = [count for count in KNOTS if count == KNOTS[0] or SAMPLES * axes * count <= n]
-        return likeliest((cls(np.array([_knots(each.configurations[:, i], count, known.strokes[i]) for i in range(axes)]), *[EMPTY] * 4)
+        return most_likely_field((cls(np.array([_knots(each.configurations[:, i], count, known.strokes[i]) for i in range(axes)]), *[EMPTY] * 4)
                           for count in counts), each)
 
     def functions(self, x: np.ndarray) -> np.ndarray:

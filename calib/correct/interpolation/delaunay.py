@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial import Delaunay as Triangulation
 
-from calib.correct.interpolation.field import Known, merged
+from calib.correct.interpolation.field import Known, merge_repeats
 from calib.correct.interpolation.weighted_fields import Weighted, Weights
 from rig.errors import RigError
 from rig.compute.numba_kernels import njit
@@ -55,7 +55,7 @@ class Delaunay(Weighted):
     @classmethod
     def fit(cls, known: Known) -> Self:
         """The field through samples anywhere, repeats of a configuration averaged. Raises RigError as above."""
-        each = merged(known)
+        each = merge_repeats(known)
         centre, half = known.strokes.mean(axis=1), np.ptp(known.strokes, axis=1) / 2
         found = cls(centre, half, (each.configurations - centre) / half, each.values, each.variances, np.zeros(each.values.shape[1]))
         return replace(found, misfit=_misfit(found))

@@ -57,7 +57,7 @@ class Known:
         return Known(self.configurations[index], self.values[index], self.variances[index], self.strokes)
 
 
-def merged(known: Known, tolerance: float = 1e-5) -> Known:
+def merge_repeats(known: Known, tolerance: float = 1e-5) -> Known:
     """Known with repeats of one configuration (within a share of the strokes) as one sample: their mean, weighted by their variances."""
     scaled = np.round((known.configurations - known.strokes[:, 0]) / (tolerance * np.ptp(known.strokes, axis=1)) / 2).astype(np.int64)
     _, first, at = np.unique(scaled, axis=0, return_index=True, return_inverse=True)
@@ -65,10 +65,10 @@ def merged(known: Known, tolerance: float = 1e-5) -> Known:
         return known
     at, where = at.ravel(), np.zeros((len(first), scaled.shape[1]))
     np.add.at(where, at, known.configurations)
-    return Known(where / np.bincount(at)[:, None], *averaged(known, at), known.strokes)
+    return Known(where / np.bincount(at)[:, None], *average_samples(known, at), known.strokes)
 
 
-def averaged(known: Known, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def average_samples(known: Known, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(values, variances), (count, outputs) each, of samples that stand for one of 0..count - 1 each: at (n,). Weighted by their variances."""
     weight = 1 / np.maximum(known.variances, 1e-300)
     shape = int(at.max()) + 1, weight.shape[1]

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from scipy.linalg import cho_factor, cho_solve
 
-from calib.correct.interpolation.field import Known, merged
+from calib.correct.interpolation.field import Known, merge_repeats
 from calib.correct.interpolation.gaussian_process_likelihood import Likelihood, noise_only
 
 LARGEST = 400  # samples on which size and smoothness are found; more are thinned out for that
@@ -92,7 +92,7 @@ class RadialMap:
 
         like : a RadialMap whose sizes and smoothness are taken over, or None
         """
-        each = merged(known)
+        each = merge_repeats(known)
         x, axes = each.configurations, each.configurations.shape[1]
         if each.values.shape[1] > axes:
             raise ValueError(f"radial takes no more outputs than axes, got {each.values.shape[1]} and {axes}")
@@ -117,7 +117,7 @@ class RadialMap:
         return np.asarray(((x >= self.low) & (x <= self.high)).all(axis=-1))
 
 
-def fit(configurations: np.ndarray, values: np.ndarray, variances: np.ndarray, axis: int, strokes: np.ndarray,
+def fit_gaussian_process(configurations: np.ndarray, values: np.ndarray, variances: np.ndarray, axis: int, strokes: np.ndarray,
         like: Radial | None = None) -> Radial | None:
     """Radial through noisy summands, or None where noise alone explains them (by the Bayesian information criterion).
 

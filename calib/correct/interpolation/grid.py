@@ -10,7 +10,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from calib.correct.interpolation.grid_kernels import Tables
-from calib.correct.interpolation.field import Known, averaged
+from calib.correct.interpolation.field import Known, average_samples
 from calib.correct.interpolation.weighted_fields import Weighted
 from rig.errors import RigError
 
@@ -24,7 +24,7 @@ class Lattice(NamedTuple):
     vertex: np.ndarray
 
 
-def lattice(configurations: np.ndarray, strokes: np.ndarray) -> Lattice | None:
+def lattice_of_configurations(configurations: np.ndarray, strokes: np.ndarray) -> Lattice | None:
     """Lattice that configurations (n, axes) fill, each vertex at least once, others beside it or not; None where they fill none.
 
     strokes : (axes, 2), the scale by which levels are told apart
@@ -82,13 +82,13 @@ class Grid(Weighted):
 
         Raises RigError where the samples fill no grid
         """
-        found = lattice(known.configurations, known.strokes)
+        found = lattice_of_configurations(known.configurations, known.strokes)
         if found is None:
             n, axes = known.configurations.shape
             raise RigError(f"the {n} samples fill no grid of configurations, which {cls.__name__.lower()} takes (a plan division:2 visits one; over "
                            f"{axes} axes it has {2**axes} vertices at the least); delaunay, axes, radial and polynomial take samples anywhere")
         on = found.vertex >= 0
-        values, variances = averaged(known.take(on), found.vertex[on])
+        values, variances = average_samples(known.take(on), found.vertex[on])
         grid = cls(found.levels, values, variances, np.zeros(values.shape[1]))
         return replace(grid, misfit=_misfit(grid))
 

@@ -27,19 +27,19 @@ SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, th
 ALL = {one.kind: one for one in (Linear, Simplex, Delaunay, Axes, RadialMap, Polynomial)}
 
 
-def fit(kind: str, known: Known) -> Field:
+def fit_field(kind: str, known: Known) -> Field:
     """The Field of a kind through samples. Raises RigError for a kind that is not known, and what the kind raises."""
     if kind not in ALL:
         raise RigError(f"there is no way {kind!r} to extend corrections; there are {', '.join(ALL)}")
     return ALL[kind].fit(known)
 
 
-def as_dict(field: Field) -> dict[str, Any]:
+def field_to_dict(field: Field) -> dict[str, Any]:
     """dict of a Field, as JSON holds it."""
     if isinstance(field, Passes):
-        return {"kind": field.kind, "fields": [as_dict(one) for one in field.fields]}
+        return {"kind": field.kind, "fields": [field_to_dict(one) for one in field.fields]}
     if isinstance(field, Within):
-        return {"kind": field.kind, "field": as_dict(field.field), "low": _bounds(field.part.low), "high": _bounds(field.part.high)}
+        return {"kind": field.kind, "field": field_to_dict(field.field), "low": _bounds(field.part.low), "high": _bounds(field.part.high)}
     return {"kind": field.kind} | {part.name: _plain(getattr(field, part.name)) for part in parts_of(field) if part.init}  # type: ignore[arg-type]
 
 
@@ -64,18 +64,18 @@ def _plain(value: Any) -> Any:
     return [_plain(one) for one in value] if isinstance(value, tuple) else value
 
 
-def from_entries(table: Entries, axes: int) -> Field:
-    """Field over so many axes, of what `as_dict` gave. Raises FileError for anything else."""
+def field_from_entries(table: Entries, axes: int) -> Field:
+    """Field over so many axes, of what `field_to_dict` gave. Raises FileError for anything else."""
     named = table.text("kind", (*ALL, Passes.kind, Within.kind))
     if named == Passes.kind:
-        return Passes(tuple(from_entries(one, axes) for one in table.tables("fields")))
+        return Passes(tuple(field_from_entries(one, axes) for one in table.tables("fields")))
     if named == Within.kind:
-        return Within(from_entries(table.table("field"), axes), _part(table, axes))
+        return Within(field_from_entries(table.table("field"), axes), _part(table, axes))
     kind = ALL[table.text("kind", tuple(ALL))]
     build: Callable[..., Field] = kind
     if kind is RadialMap:
         parts = _ragged(table, "parts")
-        found = [None if one is None else radial_from(Entries(one, (*table.path, "parts", i), table.file, table.places), axes)
+        found = [None if one is None else gaussian_process_from_entries(Entries(one, (*table.path, "parts", i), table.file, table.places), axes)
                  for i, one in enumerate(parts) if one is None or isinstance(one, dict)]
         inflation = table.number("inflation") if "inflation" in table.tree else 1.0
         return RadialMap(tuple(found), table.array("low", (axes,)), table.array("high", (axes,)), inflation)
@@ -87,7 +87,7 @@ def from_entries(table: Entries, axes: int) -> Field:
         table.fail(f"{table.name('kind')}: a field of kind {kind.kind!r} cannot be: {error}", "kind")
 
 
-def radial_from(table: Entries, axes: int) -> Radial:
+def gaussian_process_from_entries(table: Entries, axes: int) -> Radial:
     """Radial over so many axes, of its parts in a file. Raises FileError where it is none."""
     inputs = table.array("inputs", (None, axes))
     half, lengths = table.array("half", (axes,)), table.array("lengths", (2,))

@@ -10,8 +10,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from calib.correct.interpolation.field import Known, merged
-from calib.correct.interpolation.regression_fields import EMPTY, Regressed, likeliest
+from calib.correct.interpolation.field import Known, merge_repeats
+from calib.correct.interpolation.regression_fields import EMPTY, Regressed, most_likely_field
 
 MOST = 4  # total degree
 SAMPLES = 2  # for each of the polynomial's terms, at the least
@@ -34,12 +34,12 @@ class Polynomial(Regressed):
     @classmethod
     def fit(cls, known: Known) -> Self:
         """The polynomial of the likeliest degree through samples anywhere."""
-        each = merged(known)
+        each = merge_repeats(known)
         n, axes = each.configurations.shape
         low, high = each.configurations.min(axis=0), each.configurations.max(axis=0)
         high = np.where(high > low, high, low + np.ptp(known.strokes, axis=1))
         degrees = [degree for degree in range(MOST + 1) if not degree or SAMPLES * comb(axes + degree, degree) <= n]
-        return likeliest((cls(low, high, _powers(axes, degree), *[EMPTY] * 4) for degree in degrees), each)
+        return most_likely_field((cls(low, high, _powers(axes, degree), *[EMPTY] * 4) for degree in degrees), each)
 
     def functions(self, x: np.ndarray) -> np.ndarray:
         u = self._scaled(x)

@@ -61,7 +61,7 @@ class Regressed:
 R = TypeVar("R", bound=Regressed)
 
 
-def likeliest(blanks: Iterable[R], known: Known) -> R:
+def most_likely_field(blanks: Iterable[R], known: Known) -> R:
     """The field, of some whose shares are not found yet, the simplest first, that is likeliest once these are fitted to samples."""
     best, least = None, np.inf
     for blank in blanks:

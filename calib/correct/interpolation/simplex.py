@@ -12,7 +12,7 @@ import numpy as np
 from calib.correct.interpolation.grid_kernels import simplex_kernels
 from calib.correct.interpolation.grid import Grid
 from calib.correct.interpolation.weighted_fields import Weights
-from rig.model.mechanisms.hexapod_kernels import EACH, in_parallel
+from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads
 
 
 class Simplex(Grid):
@@ -29,14 +29,14 @@ class Simplex(Grid):
         if len(flat) < 2 * EACH:
             kernel(flat, *self.tables, out)
         else:
-            in_parallel(lambda part: kernel(flat[part], *self.tables, out[part]), len(flat))
+            run_in_threads(lambda part: kernel(flat[part], *self.tables, out[part]), len(flat))
         return out.reshape(*x.shape[:-1], -1)
 
     def fixed_points(self, goal: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
         """(commands (n, axes), what their last step changed (n,)): commands = goal + value(commands), for goals (n, axes)."""
         commands, change = np.empty(goal.shape), np.empty(len(goal))
         kernel = simplex_kernels(goal.shape[1]).fixed_points
-        in_parallel(lambda part: kernel(goal[part], self.tables, tolerance, commands[part], change[part]), len(goal))
+        run_in_threads(lambda part: kernel(goal[part], self.tables, tolerance, commands[part], change[part]), len(goal))
         return commands, change
 
     def weights(self, x: np.ndarray) -> Weights:

@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic
 
 from calib.diagnose.engine.candidates import C
-from calib.diagnose.engine.linear_model import cosine
+from calib.diagnose.engine.linear_model import column_cosine
 from calib.diagnose.engine.selection_policy import SelectionPolicy
 from calib.diagnose.engine.problem_interface import Fit, Model, Problem
-from calib.diagnose.engine.candidate_score import Alternative, Score, sharpened
+from calib.diagnose.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +20,7 @@ class Refit(Generic[Fit, C]):
     fit: Fit
 
 
-def alike(alternative: Alternative[C], policy: SelectionPolicy) -> bool:
+def is_indistinguishable(alternative: Alternative[C], policy: SelectionPolicy) -> bool:
     """Whether an Alternative is not told apart from its finding."""
     close = abs(alternative.cosine)
     return close > policy.cosine or (alternative.behind < policy.alike and close >= policy.akin)
@@ -35,7 +35,7 @@ def alternatives_of(problem: Problem[Fit, Model, C], model: Model, own: Score[C]
     column = problem.column(model, own)
 
     def alternative(score: Score[C]) -> Alternative[C]:
-        return Alternative(score, own.evidence(size) - score.evidence(size), cosine(linear, column, problem.column(model, score)))
+        return Alternative(score, own.evidence(size) - score.evidence(size), column_cosine(linear, column, problem.column(model, score)))
 
     out: list[Alternative[C]] = []
     listed: set[tuple[str, str]] = set()
@@ -52,17 +52,21 @@ def alternatives_of(problem: Problem[Fit, Model, C], model: Model, own: Score[C]
     return sorted(out, key=lambda a: a.behind)
 
 
-def refitted(problem: Problem[Fit, Model, C], fit: Fit, number: int, own: Score[C], found: list[Alternative[C]],
+def refit_alternatives(problem: Problem[Fit, Model, C], fit: Fit, number: int, own: Score[C], found: list[Alternative[C]],
              hidden: bool = False) -> list[Refit[Fit, C]]:
     """[Refit] of the first few that a scan does not tell from a finding: a scan takes for scatter what is not admitted
     yet, and so tells of a strong term far less than it could. hidden : whether the finding convinces by its fit alone, as they then may"""
-    close = [a for a in found if alike(a, problem.policy)][: problem.policy.refitted]
+    close = [a for a in found if is_indistinguishable(a, problem.policy)][: problem.policy.refitted]
     if not close:
         return []
     size, bare, out = problem.size(fit), problem.remove_term(fit, number), []
     for a in close:
         new = problem.add_term(bare, a.score)
         behind = problem.likelihood_ratio(new, fit) + a.score.complexity(size) - own.complexity(size)
-        score = sharpened(a.score, problem.likelihood_ratio(bare, new), problem.linear(problem.residual(bare)).frames) if hidden else a.score
+        score = (
+            score_with_likelihood_ratio(a.score, problem.likelihood_ratio(bare, new), problem.linear(problem.residual(bare)).frames)
+            if hidden
+            else a.score
+        )
         out.append(Refit(a, replace(a, score=score, behind=behind), new))
     return out

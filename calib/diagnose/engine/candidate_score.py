@@ -7,9 +7,9 @@ from typing import Generic
 import numpy as np
 
 from calib.diagnose.engine.candidates import C, Node, Role, UsualRange
-from calib.diagnose.engine.chance_probability import davies, dispersion
+from calib.diagnose.engine.chance_probability import scan_p_value, residual_dispersion
 from calib.diagnose.engine.linear_model import LinearModel
-from calib.diagnose.engine.frame_inner_products import FrameProducts, Solved, framewise
+from calib.diagnose.engine.frame_inner_products import FrameProducts, Solved, normal_of_weighted_directions
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
@@ -77,7 +77,7 @@ class Alternative(Generic[C]):
     cosine: float
 
 
-def sharpened(score: Score[C], ratio: float, frames: int) -> Score[C]:
+def score_with_likelihood_ratio(score: Score[C], ratio: float, frames: int) -> Score[C]:
     """A Score with a fit's likelihood ratio in place of its delta chi-square where that is larger, scatter at its best with and without
     (docs/mathematics.md (14)); its logarithm is less than chi-square of few frames, by Bartlett's factor."""
     delta = ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
@@ -86,7 +86,7 @@ def sharpened(score: Score[C], ratio: float, frames: int) -> Score[C]:
     return replace(score, delta_chi2=delta, p_value=float(score.p_value * np.exp(-(delta - score.delta_chi2) / 2)))
 
 
-def best_of(model: LinearModel, candidate: C, solved: Solved, products: FrameProducts,
+def best_node_score(model: LinearModel, candidate: C, solved: Solved, products: FrameProducts,
             weights_at: Callable[[int], np.ndarray], least: float = -np.inf) -> Score[C]:
     """Score of the best node of a candidate's grid.
 
@@ -95,29 +95,29 @@ def best_of(model: LinearModel, candidate: C, solved: Solved, products: FramePro
     """
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
     if solved.delta_chi2[best] < least:
-        return unlikely(candidate, solved, best)
-    return at_node(model, candidate, best, candidate.grid[best], solved, products, weights_at(best))
+        return insignificant_score(candidate, solved, best)
+    return score_at_node(model, candidate, best, candidate.grid[best], solved, products, weights_at(best))
 
 
-def unlikely(candidate: C, solved: Solved, best: int) -> Score[C]:
+def insignificant_score(candidate: C, solved: Solved, best: int) -> Score[C]:
     """Score of the best node of those solved, which explains so little that no dispersion is asked: its chance counts as certain."""
     return Score(candidate, dict(candidate.grid[best]), candidate.allowed(solved.coefficients[best]), float(solved.delta_chi2[best]), 1.0,
                  int(np.ceil(solved.rank[best])) + candidate.extra, 1.0, float(solved.seen[best]), solved.delta_chi2)
 
 
-def at_node(model: LinearModel, candidate: C, best: int, node: Node, solved: Solved, products: FrameProducts, weights: np.ndarray,
+def score_at_node(model: LinearModel, candidate: C, best: int, node: Node, solved: Solved, products: FrameProducts, weights: np.ndarray,
             cluster: int = 1) -> Score[C]:
     """Score of one node, the `best` of those solved. weights : (F, a, q) there"""
     coefficients, rank, deltas = solved.coefficients[best], solved.rank[best], solved.delta_chi2
     allowed = candidate.allowed(coefficients)
     if (allowed != coefficients).any():  # what the data want is forbidden: it counts for as much as it explains at the bound
-        normal = framewise(products, weights[None])
+        normal = normal_of_weighted_directions(products, weights[None])
         coefficients = allowed
         deltas = np.minimum(deltas, 2 * normal.b[0] @ allowed - allowed @ normal.G[0] @ allowed)
-    found = dispersion(model, products, weights, coefficients if len(coefficients) else np.ones(1), cluster)
+    found = residual_dispersion(model, products, weights, coefficients if len(coefficients) else np.ones(1), cluster)
     curve = deltas / found.ratio
     same = solved.rank == rank  # Davies' process has one number of parameters; Bonferroni over the numbers that there are
-    p = min(1.0, davies(curve[same], round(float(rank)), found.freedom) * len(np.unique(solved.rank)))
+    p = min(1.0, scan_p_value(curve[same], round(float(rank)), found.freedom) * len(np.unique(solved.rank)))
     return Score(candidate, dict(node), coefficients, float(curve[best]), p, int(np.ceil(rank)) + candidate.extra, found.ratio,
                  float(solved.seen[best]), curve)
 

@@ -29,7 +29,7 @@ class Dispersion(NamedTuple):
     freedom: float
 
 
-def davies(deltas: np.ndarray, rank: float, freedom: float) -> float:
+def scan_p_value(deltas: np.ndarray, rank: float, freedom: float) -> float:
     """p-value of the greatest delta chi-square of deltas (k,), scanned in order with `rank` linear parameters; Fisher's F stands for
     chi-square where the degrees of freedom of what deltas were divided by are few."""
     top = max(float(deltas.max()), 1e-12)
@@ -44,7 +44,7 @@ def davies(deltas: np.ndarray, rank: float, freedom: float) -> float:
     return float(min(1.0, tail + np.exp(min(log_bound, 0)) * min(max(heavier, 1.0), 1e6)))
 
 
-def dispersion(model: LinearModel, products: FrameProducts, weights: np.ndarray, coefficients: np.ndarray, cluster: int = 1) -> Dispersion:
+def residual_dispersion(model: LinearModel, products: FrameProducts, weights: np.ndarray, coefficients: np.ndarray, cluster: int = 1) -> Dispersion:
     """Dispersion of a candidate of weights (F, a, q) and coefficients (q,); cluster : frames in a row that are taken together."""
     F, a, q = weights.shape
     turned = np.swapaxes(weights, 1, 2)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.diagnose.engine.lack_of_fit import Test, tested
+from calib.diagnose.engine.lack_of_fit import Test, test_lack_of_fit
 from calib.diagnose.engine.linear_model import LinearModel
 from calib.diagnose.engine.frame_inner_products import FrameProducts
 
@@ -32,10 +32,10 @@ class Covariate:
         return max((s.share for s in self.before.values()), default=0.0)
 
 
-def share(model: LinearModel, block: int, parts: list[tuple[FrameProducts, np.ndarray]], cluster: int = 1) -> Share:
+def explained_share(model: LinearModel, block: int, parts: list[tuple[FrameProducts, np.ndarray]], cluster: int = 1) -> Share:
     """Share of a block's squares that functions explain. parts : [(FrameProducts, (F, a, q) weights)] fitted one beside the other
     cluster : frames in a row whose errors may be alike"""
-    found = [tested(model, products, Test("", "", (), weights, 1.0), cluster, alpha=1.0) for products, weights in parts]
+    found = [test_lack_of_fit(model, products, Test("", "", (), weights, 1.0), cluster, alpha=1.0) for products, weights in parts]
     seen = [u for u in found if u is not None]
     if not seen:
         return Share(0.0, 1.0)
@@ -45,7 +45,7 @@ def share(model: LinearModel, block: int, parts: list[tuple[FrameProducts, np.nd
     return Share(float(np.clip(beyond / max(left, 1e-300), 0.0, 1.0)), p)
 
 
-def ranked(before: dict[str, dict[str, Share]], after: dict[str, dict[str, Share]]) -> list[Covariate]:
+def rank_covariates(before: dict[str, dict[str, Share]], after: dict[str, dict[str, Share]]) -> list[Covariate]:
     """[Covariate] of {name: {what: Share}} before and after, the one that explained most before first."""
     found = [Covariate(name, shares, after.get(name, {})) for name, shares in before.items()]
     return sorted(found, key=lambda c: -c.weight)

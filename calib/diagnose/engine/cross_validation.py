@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from calib.diagnose.engine.linear_model import LinearModel
-from calib.samples.pose_samples import blocks
+from calib.samples.pose_samples import time_block_folds
 
 FOLDS = 5
 STRETCHES = 30  # over which a gain is judged
@@ -39,26 +39,26 @@ class HeldOut(NamedTuple):
     beforehand: tuple[np.ndarray, ...]
 
 
-def stretches(count: int, number: int) -> np.ndarray:
+def time_stretch_folds(count: int, number: int) -> np.ndarray:
     """(count,) fold of each frame: whole stretches in time, never too short to tell anything."""
-    return blocks(count, min(number, max(count // FEWEST, 2)))
+    return time_block_folds(count, min(number, max(count // FEWEST, 2)))
 
 
-def folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = ()) -> np.ndarray:
+def frame_folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = ()) -> np.ndarray:
     """(F,) which frames are held out together: a stretch of time; where something happens at one time (sudden), several shorter ones, so that
     what comes before it and after it is never held out whole. sides : each (F,) bool, what is before such a moment or after it; of one that
     is within a single stretch, the later half is held out with the next."""
     count = min(FOLDS, frames // FEWEST)
     if not sudden:
-        return blocks(frames, count)
-    fold = blocks(frames, min(SHORTER * FOLDS, frames // FEWEST)) % count
+        return time_block_folds(frames, count)
+    fold = time_block_folds(frames, min(SHORTER * FOLDS, frames // FEWEST)) % count
     for own in map(np.flatnonzero, sides):
         if len(own) > 1 and len(np.unique(fold[own])) == 1:
             fold[own[len(own) // 2 :]] = (fold[own[0]] + 1) % count
     return fold
 
 
-def held_out(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.ndarray, only: int | None = None) -> HeldOut:
+def held_out_residuals(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.ndarray, only: int | None = None) -> HeldOut:
     """HeldOut of residuals (one (m,) for each block, as they are with the nuisances at the model's values): nuisances fitted on other folds.
 
     model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is judged by the fit to all
@@ -82,7 +82,9 @@ def held_out(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.nda
     return HeldOut(tuple(out), tuple(y[at] - Q[at] @ everything for Q, y, at in zip(basis, residuals, known)))
 
 
-def left_out(grams: Sequence[np.ndarray], rights: Sequence[np.ndarray], information: np.ndarray) -> Callable[[np.ndarray], list[np.ndarray]]:
+def sizes_without_columns(
+    grams: Sequence[np.ndarray], rights: Sequence[np.ndarray], information: np.ndarray
+) -> Callable[[np.ndarray], list[np.ndarray]]:
     """A function: indices of columns that are left out -> for each fold, the sizes (p,) of all columns (0 for those) fitted on the other folds.
 
     grams, rights : for each fold, (p, p) its whitened columns' products with each other and (p,) with the residual
@@ -104,7 +106,7 @@ def left_out(grams: Sequence[np.ndarray], rights: Sequence[np.ndarray], informat
 def signed_rank_gain(fall: np.ndarray) -> float:
     """How surely stretches gain by a fall (n,) of squares, in standard errors: Wilcoxon's signed ranks, since a strong term's gains are uneven
     (one stretch may hold most of it); none where their sum falls."""
-    by = np.bincount(stretches(len(fall), STRETCHES), weights=fall)
+    by = np.bincount(time_stretch_folds(len(fall), STRETCHES), weights=fall)
     by = by[by != 0]
     if by.sum() <= 0:
         return 0.0
@@ -119,6 +121,6 @@ def summed_gain(fall: np.ndarray, beforehand: float = 0.0) -> float:
 
     beforehand : what squares fall by that belong to no frame: a misfit that the prior on a nuisance alone shows is no stretch's, and has no rank
     """
-    by = np.bincount(blocks(len(fall), min(20, len(fall) // 2)), weights=fall)
+    by = np.bincount(time_block_folds(len(fall), min(20, len(fall) // 2)), weights=fall)
     error = np.sqrt(len(by)) * by.std(ddof=1) if len(by) > 1 else np.inf
     return float((by.sum() + beforehand) / max(error, 1e-300))

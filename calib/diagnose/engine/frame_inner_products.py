@@ -62,7 +62,7 @@ class Solved(NamedTuple):
                       np.concatenate([p.rank for p in parts]), np.concatenate([p.seen for p in parts]))
 
 
-def framewise(products: FrameProducts, weights: np.ndarray) -> Normal:
+def normal_of_weighted_directions(products: FrameProducts, weights: np.ndarray) -> Normal:
     """Normal of candidates whose columns weigh the directions by weights (k, F, a, q)."""
     k, F, a, q = weights.shape
     rows = np.swapaxes(weights.reshape(k, F * a, q), 1, 2)
@@ -73,7 +73,7 @@ def framewise(products: FrameProducts, weights: np.ndarray) -> Normal:
     return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
 
 
-def stepwise(products: FrameProducts, w: np.ndarray) -> Normal:
+def normal_of_common_weights(products: FrameProducts, w: np.ndarray) -> Normal:
     """Normal of candidates that weigh all directions (a) alike by w (k, F), one column for each direction."""
     b = w @ products.beta
     K = products.onto(np.tensordot(w, products.kappa, 1))
@@ -81,7 +81,7 @@ def stepwise(products: FrameProducts, w: np.ndarray) -> Normal:
     return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
 
 
-def solve(normal: Normal) -> Solved:
+def solve_normal_equations(normal: Normal) -> Solved:
     """Least squares in the directions that nuisances leave visible."""
     b, G, raw = normal
     scale = np.sqrt(np.maximum(raw, 1e-300))
@@ -102,7 +102,7 @@ def solve_with_prior(normal: Normal, prior: np.ndarray | float) -> Solved:
     return Solved((b * size[..., 0]).sum(axis=1), list(size[..., 0]), rank, np.ones(len(b)))
 
 
-def whole(normal: Normal) -> Solved:
+def solve_fixed_size(normal: Normal) -> Solved:
     """For candidates (q = 1) whose size is in their node: the coefficient is one."""
     b, G, raw = normal.b[:, 0], normal.G[:, 0, 0], normal.raw[:, 0]
     seen = G / np.maximum(raw, 1e-300)

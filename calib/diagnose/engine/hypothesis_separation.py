@@ -16,7 +16,7 @@ class Separation:
     cosine: float
 
 
-def separated(text: str, frames: int, parts: tuple[np.ndarray, np.ndarray], freedoms: np.ndarray, prior: np.ndarray) -> Separation:
+def hypothesis_separation(text: str, frames: int, parts: tuple[np.ndarray, np.ndarray], freedoms: np.ndarray, prior: np.ndarray) -> Separation:
     """Separation of two sensitivities (n,), whitened, by freedoms (n, p), whitened, each of which a prior (p,) holds."""
     Q = np.linalg.qr(np.concatenate([freedoms, np.diag(1 / prior)]))[0]
     a, b = (np.r_[part, np.zeros(len(prior))] for part in parts)

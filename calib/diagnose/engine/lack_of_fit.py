@@ -5,9 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.engine.chance_probability import davies, dispersion
+from calib.diagnose.engine.chance_probability import scan_p_value, residual_dispersion
 from calib.diagnose.engine.linear_model import LinearModel
-from calib.diagnose.engine.frame_inner_products import SWALLOWED, FrameProducts, Normal, framewise, solve, solve_with_prior
+from calib.diagnose.engine.frame_inner_products import (
+    SWALLOWED,
+    FrameProducts,
+    Normal,
+    normal_of_weighted_directions,
+    solve_normal_equations,
+    solve_with_prior,
+)
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier
@@ -62,24 +69,24 @@ class LackOfFit:
         return delta - cost
 
 
-def tested(model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1, alpha: float = LIKELY) -> LackOfFit | None:
+def test_lack_of_fit(model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1, alpha: float = LIKELY) -> LackOfFit | None:
     """LackOfFit of a Test, None where the nuisances swallow its functions: what the fit explains beyond what noise alone would, nuisances
     taken out, tells their size. alpha : chance above which no dispersion is asked"""
-    normal = framewise(products, test.weights[None])
-    solved = solve(normal) if test.prior is None else solve_with_prior(normal, test.prior)
+    normal = normal_of_weighted_directions(products, test.weights[None])
+    solved = solve_normal_equations(normal) if test.prior is None else solve_with_prior(normal, test.prior)
     delta, rank = solved.delta_chi2, float(solved.rank[0])
     if rank == 0:
         return None
-    p, spread = davies(delta, rank, np.inf), 1.0
-    simpler = by_number(normal) if test.prior is None and p <= alpha else ()
+    p, spread = scan_p_value(delta, rank, np.inf), 1.0
+    simpler = delta_chi2_by_column_count(normal) if test.prior is None and p <= alpha else ()
     if p <= alpha:
-        spread, freedom = dispersion(model, products, test.weights, solved.coefficients[0], cluster)
-        p = davies(delta / spread, rank, freedom)
+        spread, freedom = residual_dispersion(model, products, test.weights, solved.coefficients[0], cluster)
+        p = scan_p_value(delta / spread, rank, freedom)
     magnitude = float(np.sqrt(max(delta[0] - rank, 0.0) / test.information))
     return LackOfFit(test.place, magnitude, test.unit, test.depends_on, p, float(delta[0] / spread), int(np.ceil(rank)), spread, simpler)
 
 
-def by_number(normal: Normal) -> tuple[tuple[float, int], ...]:
+def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
     """((delta chi-square, rank) of the first column of a candidate alone, of the first two, ..), by elimination."""
     scale = np.sqrt(np.maximum(normal.raw[0], 1e-300))
     b, G = normal.b[0] / scale, normal.G[0] / scale[:, None] / scale
@@ -92,7 +99,7 @@ def by_number(normal: Normal) -> tuple[tuple[float, int], ...]:
     return tuple(out)
 
 
-def convincing(found: list[LackOfFit | None], alpha: float = ALPHA) -> list[LackOfFit]:
+def significant_lack_of_fit(found: list[LackOfFit | None], alpha: float = ALPHA) -> list[LackOfFit]:
     """Those too good for chance over all of them, functions of something before scatter, the most convincing first. alpha : that chance"""
     held = [u for u in found if u is not None]
     functions = Counter(u.place for u in held if u.dispersion is not None)

@@ -157,7 +157,7 @@ class LinearModel:
         if self.half is not None:
             raise ValueError("only a model whose nuisances' basis is explicit can take in more")
         found = self.project(column)
-        half = orthonormal(found.gram)
+        half = orthonormal_combinations(found.gram)
         lost, z = found.onto @ half, half.T @ found.right
         more = [(0 if part is None else part @ half) - basis @ lost for basis, part in zip(self.columns.whole, column.parts)]
         blocks = tuple(replace(block, residual=block.residual - part @ z) for block, part in zip(self.blocks, more))
@@ -204,7 +204,7 @@ class LinearModel:
         return float(sum(block.residual @ block.residual for block in reversed(self.blocks)))
 
 
-def orthonormal(gram: np.ndarray) -> np.ndarray:
+def orthonormal_combinations(gram: np.ndarray) -> np.ndarray:
     """(p, r) combinations of columns with a Gram matrix (p, p) that are orthonormal: the columns' span, what is null left out."""
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / scale[:, None] / scale)
@@ -212,7 +212,7 @@ def orthonormal(gram: np.ndarray) -> np.ndarray:
     return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
 
 
-def joined(columns: list[Column]) -> Column:
+def join_columns(columns: list[Column]) -> Column:
     """One Column of several over the same blocks; what is nothing in one is zero beside the others. Raises ValueError for none"""
     if not columns:
         raise ValueError("there is nothing to join")
@@ -229,7 +229,7 @@ def joined(columns: list[Column]) -> Column:
     return Column(tuple(parts), inner)
 
 
-def cosine(model: LinearModel, a: Column, b: Column) -> float:
+def column_cosine(model: LinearModel, a: Column, b: Column) -> float:
     """Of the angle between two directions, nuisances taken out."""
     one, other = model.project(a), model.project(b)
     inner = -float((one.onto.T @ other.onto)[0, 0])

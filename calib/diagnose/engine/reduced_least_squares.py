@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from calib.diagnose.engine.linear_model import LinearModel, orthonormal
+from calib.diagnose.engine.linear_model import LinearModel, orthonormal_combinations
 from calib.diagnose.engine.frame_inner_products import SWALLOWED, FrameProducts
 
 
@@ -34,7 +34,7 @@ class Reduced:
         basis = products.onto(back @ products.kappa).reshape(len(y), -1)
         if known is not None:
             information, right = known
-            turn = orthonormal(information)
+            turn = orthonormal_combinations(information)
             basis = basis @ turn
             y = y - basis @ (turn.T @ right)
         return Reduced(rows, root, y, basis, float(seen.sum() - (basis**2).sum()))

@@ -15,7 +15,7 @@ SHAPE = 2.30 * WIDTH
 NODES = 60  # of the quadrature for the kernel's transform
 
 
-def sums(q: np.ndarray, values: np.ndarray, step: float, first: int, count: int) -> np.ndarray:
+def sinusoid_sums(q: np.ndarray, values: np.ndarray, step: float, first: int, count: int) -> np.ndarray:
     """(count, p) complex: sum over poses of values * exp(1j * order * q) at orders step * (first, first + 1, ..).
 
     q : (m,) rad, its span times step below 2 pi; values : (m, p); step : cycles per radian times 2 pi, between orders; first : at least 0

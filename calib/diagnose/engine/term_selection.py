@@ -5,12 +5,12 @@ from typing import Any, Generic
 
 import numpy as np
 
-from calib.diagnose.engine.alternative_hypotheses import alike, alternatives_of, refitted
+from calib.diagnose.engine.alternative_hypotheses import is_indistinguishable, alternatives_of, refit_alternatives
 from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.selection_policy import SelectionPolicy
 from calib.diagnose.engine.problem_interface import Fit, Model, Problem, Progress
-from calib.diagnose.engine.candidate_score import Alternative, Score, sharpened
+from calib.diagnose.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
 
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
 RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
@@ -35,30 +35,32 @@ class Selection(Generic[Fit, C]):
     asked: int
 
 
-def convincing(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+def is_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
     """Whether a Score is a finding: too good for chance over all candidates, and worth its parameters."""
     return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
 
 
-def labelled(progress: Progress | None, label: str) -> Any:
+def labelled_progress(progress: Progress | None, label: str) -> Any:
     """A progress (done, of) under a label, or None."""
     return None if progress is None else lambda done, of: progress(label, done, of)
 
 
-def select(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
+def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
     """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
     before = problem.start()
-    fit = pay(problem, problem.simplified(_forward(problem, begun(problem, before), progress)))
+    fit = remove_terms_without_held_out_gain(problem, problem.simplified(_forward(problem, fit_with_stated_terms(problem, before), progress)))
     fit, findings = _confirm(problem, fit, progress)
     return Selection(before, fit, findings, len(problem.candidates))
 
 
-def choose(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
-    """The Fit that `select` finds before its terms are held against alternatives: what a stretch held out is predicted with."""
-    return pay(problem, problem.simplified(_forward(problem, begun(problem, problem.start()), progress)))
+def choose_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
+    """The Fit that `select_terms` finds before its terms are held against alternatives: what a stretch held out is predicted with."""
+    return remove_terms_without_held_out_gain(
+        problem, problem.simplified(_forward(problem, fit_with_stated_terms(problem, problem.start()), progress))
+    )
 
 
-def begun(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+def fit_with_stated_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     """The Fit with what is said beforehand admitted, each at its best beside those before it."""
     for site in problem.given.first:
         own = [c for c in problem.open(fit) if (c.name, c.place) == site]
@@ -86,9 +88,9 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
         label = f"searching beside {admitted} effects" if admitted else "searching"
-        scores = problem.search(model, problem.open(fit), policy.delta_bic, labelled(progress, label))
-        fresh = [s for s in scores if key(s) not in taken and not any(s.candidate is c for c in refused)]
-        promising = [s for s in fresh if convincing(s, count, problem.linear(model).size, policy)] or _hidden(problem, fit, model, fresh)
+        scores = problem.search(model, problem.open(fit), policy.delta_bic, labelled_progress(progress, label))
+        fresh = [s for s in scores if hypothesis_key(s) not in taken and not any(s.candidate is c for c in refused)]
+        promising = [s for s in fresh if is_significant(s, count, problem.linear(model).size, policy)] or _hidden(problem, fit, model, fresh)
         if problem.tolerates(fit, promising[0] if promising else None):
             return None
         if not promising:
@@ -99,9 +101,9 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
         if step is None:
             break
         fit, score = step
-        taken.add(key(score))
+        taken.add(hypothesis_key(score))
         fit = _companions(problem, fit, score, promising, taken, size)
-        fit = prune(problem, problem.refined(fit))
+        fit = remove_redundant_terms(problem, problem.refined(fit))
     return None if problem.tolerates(fit, None) else fit
 
 
@@ -110,20 +112,20 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
     convincing first: what is not admitted yet counts as its own axis' scatter, the strongest hides itself most, and what a scan sees of it is
     worth no more than its frames, however many numbers that has to pay for."""
     policy, linear = problem.policy, problem.linear(model)
-    scanned = [s for s in scores if may_hide(s, len(problem.candidates), linear.size, policy)]
+    scanned = [s for s in scores if may_become_significant(s, len(problem.candidates), linear.size, policy)]
     surest = sorted(scanned, key=lambda s: s.p_value)[: policy.tried]
     strongest = [s for s in sorted(scanned, key=lambda s: -s.raw_delta_bic(linear.size))[:1] if not any(s is other for other in surest)]
-    fitted = [sharpened(s, problem.likelihood_ratio(fit, problem.add_term(fit, s)), linear.frames) for s in strongest + surest]
-    found = [s for s in fitted if convincing(s, len(problem.candidates), linear.size, policy)]
+    fitted = [score_with_likelihood_ratio(s, problem.likelihood_ratio(fit, problem.add_term(fit, s)), linear.frames) for s in strongest + surest]
+    found = [s for s in fitted if is_significant(s, len(problem.candidates), linear.size, policy)]
     return sorted(found, key=lambda s: -s.delta_bic(linear.size))
 
 
-def may_hide(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+def may_become_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
     """Whether a Score that does not convince may once it is fitted: it is not likely by chance, or explains much by whichever frames."""
     return policy.hidden > 0 and (score.p_value * count <= policy.hidden or score.raw_delta_bic(size) >= policy.delta_bic)
 
 
-def key(score: Score[C]) -> tuple:
+def hypothesis_key(score: Score[C]) -> tuple:
     """What a hypothesis is known by: its name, place and node."""
     node = tuple(sorted((name, round(value, DIGITS) if isinstance(value, float) else value) for name, value in score.node.items()))
     return score.candidate.name, score.candidate.place, node
@@ -167,8 +169,8 @@ def _companions(problem: Problem[Fit, Model, C], fit: Fit, best: Score[C], promi
             continue
         places.add(score.candidate.place)
         again = problem.companion(fit, score)
-        if again is not None and convincing(again, len(problem.candidates), size, policy):
-            taken.add(key(score))
+        if again is not None and is_significant(again, len(problem.candidates), size, policy):
+            taken.add(hypothesis_key(score))
             fit = problem.add_term(fit, again)
     return fit
 
@@ -181,7 +183,7 @@ def _smooth_beyond(problem: Problem[Fit, Model, C], model: Model, best: Score[C]
     return any(u.delta_bic(size) > problem.policy.smooth_beyond * best.delta_bic(size) for u in problem.lack_of_fit(model) if u.dispersion)
 
 
-def prune(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+def remove_redundant_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     """The Fit without terms that the others have made needless."""
     while not all(map(problem.given.holds, problem.terms(fit))):
         gains = []
@@ -196,7 +198,7 @@ def prune(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     return fit
 
 
-def pay(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+def remove_terms_without_held_out_gain(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     """The Fit without terms that do not pay on stretches held out, where the policy asks that at the end."""
     least = problem.policy.final_gain
     while least is not None and not all(map(problem.given.holds, problem.terms(fit))):
@@ -221,23 +223,23 @@ def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
         model, size = problem.without_term(fit, number), problem.size(fit)
         scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
         own = scanned
-        if not convincing(own, count, size, policy) and may_hide(own, count, size, policy):
-            own = sharpened(own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames)
-        if not held and not convincing(own, count, size, policy):  # beside all others it is none
+        if not is_significant(own, count, size, policy) and may_become_significant(own, count, size, policy):
+            own = score_with_likelihood_ratio(own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames)
+        if not held and not is_significant(own, count, size, policy):  # beside all others it is none
             fit, findings = problem.remove_term(fit, number), []
             continue
-        found = alternatives_of(problem, model, scanned, labelled(progress, f"alternatives of {own.candidate.name}"))  # like against like
-        tries = refitted(problem, fit, number, scanned, found, own is not scanned)
+        found = alternatives_of(problem, model, scanned, labelled_progress(progress, f"alternatives of {own.candidate.name}"))  # like against like
+        tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
         rest = [a for a in found if not any(a is t.scanned for t in tries)]
         ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
         better = next((t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None)
-        if better is not None and not held and convincing(better.alternative.score, count, size, policy):
+        if better is not None and not held and is_significant(better.alternative.score, count, size, policy):
             fit, findings = problem.in_place(better.fit, number), []
             continue
         if not held and _outdone(problem, model, fit, own):  # only now: what has no name may be likelier than one name, and not than the next
             fit, findings = problem.remove_term(fit, number), []
             continue
-        findings.append(Finding(number, own, [a for a in ranked if alike(a, policy)]))
+        findings.append(Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)]))
     return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
 
 
@@ -257,7 +259,7 @@ def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Sco
     return any(score.complexity(size) > cost + alike for _, cost in likelier) or bool(there(problem.residual(fit)))
 
 
-def supported(problem: Problem[Fit, Model, C], selection: Selection[Fit, C], left: list[LackOfFit]) -> Selection[Fit, C]:
+def remove_unsupported_findings(problem: Problem[Fit, Model, C], selection: Selection[Fit, C], left: list[LackOfFit]) -> Selection[Fit, C]:
     """Selection without findings whose name does not stand where something is left unexplained: which smooth functions of the same would explain
     as well, or which explain less than they leave at their place. Where what is left at a name's own place would make no finding, and is as
     unlikely by chance as what is named, the same is asked; then the name goes only for what is told in its stead."""
@@ -284,9 +286,9 @@ def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left:
     if model is None:
         return True
     larger = any(u.delta_chi2 > finding.score.delta_chi2 for u in left if u.depends_on and problem.within(u, finding.score.candidate.place))
-    return not larger and stands(problem, finding, model, fit, count)
+    return not larger and is_finding_significant(problem, finding, model, fit, count)
 
 
-def stands(problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int) -> bool:
+def is_finding_significant(problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int) -> bool:
     """Whether a Finding convinces on a model without it, of so many candidates asked."""
-    return convincing(problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy)
+    return is_significant(problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy)

@@ -39,7 +39,7 @@ class Suggestion:
     length: float
 
 
-def library_of(motion: Motion, axis: int | None, directions: int = 1, apart: bool = False) -> Library:
+def formula_library(motion: Motion, axis: int | None, directions: int = 1, apart: bool = False) -> Library:
     """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform, which goes apart along and about
     the base's axes."""
     own = None if axis is None else f"travel of {motion.places[axis]}"
@@ -69,6 +69,6 @@ def written(formula: Formula, library: Library, word: str, alike: bool) -> Writt
     return Written(word, tuple(terms), alike)
 
 
-def looked_at(formula: Formula | None, library: Library) -> tuple[str, ...]:
+def formula_quantities(formula: Formula | None, library: Library) -> tuple[str, ...]:
     """Names of the quantities that a Formula looks at; none for none."""
     return () if formula is None else tuple(library.quantities[i].name for i in sorted(formula.quantities))

@@ -10,7 +10,7 @@ COURSE = 4  # cosines of a covariate that goes on and on
 AT_ONCE = 1e-3  # s; a shorter wait counts as so long
 
 
-def courses(t: np.ndarray, sensors: Sensors | None) -> dict[str, np.ndarray]:
+def time_and_sensor_functions(t: np.ndarray, sensors: Sensors | None) -> dict[str, np.ndarray]:
     """{covariate: (F, 1, q) functions of it} at times (F,) s that are the same for all axes and cameras."""
     order = np.argsort(np.argsort(t)).astype(float)
     out = {"time": cosines(t, COURSE), "order": cosines(order, COURSE)}
@@ -20,7 +20,7 @@ def courses(t: np.ndarray, sensors: Sensors | None) -> dict[str, np.ndarray]:
     return {name: functions[:, None, :] for name, functions in out.items()}
 
 
-def moves(path: Path, commands: Commands, t: np.ndarray) -> dict[str, np.ndarray]:
+def motion_functions(path: Path, commands: Commands, t: np.ndarray) -> dict[str, np.ndarray]:
     """{covariate: (F, axes or 1, q) functions of it} of how the axes came to where they were at times (F,) s."""
     wait = np.log(np.maximum(path.dwell, AT_ONCE))
     own = {"step": path.last_step, "speed": speed(commands, t), "way travelled": path.way}
@@ -29,20 +29,20 @@ def moves(path: Path, commands: Commands, t: np.ndarray) -> dict[str, np.ndarray
     return {**out, "dwell": powers(wait, 2)[:, None, :]} if np.ptp(wait) > 0 else out
 
 
-def each_apart(functions: np.ndarray, count: int) -> np.ndarray:
+def separate_weights(functions: np.ndarray, count: int) -> np.ndarray:
     """(F, count, count q) weights: functions (F, count or 1, q) at each of so many directions, each of its own size."""
     wide = np.broadcast_to(functions, (len(functions), count, functions.shape[2]))
     return np.einsum("faq,ab->fabq", wide, np.eye(count)).reshape(len(functions), count, -1)
 
 
-def unit(x: np.ndarray) -> np.ndarray:
+def scaled_to_unit_interval(x: np.ndarray) -> np.ndarray:
     """x (F,) about its mean, within -1 .. 1."""
     return (x - x.mean()) / max(np.abs(x - x.mean()).max(), 1e-300)
 
 
 def powers(x: np.ndarray, most: int) -> np.ndarray:
     """(F, most) powers of a covariate (F,), from the first on, scaled to within -1 .. 1."""
-    return np.stack([unit(x) ** n for n in range(1, most + 1)], axis=1)
+    return np.stack([scaled_to_unit_interval(x) ** n for n in range(1, most + 1)], axis=1)
 
 
 def cosines(t: np.ndarray, count: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from rig.errors import RigError
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class RequestedEffects:
     """only : "effect" or "effect place" to which the catalogue is confined, empty for all of it; without : what is left out
     kinds : the catalogue, with what a user adds to it."""
 
@@ -20,14 +20,14 @@ class Asked:
     kinds: tuple[type[Effect], ...] = ALL
 
     @staticmethod
-    def of(only: Iterable[str] | None, without: Iterable[str], given: Given, kinds: tuple[type[Effect], ...] = ALL) -> "Asked":
+    def of(only: Iterable[str] | None, without: Iterable[str], given: Given, kinds: tuple[type[Effect], ...] = ALL) -> "RequestedEffects":
         """Asked with what is assumed besides. Raises RigError where that is left out at the same time."""
-        asked = Asked(tuple(only or ()), tuple(without), kinds)
+        asked = RequestedEffects(tuple(only or ()), tuple(without), kinds)
         assumed = tuple(f"{name} {place}" for name, place in given.assumed)
         out = [text for text, (name, _) in zip(assumed, given.assumed) if {name, text} & set(asked.without)]
         if out:
             raise RigError(f"{' and '.join(out)} cannot be assumed and left out at once")
-        return Asked((*asked.only, *assumed) if asked.only else (), asked.without, kinds)
+        return RequestedEffects((*asked.only, *assumed) if asked.only else (), asked.without, kinds)
 
     def name(self, name: str) -> bool:
         """Whether an effect is asked for at any place."""
@@ -50,7 +50,7 @@ class Asked:
                 raise RigError(f"{text!r}: {name} cannot sit at {place!r} in this recording; it can at {', '.join(sites[name])}")
 
 
-def answerable(given: Given, candidates: Sequence[Candidate], not_asked: Sequence[NotAsked]) -> Given:
+def require_answerable(given: Given, candidates: Sequence[Candidate], not_asked: Sequence[NotAsked]) -> Given:
     """What is given itself. Raises RigError where a recording cannot be asked for what is assumed."""
     there = {(c.name, c.place) for c in candidates}
     for name, place in given.assumed:

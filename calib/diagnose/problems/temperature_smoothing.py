@@ -15,7 +15,7 @@ ALIKE = 3.0  # standard errors by which what is taken for noise may follow its n
 FAR = 8.0  # times its middle size that noise may reach
 
 
-def smoothed(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, np.ndarray]]:
+def smooth_temperatures(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, np.ndarray]]:
     """(Sensors, {channel: (n, q) K}): each temperature's line, parabola or cubic spline, of as many stretches as Schwarz's criterion grants, in
     place of its log, and its errors as q directions of one standard deviation each: those of the next course, since what the criterion did not
     grant may be there as far as noise hides it.

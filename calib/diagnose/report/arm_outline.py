@@ -8,16 +8,16 @@ from rig.model import mechanisms
 from rig.model.design import Arm, Chain
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import chain as chains
-from rig.report.pages.plots import panels
-from rig.report.pages.html_elements import listed
-from rig.report.pages.svg_elements import WIDTH, hover, svg, text
+from rig.report.pages.plots import panel_row
+from rig.report.pages.html_elements import list_html
+from rig.report.pages.svg_elements import WIDTH, tooltip, svg, text
 
 GHOSTS = 14  # other configurations, drawn faintly
 VIEWS = (((0, 2), "from the side"), ((0, 1), "from above"))
 HIGH, MARGIN = 260.0, 24.0  # of a view, units of a figure
 
 
-def picture(arm: Arm | Chain, q: np.ndarray, moved: dict[int, dict[str, float]]) -> str:
+def arm_outline_figures(arm: Arm | Chain, q: np.ndarray, moved: dict[int, dict[str, float]]) -> str:
     """Figures of an Arm, or a Chain, over its configurations q (n, joints) rad or m.
 
     moved : {joint: {effect: RMS in rad or, of what slides, m}} of what was found
@@ -25,12 +25,12 @@ def picture(arm: Arm | Chain, q: np.ndarray, moved: dict[int, dict[str, float]])
     at, joints = _points(q, arm)
     typical = int(np.argmin(((q - np.median(q, axis=0)) ** 2).sum(axis=1)))
     ghosts = np.linspace(0, len(q) - 1, GHOSTS).astype(int)
-    places, units = mechanisms.places(arm), mechanisms.units(arm)
+    places, units = mechanisms.axis_places(arm), mechanisms.axis_units(arm)
     said = {j: f"{places[j]}: " + ", ".join(f"{name} {size * 1e3:.3f} m{units[j]}" for name, size in moved[j].items()) for j in sorted(moved)}
     largest = max((max(found.values()) for found in moved.values()), default=1.0)
     marks = [Mark(place, max(moved[j].values()) / largest if j in moved else None, said.get(j, place)) for j, place in enumerate(places)]
     views = [_view(title, at[ghosts][:, :, [a, b]], at[typical][:, [a, b]], joints[typical][:, [a, b]], marks) for (a, b), title in VIEWS]
-    return panels(*views) + (listed(said.values()) if said else "")
+    return panel_row(*views) + (list_html(said.values()) if said else "")
 
 
 class Mark(NamedTuple):
@@ -56,7 +56,7 @@ def _view(title: str, ghosts: np.ndarray, points: np.ndarray, joints: np.ndarray
     parts = [text(4, 14, title, style="name"), *(drawn(ghost, "tick") for ghost in ghosts), drawn(points, "link")]
     for j, (mark, (x, y)) in enumerate(zip(marks, placed(joints))):
         parts += [f'<circle class="joint{"" if mark.size is None else " marked"}" cx="{x:.1f}" cy="{y:.1f}" r="{8 + 5 * (mark.size or 0.0):.1f}">'
-                  f"{hover(mark.said)}</circle>", text(x, y + 4, str(j + 1), "middle", "within")]
+                  f"{tooltip(mark.said)}</circle>", text(x, y + 4, str(j + 1), "middle", "within")]
     return svg(int(HIGH) + 24, f"the machine {title}, marked: {', '.join(mark.place for mark in marks if mark.size is not None) or 'nothing'}", parts)
 
 
@@ -68,7 +68,7 @@ def _points(q: np.ndarray, arm: Arm | Chain) -> tuple[np.ndarray, np.ndarray]:
     outline: list[np.ndarray] = []
     joints: list[np.ndarray] = []
     below = np.broadcast_to(np.eye(4), (len(q), 4, 4))
-    for (stage, own), T in zip(chains.stages(q, arm), chains.each(q, arm)):
+    for (stage, own), T in zip(chains.stages(q, arm), chains.stage_transforms(q, arm)):
         if isinstance(stage, Arm):
             links = mechanism.frames(own, stage)[..., :3, 3]
             outline, joints = [*outline, _in(below, links)], [*joints, _in(below, links[:, : len(stage.joints)])]

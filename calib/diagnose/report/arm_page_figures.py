@@ -7,16 +7,16 @@ import numpy as np
 
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
 from calib.diagnose.report import finding_contributions
-from calib.diagnose.report.arm_report import SAME_ANGLE, figures
-from calib.diagnose.report.arm_outline import picture
-from calib.diagnose.report.residual_figures import scatter
+from calib.diagnose.report.arm_report import SAME_ANGLE, residual_statistics
+from calib.diagnose.report.arm_outline import arm_outline_figures
+from calib.diagnose.report.residual_figures import residual_scatter_figure
 from calib.diagnose.report.diagnosis_json import FindingEntry
 from calib.samples.effect_playback import FACTORS
-from calib.report.scene_3d import stage_alone
+from calib.report.scene_3d import mechanism_stage
 from rig.model import mechanisms
-from rig.report.pages.plots import Series, panel
+from rig.report.pages.plots import Series, plot_panel
 from rig.report.pages.html_elements import heading, note, paragraph, table
-from rig.report.pages.view_3d import Effect, view
+from rig.report.pages.view_3d import Effect, view_3d_html
 
 PLAYED = 4  # findings that are shown in three dimensions
 ROWS = ("geometry alone", "with effects", "of these, every joint near angles it was fitted at", "of these, a joint at angles never fitted")
@@ -42,7 +42,7 @@ class ArmView:
             if term.candidate.joint is not None:
                 here = moved.setdefault(term.candidate.joint, {})
                 here[term.candidate.name] = float(np.hypot(here.get(term.candidate.name, 0.0), d.fit.part(number).std()))
-        return picture(d.arm, d.arms.q, moved)
+        return arm_outline_figures(d.arm, d.arms.q, moved)
 
     def plot(self, finding: FindingEntry) -> str | None:
         """Residuals of all poses turned back into the joint against what gives the finding away; None where it acts on the whole arm."""
@@ -58,7 +58,7 @@ class ArmView:
         covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(d.arms.context.moved())
         x = covariate.values if covariate.values.ndim == 1 else covariate.values[:, joint]
         both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
-        return scatter(x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{mechanisms.units(d.arm)[joint]}")
+        return residual_scatter_figure(x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{mechanisms.axis_units(d.arm)[joint]}")
 
     def in_space(self) -> list[str]:
         """The arm's poses, with what each finding at a joint does, linear in its size."""
@@ -71,7 +71,7 @@ class ArmView:
                 once = J[:, :, candidate.joint] * d.fit.part(finding.number)[:, None]
                 sizes = tuple(f"{factor:g} times as found" for factor in FACTORS)
                 effects.append(Effect(f"{candidate.name.replace('_', ' ')} at {candidate.place}", sizes, np.multiply.outer(FACTORS, once)))
-        return view(stage_alone(d.arm, d.arms.frame, d.arms.q, tuple(effects)))
+        return view_3d_html(mechanism_stage(d.arm, d.arms.frame, d.arms.q, tuple(effects)))
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Held-out errors, before and after, pose by pose and in a table."""
@@ -80,14 +80,14 @@ class ArmView:
             near = h.far <= SAME_ANGLE
             for label, left in zip(ROWS, (h.before, h.after, h.after[near], h.after[~near])):
                 if len(left):
-                    f = figures(left)
+                    f = residual_statistics(left)
                     rows.append([f"{label}, {h.stretches} stretches", *(f"{f[key] * 1e6:.1f}" for key in ("mean_m", "rms_m", "p95_m", "max_m")),
                                  f"{f['mean_rad'] * 1e6:.1f}" if "mean_rad" in f else "", f["n"]])
         parts: list[str] = [self._errors(), table(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows)]
         if d.findings:
             parts += [heading("What each finding brings on poses held out", 3), self._proofs(), heading("What single poses suffer from", 3),
                       paragraph("The poses that all findings together displace most, for each finding a bar, the biggest first. "
-                                "contributions.csv has them for every pose."), finding_contributions.picture(d)]
+                                "contributions.csv has them for every pose."), finding_contributions.contribution_figure(d)]
         aside = d.arms.frame[d.fit.aside]
         if len(aside):
             parts.append(paragraph(f"{len(aside)} poses agree with no model and count for next to nothing: frames {', '.join(map(str, aside))}."))
@@ -113,7 +113,7 @@ class ArmView:
             candidate = d.fit.terms[finding.number].candidate
             found = [d.cross_validations[i], *(row[i] for row in d.regions)]
             rows.append([f"{candidate.name.replace('_', ' ')} at {candidate.place}", *(f"{(v.before - v.after) * 1e6:+.1f}" for v in found)])
-        joints = mechanisms.places(d.arm)[: len(d.regions)]
+        joints = mechanisms.axis_places(d.arm)[: len(d.regions)]
         said = note("µm, RMS of a position per axis, by which poses are predicted better with it than without. A curve of a joint's own angle is "
                     "not told where that joint never stood: there, what it brings by that joint's own regions may be a loss.")
         return table(("finding", "held out: time", *joints), rows) + said
@@ -125,4 +125,4 @@ class ArmView:
         if d.repeats is not None:
             ends = np.array([0.0, len(d.held[0].after) - 1.0])
             series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command again", "line", -1))
-        return panel("held-out errors", ("pose", "position error, µm"), series, log=True)
+        return plot_panel("held-out errors", ("pose", "position error, µm"), series, log=True)

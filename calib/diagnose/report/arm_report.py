@@ -15,14 +15,21 @@ from calib.diagnose.engine.term_selection import Finding
 from calib.diagnose.problems.arm.joint_candidates import SPAN, Form
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis, HeldOutPoses
 from calib.diagnose.problems.arm.pose_fit import Term
-from calib.diagnose.problems.arm.nonlinear_parameters import joint_covariance, moments
+from calib.diagnose.problems.arm.nonlinear_parameters import joint_parameter_covariance, onset_time_interval
 from calib.diagnose.report import finding_contributions
-from calib.diagnose.report.platform_report import copy_recording, experiment, moment, unexplained, unknown, unusual
+from calib.diagnose.report.platform_report import (
+    copy_recording,
+    separating_experiment_text,
+    moment_text,
+    largest_unexplained,
+    unnamed_finding_entries,
+    unusual_size_reason,
+)
 from calib.diagnose.report.diagnosis_verdict import write
 from calib.diagnose.report.diagnosis_report import Report
 from calib.diagnose.report.diagnosis_json import (
-    ASSUMED_NOISE, STATED, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Unexplained, Value, bounded, covariate_entries,
-    recording_entries, effects_files, said_of, suggestion_entries,
+    ASSUMED_NOISE, STATED, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Unexplained, Value, bounded_value, covariate_entries,
+    recording_entries, effects_files, stated_beforehand, suggestion_entries,
 )
 from rig.formats import machine_json
 from rig.model import mechanisms
@@ -33,48 +40,75 @@ SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 SMALL = 1e-4  # step of an order, for its derivative
 
 
-def report(d: ArmDiagnosis) -> Report:
+def arm_report(d: ArmDiagnosis) -> Report:
     """Report of an ArmDiagnosis."""
     found = [_finding(d, f, proof) for f, proof in zip(d.findings, d.cross_validations)]
-    fit = FitEntry(mean(d.held[0].before), mean(d.held[0].after), floor(d), "m")
-    held = [{"stretches": h.stretches, "before": figures(h.before), "after": figures(h.after), **reach(h), "chosen": [list(n) for n in h.names]}
-            for h in d.held]
+    fit = FitEntry(mean_position_error(d.held[0].before), mean_position_error(d.held[0].after), position_error_floor(d), "m")
+    held = [
+        {
+            "stretches": h.stretches,
+            "before": residual_statistics(h.before),
+            "after": residual_statistics(h.after),
+            **extrapolation_figures(h),
+            "chosen": [list(n) for n in h.names],
+        }
+        for h in d.held
+    ]
     again = None if d.repeats is None else {"pairs": d.repeats.pairs, "mean_m": d.repeats.mean, "rms_m": d.repeats.rms,
                                             "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again}
-    return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left) or scattered(d), {"poses": fit}, fit,
-                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), covariates=covariate_entries(d.covariates), said=d.said,
-                  recordings=recording_entries(d.parts),
-                  own_effects=effects_files(d.own), suggestions=suggestion_entries(d.suggestions),
-                  more={"scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]), "held_out": held, "held_out_by_region": regions(d),
-                        "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()}, confounds=d.confounds,
-                  noise_from=ASSUMED_NOISE if d.arms.assumed else STATED, left_out=d.left_out, crowd=d.crowd)
+    return Report(
+        d.recording,
+        d.origin.shown(0.0),
+        instrument_noise(d),
+        (*found, *unnamed_finding_entries(d.left)),
+        largest_unexplained(d.left) or excess_position_scatter(d),
+        {"poses": fit},
+        fit,
+        tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked),
+        covariates=covariate_entries(d.covariates),
+        said=d.said,
+        recordings=recording_entries(d.parts),
+        own_effects=effects_files(d.own),
+        suggestions=suggestion_entries(d.suggestions),
+        more={
+            "scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]),
+            "held_out": held,
+            "held_out_by_region": held_out_region_gains(d),
+            "repeats": again,
+            "set_aside": d.arms.frame[d.fit.aside].tolist(),
+        },
+        confounds=d.confounds,
+        noise_from=ASSUMED_NOISE if d.arms.assumed else STATED,
+        left_out=d.left_out,
+        crowd=d.crowd,
+    )
 
 
-def scattered(d: ArmDiagnosis) -> Unexplained | None:
+def excess_position_scatter(d: ArmDiagnosis) -> Unexplained | None:
     """What positions scatter beyond what is stated for them, by length, where that and what is stated exceed the stated UNSTATED times."""
     beyond, stated = float(np.sqrt(3) * d.fit.scatter[0]), _by_length(d.arms.own, slice(0, 3))
     return Unexplained("rig", beyond, "m", ()) if np.hypot(beyond, stated) > UNSTATED * stated else None
 
 
-def regions(d: ArmDiagnosis) -> list[dict[str, Any]]:
+def held_out_region_gains(d: ArmDiagnosis) -> list[dict[str, Any]]:
     """For each joint, what each finding brings where whole regions of its travel are held out: misfit before and after, m, and standard errors."""
-    places = mechanisms.places(d.arm)
+    places = mechanisms.axis_places(d.arm)
     return [{"joint": j + 1, "place": places[j],
              "findings": [{"heldout_before": v.before, "heldout_after": v.after, "gain_sigma": v.gain} for v in row]}
             for j, row in enumerate(d.regions)]
 
 
-def floor(d: ArmDiagnosis) -> float:
+def position_error_floor(d: ArmDiagnosis) -> float:
     """m, mean position error that no model can be below: that of commands given twice or, without any, the instrument's own."""
     return _by_length(d.arms.own, slice(0, 3)) if d.repeats is None else d.repeats.mean
 
 
-def mean(left: np.ndarray) -> float:
+def mean_position_error(left: np.ndarray) -> float:
     """m, mean position error of residuals (n, k)."""
     return float(np.linalg.norm(left[:, :3], axis=1).mean())
 
 
-def figures(left: np.ndarray) -> dict[str, float]:
+def residual_statistics(left: np.ndarray) -> dict[str, float]:
     """{mean_m, rms_m, p95_m, max_m, n} of position errors and, where they were measured, the mean rotation error in rad."""
     size = np.linalg.norm(left[:, :3], axis=1)
     out = {"mean_m": float(size.mean()), "rms_m": float(np.sqrt((size**2).mean())), "p95_m": float(np.quantile(size, 0.95)),
@@ -82,14 +116,17 @@ def figures(left: np.ndarray) -> dict[str, float]:
     return out | ({"mean_rad": float(np.linalg.norm(left[:, 3:], axis=1).mean())} if left.shape[1] == 6 else {})
 
 
-def reach(held: HeldOutPoses) -> dict[str, Any]:
+def extrapolation_figures(held: HeldOutPoses) -> dict[str, Any]:
     """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within SAME_ANGLE of an angle that they were
     fitted at, and of the rest; None where there are none. No data tell a profile where its joint never stood."""
     near = held.far <= SAME_ANGLE
-    return {name: figures(held.after[rows]) if rows.any() else None for name, rows in (("after_at_fitted_angles", near), ("after_beyond", ~near))}
+    return {
+        name: residual_statistics(held.after[rows]) if rows.any() else None
+        for name, rows in (("after_at_fitted_angles", near), ("after_beyond", ~near))
+    }
 
 
-def noise(d: ArmDiagnosis) -> dict[str, float | None]:
+def instrument_noise(d: ArmDiagnosis) -> dict[str, float | None]:
     """{corner_px, pose_m, pose_rad, strut_m}: the instrument's own standard uncertainty of a position and rotation, by length."""
     own = d.arms.own
     return {"corner_px": None, "pose_m": _by_length(own, slice(0, 3)), "pose_rad": _by_length(own, slice(3, 6)) or None, "strut_m": None}
@@ -100,14 +137,14 @@ def _by_length(own: np.ndarray, part: slice) -> float:
     return float(np.sqrt(np.trace(own[:, part, part], axis1=1, axis2=2).mean()))
 
 
-def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
+def finding_parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
     """{name: Value} of a finding; intervals allow for the dispersion seen."""
     fit, number = d.fit, finding.number
     one, theta = fit.terms[number], fit.theta[fit.slices[number]]
     candidate = one.candidate
     if candidate.form is Form.SINUSOID:
         return _cycle(d, finding, theta)
-    joint = joint_covariance(fit, number)
+    joint = joint_parameter_covariance(fit, number)
     covariance = joint.covariance[: len(theta), : len(theta)] * finding.score.dispersion
     bounds = {p.name: p.bounds for p in candidate.kind.parameters_at(candidate.place)}
     units = {p.name: p.unit for p in candidate.kind.parameters_at(candidate.place)}
@@ -125,17 +162,17 @@ def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
     roles = {p.name: p.role for p in effect.parameters}
     value, low, high = (1 / c if c > 0 else np.inf for c in (theta[0], theta[0] + sigma[0], theta[0] - sigma[0])) if roles[name] == "inverse" else (
         theta[0], theta[0] - sigma[0], theta[0] + sigma[0])
-    out = {name: bounded(float(value), units[name], (float(low), float(high)), bounds[name])}
+    out = {name: bounded_value(float(value), units[name], (float(low), float(high)), bounds[name])}
     spreads = Z95 * np.sqrt(np.diag(joint.covariance)[len(theta) :] * finding.score.dispersion)
     spread = {n: float(s) for n, s in zip(joint.names, spreads)}
-    return out | {key: moment(d.arms.t, v, d.origin, moments(fit, number, finding.score.dispersion)) if roles[key] == "moment"
-                  else bounded(v, units[key], (v - spread[key], v + spread[key]), bounds[key]) if key in spread else Value(v, units[key])
+    return out | {key: moment_text(d.arms.t, v, d.origin, onset_time_interval(fit, number, finding.score.dispersion)) if roles[key] == "moment"
+                  else bounded_value(v, units[key], (v - spread[key], v + spread[key]), bounds[key]) if key in spread else Value(v, units[key])
                   for key, v in one.node.items() if key in units and key != name}
 
 
 def unit_at(d: ArmDiagnosis, joint: int | None) -> str:
     """Unit, "m" or "rad", of the travel of a joint, by its index; of no one joint's "rad"."""
-    return "rad" if joint is None else mechanisms.units(d.arm)[joint]
+    return "rad" if joint is None else mechanisms.axis_units(d.arm)[joint]
 
 
 def _scaled(moved: np.ndarray, theta: np.ndarray, covariance: np.ndarray, one: Term, unit: str) -> Value:
@@ -172,21 +209,29 @@ def _cycle(d: ArmDiagnosis, finding: Finding, theta: np.ndarray) -> dict[str, Va
 
 def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> FindingEntry:
     candidate, score = d.fit.terms[finding.number].candidate, finding.score
-    others = tuple(AlternativeEntry(other.name, other.place, a.behind, a.cosine,
-                                    experiment((candidate.kind, candidate.place), (other.kind, other.place)), a.score.node.get("order"))
-                   for a, other in ((a, a.score.candidate) for a in finding.alternatives))
+    others = tuple(
+        AlternativeEntry(
+            other.name,
+            other.place,
+            a.behind,
+            a.cosine,
+            separating_experiment_text((candidate.kind, candidate.place), (other.kind, other.place)),
+            a.score.node.get("order"),
+        )
+        for a, other in ((a, a.score.candidate) for a in finding.alternatives)
+    )
     evidence = Evidence(score.delta_bic(d.fit.size), min(1.0, score.p_value * d.asked), proof.before, proof.after, proof.unit, proof.gain)
-    found = parameters(d, finding)
+    found = finding_parameters(d, finding)
     return FindingEntry(candidate.name, candidate.place, found, evidence, others, candidate.kind.action_at(candidate.place),
-                        said_of(d.given, candidate.name, candidate.place), unusual(candidate.kind, candidate.place, found))
+                        stated_beforehand(d.given, candidate.name, candidate.place), unusual_size_reason(candidate.kind, candidate.place, found))
 
 
-def save(folder: Path, d: ArmDiagnosis, recording: Recording, report: Report) -> None:
+def write_arm_diagnosis(folder: Path, d: ArmDiagnosis, recording: Recording, report: Report) -> None:
     """Write diagnosis.json into a folder, and what it takes to simulate the arm as found: machine.json and the recording's own rig.toml,
     commands, frames and sensors.
     report : Report of d"""
     write(folder, report)
     found = replace(recording.design, mechanism=d.arm)
-    write_text(folder / "machine.json", json.dumps(machine_json.tree(found, d.effects)) + "\n")
+    write_text(folder / "machine.json", json.dumps(machine_json.machine_dict(found, d.effects)) + "\n")
     copy_recording(folder, recording)
-    finding_contributions.write(folder / "contributions.csv", d)
+    finding_contributions.write_contributions(folder / "contributions.csv", d)

@@ -31,7 +31,7 @@ class Value:
     open: str | None = None
 
 
-def bounded(value: float, unit: str, ends: tuple[float, float], bounds: tuple[float, float], at_bound: float | None = None) -> Value:
+def bounded_value(value: float, unit: str, ends: tuple[float, float], bounds: tuple[float, float], at_bound: float | None = None) -> Value:
     """Value of a number whose 95 % interval ends where what makes sense does."""
     low, high = max(ends[0], bounds[0]), min(ends[1], bounds[1])
     below, above = low == bounds[0], high == bounds[1]
@@ -216,7 +216,7 @@ def plain(value: Any) -> Any:
     return [plain(v) for v in value] if isinstance(value, (list, tuple)) else value
 
 
-def said_of(given: Given, effect: str, place: str) -> str | None:
+def stated_beforehand(given: Given, effect: str, place: str) -> str | None:
     """What was said beforehand of an effect at a place."""
     site = (effect, place)
     return ASSUMED if site in given.assumed else SEEN_BEFORE if site in given.before else None

@@ -5,15 +5,15 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from calib.diagnose.report import report_sentences
-from calib.diagnose.report.diagnosis_verdict import judged
+from calib.diagnose.report.diagnosis_verdict import diagnosis_verdict
 from calib.diagnose.report.diagnosis_report import Report
 from calib.diagnose.report.diagnosis_json import FindingEntry
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.plots import panels
-from rig.report.pages.html_elements import folded, heading, note, paragraph, table
-from rig.report.pages.view_3d import scripts
-from vision.effect_sketches import drawn
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import panel_row
+from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
+from rig.report.pages.view_3d import view_scripts
+from vision.effect_sketches import effect_sketch
 
 DOTS = ("Small dots are residuals, large ones means of as many of them each with their 95 % interval. Without it: the best that calibration can do "
         "alone, which swallows part of it.")
@@ -44,20 +44,25 @@ class View(Protocol):
 
 def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link] = ()) -> None:
     """Write the page of a Report: offline, one file, figures in micrometres, microradians and pixels."""
-    parts = [paragraph(report_sentences.held_out(report.fit, bool(report.named)))]
+    parts = [paragraph(report_sentences.held_out_sentence(report.fit, bool(report.named)))]
     main = report.mattering or report.named
     slight = [f for f in report.named if not any(f is m for m in main)]
     if report.findings:
         parts += [heading("Where"), view.where([f.place for f in (*main, *report.unknown, *slight)])]
     for number, finding in enumerate(main):
-        title = report_sentences.title(finding) + report_sentences.size(finding) + report_sentences.beforehand(finding)
+        title = (
+            report_sentences.finding_title(finding) + report_sentences.finding_size_text(finding) + report_sentences.stated_beforehand_text(finding)
+        )
         parts += [heading(f"{number + 1}. {title}"), *_finding(finding, view)]
     if slight:
         parts += [heading("Significant, and of little account"),
                   paragraph("These are there beyond chance; without them, what was held out would be predicted as well.")]
     for finding in slight:
         parts += [
-            heading(f"{report_sentences.title(finding)}{report_sentences.size(finding)}{report_sentences.beforehand(finding)}", 3),
+            heading(
+                f"{report_sentences.finding_title(finding)}{report_sentences.finding_size_text(finding)}{report_sentences.stated_beforehand_text(finding)}",
+                3,
+            ),
             *_slight(finding),
         ]
     shown = view.in_space()
@@ -75,16 +80,16 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
                   table(("what", "size", "why it is no finding"), [report_sentences.remark_row(r) for r in report.remarks])]
     parts += _left_out(report)
     parts += [heading("What was asked"), *_asked(report, view), heading("The measurement"), table(("what", "value"), _measurement(report, view))]
-    verdict = judged(report)
-    write(path, Page("diagnose", f"Diagnosis of {report.recording}", verdict, parts, verdict.next, links, scripts(parts)))
+    verdict = diagnosis_verdict(report)
+    write_page(path, Page("diagnose", f"Diagnosis of {report.recording}", verdict, parts, verdict.next, links, view_scripts(parts)))
 
 
 def _finding(finding: FindingEntry, view: View) -> list[str]:
-    plot, sure = view.plot(finding), report_sentences.how_sure(finding)
+    plot, sure = view.plot(finding), report_sentences.evidence_sentence(finding)
     parts = [] if plot is None else [plot, note(DOTS)]
     parts.append(table(("parameter", "value", "95 % interval"), report_sentences.parameter_rows(finding)))
     parts += [paragraph(sure)] if sure else []
-    parts += [paragraph(report_sentences.sentence(finding.unusual))] if finding.unusual else []
+    parts += [paragraph(report_sentences.as_sentence(finding.unusual))] if finding.unusual else []
     parts += [paragraph(f"What to do: {finding.action}")] if finding.action else []
     return parts + _alternatives(finding) + _sketched(finding.effect)
 
@@ -93,13 +98,13 @@ def _sketched(name: str) -> list[str]:
     """What an effect of the catalogue does, as the catalogue shows it; nothing of one that is not in it."""
     if name not in BY_NAME:
         return []
-    sketch, said = drawn(BY_NAME[name]), f"What {BY_NAME[name].label()} does"
-    return [folded(said, paragraph(f"As the catalogue of effects shows it: {sketch.words}."), panels(*sketch.figures))]
+    sketch, said = effect_sketch(BY_NAME[name]), f"What {BY_NAME[name].label()} does"
+    return [folding_section(said, paragraph(f"As the catalogue of effects shows it: {sketch.words}."), panel_row(*sketch.figures))]
 
 
 def _slight(finding: FindingEntry) -> list[str]:
     action = [paragraph(f"What to do: {finding.action}")] if finding.action else []
-    return [paragraph(report_sentences.how_sure(finding)), *action, *_alternatives(finding)]
+    return [paragraph(report_sentences.evidence_sentence(finding)), *action, *_alternatives(finding)]
 
 
 def _alternatives(finding: FindingEntry) -> list[str]:
@@ -119,13 +124,13 @@ def _remaining(report: Report, view: View) -> list[str]:
     rows = [
         (
             f.place,
-            report_sentences.number(f.parameters["magnitude"].value, f.parameters["magnitude"].unit),
+            report_sentences.value_text(f.parameters["magnitude"].value, f.parameters["magnitude"].unit),
             ", ".join(f.parameters["depends_on"].value) or "scatters more than its noise",
-            report_sentences.chance(f.evidence.p_value),
+            report_sentences.probability_text(f.evidence.p_value),
         )
         for f in report.unknown
     ]
-    return [levels, paragraph(report_sentences.remains(report.unknown)),
+    return [levels, paragraph(report_sentences.unexplained_sentence(report.unknown)),
             table(("place", "size (RMS)", "goes with", "chance"), rows), *pictures]
 
 
@@ -134,12 +139,13 @@ def _left_out(report: Report) -> list[str]:
     if not report.left_out and report.crowd is None:
         return []
     parts = [heading("Left out before anything was searched")]
-    parts += [] if report.crowd is None else [paragraph(report_sentences.sentence(report_sentences.crowd(report.crowd)))]
+    parts += [] if report.crowd is None else [paragraph(report_sentences.as_sentence(report_sentences.many_outliers_sentence(report.crowd)))]
     if report.left_out:
-        rows = [report_sentences.left_out(one) for one in report.left_out]
+        rows = [report_sentences.excluded_row_texts(one) for one in report.left_out]
         parts += [
             paragraph(
-                f"{report_sentences.rows(len(rows))} far off all that the rest of the recording allows, and no neighbour in time or configuration "
+                f"{report_sentences.row_count_text(len(rows))} far off all that the rest of the recording allows, and no neighbour in time or "
+                f"configuration "
                 "shows the same. The findings do not rest on these rows."
             ),
             table(("frame", "where", "how far off", "why"), rows),
@@ -151,7 +157,7 @@ def _suggestions(report: Report) -> list[str]:
     """The formulas for what has no name."""
     parts = []
     for entry in report.suggestions:
-        parts += [heading(f"A formula for what is at {entry.place}", 3), paragraph(report_sentences.suggestion(entry)),
+        parts += [heading(f"A formula for what is at {entry.place}", 3), paragraph(report_sentences.formula_suggestion_sentences(entry)),
                   table(("parameter", "value", "95 % interval"), report_sentences.suggestion_rows(entry))]
     return parts
 
@@ -164,11 +170,11 @@ def _asked(report: Report, view: View) -> list[str]:
     if not report.not_asked:
         return [*asked, paragraph("The whole catalogue could be asked for.")]
     rows = [(s.effect.replace("_", " "), s.reason) for s in report.not_asked]
-    return [*asked, folded(f"{len(rows)} could not be", table(("effect", "why"), rows))]
+    return [*asked, folding_section(f"{len(rows)} could not be", table(("effect", "why"), rows))]
 
 
 def _measurement(report: Report, view: View) -> list[tuple[str, Any]]:
     units = {"corner_px": ("corner, per axis", "px"), "pose_m": ("pose, position", "m"), "pose_rad": ("pose, rotation", "rad"),
              "strut_m": ("strut", "m")}
-    return view.measurement() + [(f"noise of a {units[key][0]}", report_sentences.number(value, units[key][1]))
+    return view.measurement() + [(f"noise of a {units[key][0]}", report_sentences.value_text(value, units[key][1]))
                                  for key, value in report.noise.items() if value is not None and key in units]

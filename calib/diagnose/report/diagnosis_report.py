@@ -10,8 +10,15 @@ from calib.diagnose.report.diagnosis_json import (
     ASSUMED_NOISE, RESIDUALS, SCHEMA, STATED, UNKNOWN, CovariateEntry, EffectsFile, FindingEntry, FitEntry, NotAskedEntry, RecordingEntry,
     RemarkEntry, SuggestionEntry, Unexplained, plain,
 )
-from calib.diagnose.report.report_sentences import beforehand, crowd, number, sentence, size, title
-from rig.report.notebook_display import shown
+from calib.diagnose.report.report_sentences import (
+    stated_beforehand_text,
+    many_outliers_sentence,
+    value_text,
+    as_sentence,
+    finding_size_text,
+    finding_title,
+)
+from rig.report.notebook_display import result_html
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +58,8 @@ class Report:
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
-        rows = [(title(f), size(f).removeprefix(", "), f.action or "") for f in self.findings]
-        return shown(summary(self), [], [("what", "size", "what to do"), *rows] if rows else [])
+        rows = [(finding_title(f), finding_size_text(f).removeprefix(", "), f.action or "") for f in self.findings]
+        return result_html(summary(self), [], [("what", "size", "what to do"), *rows] if rows else [])
 
     @property
     def named(self) -> list[FindingEntry]:
@@ -81,25 +88,25 @@ def summary(report: Report) -> str:
     """What was found, the biggest first; what is only significant is counted, not named."""
     worst, left = report.unexplained, ""
     if worst is not None:
-        left = f"something at {worst.place} that nothing in the catalogue explains, {number(worst.magnitude, worst.unit)}"
+        left = f"something at {worst.place} that nothing in the catalogue explains, {value_text(worst.magnitude, worst.unit)}"
         left += f", going with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
     if not report.named:
         return f"There is {left}." if left else all_clear(report)
     main = report.mattering or report.named
-    said = [f"{title(f)}{size(f)}{beforehand(f)}" for f in main]
+    said = [f"{finding_title(f)}{finding_size_text(f)}{stated_beforehand_text(f)}" for f in main]
     fewer = len(report.named) - len(main)
     slight = "1 more is significant and changes" if fewer == 1 else f"{fewer} more are significant and change"
     said += [f"{slight} what was held out by next to nothing"] if fewer else []
     text = "; ".join([*said, *([f"besides, {left}"] if left else [])])
     doubtful = [f.effect.replace("_", " ") for f in main if f.cannot_be_told_from]
     text += f". This recording alone cannot tell the {' and the '.join(doubtful)} from everything else: see there" if doubtful else ""
-    return sentence(text)
+    return as_sentence(text)
 
 
 def all_clear(report: Report) -> str:
     """What it is worth that nothing was found: nothing, where nobody states the noise."""
     if report.crowd is not None:
-        return f"Nothing in the catalogue was found, and {crowd(report.crowd)}."
+        return f"Nothing in the catalogue was found, and {many_outliers_sentence(report.crowd)}."
     if report.noise_from == ASSUMED_NOISE:
         return ("Nothing was found, which proves nothing: nobody states the noise of the poses, and what is left of them was taken for it. State it: "
                 "position_sigma and rotation_sigma in [instrument] of rig.toml.")

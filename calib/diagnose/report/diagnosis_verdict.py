@@ -4,30 +4,30 @@ import json
 from collections.abc import Collection
 from pathlib import Path
 
-from calib.certify.calibration_evidence import separable
+from calib.certify.calibration_evidence import confound_sentences
 from calib.diagnose.report import report_sentences
 from calib.diagnose.report.diagnosis_report import Report, summary
 from calib.diagnose.report.diagnosis_json import ASSUMED_NOISE, UNKNOWN
 from rig.formats.output_files import write_text
-from rig.report.verdict import Evidence, Missing, Verdict, judge
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 
 ROWS = "Look at the rows that were left out, below: record those configurations once more"
 TAKE_IN = "Let the calibration take it in: `rig calibrate REC --diagnosis DIR --out calibration.json`"
 
 
-def judged(report: Report) -> Verdict:
+def diagnosis_verdict(report: Report) -> Verdict:
     """The verdict of a Report: check where something that matters is left out of the model or has no name, or where a calibration made from the
     recording leaves something unexplained; bad where the recording refutes such a calibration."""
-    left, rest, steps = unexplained(report), doubts(report), to_do(report)
+    left, rest, steps = unexplained(report), doubts(report), recommended_actions(report)
     besides = tuple(Missing(text, TAKE_IN) for text in report.calibrations.unexplained if text not in (*left, *(one.text for one in rest)))
     said = summary(report).removesuffix(".")
-    return judge(Evidence(said[0].lower() + said[1:], tuple(steps), unexplained=left, confounds=separable(report.confounds),
+    return judge_evidence(Evidence(said[0].lower() + said[1:], tuple(steps), unexplained=left, confounds=confound_sentences(report.confounds),
                           missing=(*rest, *besides), refuted=report.calibrations.refuted, look=TAKE_IN if report.mattering else steps[0], named=True))
 
 
 def unexplained(report: Report, known: Collection[tuple[str, str]] = ()) -> tuple[str, ...]:
     """What a Report says is left out of the model, a sentence each. known : (effect, place) of findings that are not left out"""
-    named = [f"the model leaves out {report_sentences.title(f)}" for f in report.mattering if (f.effect, f.place) not in known]
+    named = [f"the model leaves out {report_sentences.finding_title(f)}" for f in report.mattering if (f.effect, f.place) not in known]
     unknown = [f"nothing in the catalogue explains what is at {f.place}" for f in report.unknown if (f.effect, f.place) not in known]
     if not report.unknown and report.unexplained is not None and (UNKNOWN, report.unexplained.place) not in known:
         unknown = [f"nothing in the catalogue explains what is at {report.unexplained.place}"]
@@ -51,13 +51,15 @@ def doubts(report: Report) -> tuple[Missing, ...]:
 def write(folder: Path, report: Report) -> None:
     """Write diagnosis.json into a folder: the Report's tree, its verdict after its schema."""
     tree = report.tree()
-    write_text(folder / "diagnosis.json", json.dumps({"schema": tree["schema"], "verdict": judged(report).tree(), **tree}, indent=1) + "\n")
+    write_text(
+        folder / "diagnosis.json", json.dumps({"schema": tree["schema"], "verdict": diagnosis_verdict(report).tree(), **tree}, indent=1) + "\n"
+    )
 
 
-def to_do(report: Report) -> list[str]:
+def recommended_actions(report: Report) -> list[str]:
     """What an owner does next with a Report."""
     actions = [
-        f"{report_sentences.title(f)[0].upper()}{report_sentences.title(f)[1:]}: {f.action}".removesuffix(".")
+        f"{report_sentences.finding_title(f)[0].upper()}{report_sentences.finding_title(f)[1:]}: {f.action}".removesuffix(".")
         for f in report.mattering or report.named
         if f.action
     ]

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
 from rig.report.pages.plots import COLOURS
-from rig.report.pages.svg_elements import hover, svg, text
+from rig.report.pages.svg_elements import tooltip, svg, text
 from rig.recording.recording_tables import write_table
 
 WORST = 24  # poses that are drawn
@@ -14,7 +14,7 @@ LEFT = "what remains"
 ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars begin and end
 
 
-def contributions(d: ArmDiagnosis) -> tuple[list[str], np.ndarray]:
+def finding_contributions(d: ArmDiagnosis) -> tuple[list[str], np.ndarray]:
     """("effect place" .., "what remains"; (n, findings + 1) m) by how much each finding displaces the target in each pose, alone, and what
     they leave; in the order of the diagnosis."""
     names, sizes = [], []
@@ -28,17 +28,17 @@ def contributions(d: ArmDiagnosis) -> tuple[list[str], np.ndarray]:
     return [*names, LEFT], np.stack([*sizes, np.linalg.norm(d.fit.left[:, :3], axis=1)], axis=1)
 
 
-def write(path: Path, d: ArmDiagnosis) -> None:
+def write_contributions(path: Path, d: ArmDiagnosis) -> None:
     """Write a table with a row for each pose and a column, m, for each finding and for what remains."""
-    names, sizes = contributions(d)
+    names, sizes = finding_contributions(d)
     columns = [name.replace(" ", "_") for name in names]
     columns = [f"{name}_{columns[:i].count(name) + 1}" if name in columns[:i] else name for i, name in enumerate(columns)]
     write_table(path, ("frame", *columns), [",".join([str(frame), *(f"{v:.9f}" for v in row)]) for frame, row in zip(d.arms.frame, sizes)])
 
 
-def picture(d: ArmDiagnosis) -> str:
+def contribution_figure(d: ArmDiagnosis) -> str:
     """Figure of the poses that suffer most: for each a bar, made of one for each finding, the biggest first, and of what remains."""
-    names, sizes = contributions(d)
+    names, sizes = finding_contributions(d)
     worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]
     scale = (END - START) / float(sizes[worst].sum(axis=1).max())
     parts = [text(4, 14, "by frame, µm one beside the other", style="name")]
@@ -49,7 +49,7 @@ def picture(d: ArmDiagnosis) -> str:
             wide = float(sizes[pose, which]) * scale
             said = f"{names[which].replace('_', ' ')}: {sizes[pose, which] * 1e6:.1f} µm"
             parts.append(f'<rect class="fill {_colour(which, len(names))}" x="{at:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{ROW - 3:g}">'
-                         f"{hover(said)}</rect>")
+                         f"{tooltip(said)}</rect>")
             at += wide
     for k, name in enumerate(names):
         y = 30 + ROW * (len(worst) + k)

@@ -7,18 +7,18 @@ import numpy as np
 
 from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
-from calib.diagnose.report.residual_figures import over_time
-from calib.diagnose.report.residual_plots import diagnostic_plot, model_residuals, residual_map, residuals
+from calib.diagnose.report.residual_figures import residuals_in_time_figure
+from calib.diagnose.report.residual_plots import diagnostic_plot, model_residuals, residual_map, residuals_without_effects
 from calib.diagnose.report.diagnosis_json import FindingEntry
-from calib.diagnose.report.rig_outline import schematic
-from calib.samples.effect_playback import played
-from calib.report.scene_3d import stage
+from calib.diagnose.report.rig_outline import rig_outline_figure
+from calib.samples.effect_playback import effect_displacements
+from calib.report.scene_3d import rig_stage
 from rig.effects.framework.effect import Effect
 from rig.model.mechanism_geometry import Free
 from rig.recording.time_origin import Origin
-from rig.report.pages.plots import bars, panels
+from rig.report.pages.plots import bar_chart, panel_row
 from rig.report.pages.view_3d import Effect as Shown
-from rig.report.pages.view_3d import view
+from rig.report.pages.view_3d import view_3d_html
 from rig.recording.recording_folder import Recording
 
 FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
@@ -40,7 +40,7 @@ class PlatformView:
 
     def where(self, places: list[str]) -> str:
         """The rig in outline, places marked."""
-        return schematic(self.diagnosis.selection.fit.refined.point, places)
+        return rig_outline_figure(self.diagnosis.selection.fit.refined.point, places)
 
     def plot(self, finding: FindingEntry) -> str | None:
         """Of an admitted effect; None for what was found before all else: faces exchanged or moved."""
@@ -55,20 +55,20 @@ class PlatformView:
         k = self.diagnosis.selection.fit.refined.point
         effects, values = tuple[Shown, ...](), None
         if k.commands is not None and not isinstance(k.design.mechanism, Free):
-            tried = [played(k.design, k.commands, k.t, k.effects, which, k.sensors) for which in range(min(len(k.effects), PLAYED))]
+            tried = [effect_displacements(k.design, k.commands, k.t, k.effects, which, k.sensors) for which in range(min(len(k.effects), PLAYED))]
             effects, values = tuple(one for one in tried if one is not None), k.motion(()).lengths
-        return view(stage(k.design, k.frames, k.T, values, effects=effects))
+        return view_3d_html(rig_stage(k.design, k.frames, k.T, values, effects=effects))
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Figure of the levels, then of what is unknown."""
         refined = self.diagnosis.selection.fit.refined
         k = refined.point
-        struts, corners = residuals(refined)
+        struts, corners = residuals_without_effects(refined)
         parts: list[str] = [_levels(self.diagnosis, struts)]
         for f in unknown[:PICTURED]:
             kind, _, name = f.place.partition(" ")
             if kind == "strut":
-                parts.append(over_time(f.place, k.t, struts[:, int(name) - 1] * 1e6, "strut, µm"))
+                parts.append(residuals_in_time_figure(f.place, k.t, struts[:, int(name) - 1] * 1e6, "strut, µm"))
             elif kind == "camera":
                 own = np.flatnonzero(k.observed.observations.camera == [c.name for c in k.design.cameras].index(name))
                 parts.append(residual_map(k, own, (corners,), ("what is left",)))
@@ -104,7 +104,7 @@ def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> str:
         rows.append(([f"strut {i + 1}" for i in range(k.axes)], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, "µm"))
     if k.seen is not None:
         rows.append(_camera_levels(refined.model, before.model))
-    return panels(*(bars("what is left, RMS", labels, [("nothing admitted", first.tolist(), 3), ("as diagnosed", last.tolist(), 0),
+    return panel_row(*(bar_chart("what is left, RMS", labels, [("nothing admitted", first.tolist(), 3), ("as diagnosed", last.tolist(), 0),
                                                        ("noise", noise.tolist(), -1)], unit) for labels, first, last, noise, unit in rows))
 
 

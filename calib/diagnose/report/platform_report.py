@@ -12,12 +12,12 @@ from calib.diagnose.engine.lack_of_fit import LackOfFit, first_of_each_place
 from calib.diagnose.engine.term_selection import Finding
 from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
-from calib.diagnose.problems.platform.tolerance_columns import Slight
+from calib.diagnose.problems.platform.tolerance_columns import SignificantTolerance
 from calib.diagnose.report.diagnosis_verdict import write
 from calib.diagnose.report.diagnosis_report import Report
 from calib.diagnose.report.diagnosis_json import (
     ASSUMED_NOISE, RESIDUALS, STATED, UNKNOWN, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, RemarkEntry, Unexplained, Value,
-    bounded, covariate_entries, recording_entries, effects_files, said_of, suggestion_entries,
+    bounded_value, covariate_entries, recording_entries, effects_files, stated_beforehand, suggestion_entries,
 )
 from rig.formats import machine_json, remote_folders
 from rig.effects.framework.effect import Effect
@@ -30,18 +30,34 @@ from rig.recording.recording_folder import Recording
 from vision.bundle.marker_displacements import Move
 
 
-def report(d: PlatformDiagnosis) -> Report:
+def platform_report(d: PlatformDiagnosis) -> Report:
     """Report of a PlatformDiagnosis."""
     found = [_swapped(effect) for effect in d.swapped] + [_moved(move) for move in d.moved]
     found += [_finding(d, f, proof) for f, proof in zip(d.selection.findings, d.cross_validations)]
     fits = {name: fit_entry(fit) for name, fit in d.fits.items()}
-    return Report(d.recording, d.origin.shown(0.0), noise(asdict(d.noise)), (*found, *unknown(d.left)), unexplained(d.left), fits, fit_entry(d.fit),
-                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)), covariate_entries(d.covariates), d.said,
-                  recording_entries(d.parts), effects_files(d.own), suggestion_entries(d.suggestions), confounds=d.confounds,
-                  noise_from=noise_from(d), left_out=d.wild.left_out, crowd=d.wild.crowd)
+    return Report(
+        d.recording,
+        d.origin.shown(0.0),
+        noise_entry(asdict(d.noise)),
+        (*found, *unnamed_finding_entries(d.left)),
+        largest_unexplained(d.left),
+        fits,
+        fit_entry(d.fit),
+        tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked),
+        tuple(remark_entries(d)),
+        covariate_entries(d.covariates),
+        d.said,
+        recording_entries(d.parts),
+        effects_files(d.own),
+        suggestion_entries(d.suggestions),
+        confounds=d.confounds,
+        noise_from=noise_source(d),
+        left_out=d.wild.left_out,
+        crowd=d.wild.crowd,
+    )
 
 
-def noise_from(d: PlatformDiagnosis) -> str:
+def noise_source(d: PlatformDiagnosis) -> str:
     """Whence the noise comes that all is judged by."""
     k = d.selection.fit.refined.point
     if k.seen is None:
@@ -49,23 +65,23 @@ def noise_from(d: PlatformDiagnosis) -> str:
     return RESIDUALS if k.seen.stated is None else STATED
 
 
-def remarks(d: PlatformDiagnosis) -> list[RemarkEntry]:
+def remark_entries(d: PlatformDiagnosis) -> list[RemarkEntry]:
     """What is there beyond chance and does not matter: what was fitted, what was left, what tolerances were seen to be."""
     refined, out = d.selection.fit.refined, []
     for f, reason in d.remarks.findings:
         effect = refined.point.effects[f.number]
-        out.append(RemarkEntry(effect.name, effect.place, _parameters(refined, f.number, effect, d.origin), no_more_than(reason),
+        out.append(RemarkEntry(effect.name, effect.place, _parameters(refined, f.number, effect, d.origin), tolerance_reason_sentence(reason),
                                min(1.0, f.score.p_value * d.selection.asked)))
-    out += [RemarkEntry(UNKNOWN, u.place, _size_of(u), no_more_than(reason), u.p_value) for u, reason in d.remarks.left]
+    out += [RemarkEntry(UNKNOWN, u.place, _size_of(u), tolerance_reason_sentence(reason), u.p_value) for u, reason in d.remarks.left]
     return out + [_within(s) for s in d.remarks.sites]
 
 
-def no_more_than(reason: str) -> str:
+def tolerance_reason_sentence(reason: str) -> str:
     """A remark's reason in a sentence."""
     return f"No more than {reason}."
 
 
-def _within(slight: Slight) -> RemarkEntry:
+def _within(slight: SignificantTolerance) -> RemarkEntry:
     """RemarkEntry of what a tolerance was seen to be."""
     parameters, at, ends = {}, 0, Z95 * slight.sigma
     for name, unit, count in slight.site.parameters:
@@ -73,20 +89,20 @@ def _within(slight: Slight) -> RemarkEntry:
         low, value, high = ((slight.values + s * ends)[rows].tolist() for s in (-1, 0, 1))
         parameters[name] = Value(value, unit, [low, high]) if count > 1 else Value(value[0], unit, [low[0], high[0]])
         at += count
-    return RemarkEntry(slight.site.effect, slight.site.place, parameters, no_more_than(slight.site.tolerance.reason), slight.p_value)
+    return RemarkEntry(slight.site.effect, slight.site.place, parameters, tolerance_reason_sentence(slight.site.tolerance.reason), slight.p_value)
 
 
-def noise(figures: dict[str, float | None]) -> dict[str, float | None]:
+def noise_entry(figures: dict[str, float | None]) -> dict[str, float | None]:
     """The noise as diagnosis.json has it: a strut's alone is left out where there is none."""
     return {name: value for name, value in figures.items() if value is not None or name != "strut_m"}
 
 
-def unexplained(left: list[LackOfFit]) -> Unexplained | None:
+def largest_unexplained(left: list[LackOfFit]) -> Unexplained | None:
     """The most convincing of what is left, or None."""
     return Unexplained(left[0].place, left[0].magnitude, left[0].unit, left[0].depends_on) if left else None
 
 
-def unknown(left: list[LackOfFit]) -> list[FindingEntry]:
+def unnamed_finding_entries(left: list[LackOfFit]) -> list[FindingEntry]:
     """What is left as findings without a name, one for each place."""
     return [FindingEntry(UNKNOWN, u.place, _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2)) for u in first_of_each_place(left)]
 
@@ -100,13 +116,13 @@ def fit_entry(fit: CrossValidation) -> FitEntry:
     return FitEntry(fit.before, fit.after, fit.floor, fit.unit)
 
 
-def experiment(*sites: tuple[type[Effect], str]) -> str:
+def separating_experiment_text(*sites: tuple[type[Effect], str]) -> str:
     """What would tell two hypotheses, an effect at a place each, apart, in words."""
     names, shown = [kind.name for kind, _ in sites], [kind.experiment_at(place) for kind, place in sites]
     return shown[0] if names[0] == names[1] else "; ".join(f"{name}: {text}" for name, text in zip(names, shown))
 
 
-def unusual(kind: type[Effect], place: str, parameters: dict[str, Value]) -> str | None:
+def unusual_size_reason(kind: type[Effect], place: str, parameters: dict[str, Value]) -> str | None:
     """Why the size of an effect at a place is hard to believe, or None."""
     return kind.unusual(place, {key: value.value for key, value in parameters.items()})
 
@@ -129,26 +145,26 @@ def _finding(d: PlatformDiagnosis, finding: Finding, proof: CrossValidation) -> 
     evidence = Evidence(score.delta_bic(refined.model.size), min(1.0, score.p_value * d.selection.asked), proof.before, proof.after, proof.unit,
                         proof.gain)
     others = tuple(AlternativeEntry(other.name, other.place, a.behind, a.cosine,
-                                    experiment((type(effect), effect.place), (other.kind, other.place)))
+                                    separating_experiment_text((type(effect), effect.place), (other.kind, other.place)))
                    for a, other in ((a, a.score.candidate) for a in finding.alternatives))
     parameters = _parameters(refined, finding.number, effect, d.origin)
     return FindingEntry(effect.name, effect.place, parameters, evidence, others, effect.action_at(effect.place),
-                        said_of(d.given, effect.name, effect.place), unusual(type(effect), effect.place, parameters))
+                        stated_beforehand(d.given, effect.name, effect.place), unusual_size_reason(type(effect), effect.place, parameters))
 
 
 def _parameters(refined: Refined, number: int, effect: Effect, origin: Origin) -> dict[str, Value]:
     known, bound = {p.name: p for p in effect.parameters_at(effect.place)}, refined.at_bounds(number)
     out = {name: Value(value, known[name].unit, [low, high]) if isinstance(value, list) else
-           bounded(value, known[name].unit, (low, high), known[name].bounds, bound.get(name))
+           bounded_value(value, known[name].unit, (low, high), known[name].bounds, bound.get(name))
            for name, (value, low, high) in refined.intervals(number).items()}
     for p in effect.parameters:
         if p.role in ("moment", "choice") and p.size == 1 and np.isfinite(getattr(effect, p.name)):
             value = getattr(effect, p.name)
-            out[p.name] = Value(value, p.unit) if p.role == "choice" else moment(refined.point.t, value, origin)
+            out[p.name] = Value(value, p.unit) if p.role == "choice" else moment_text(refined.point.t, value, origin)
     return out
 
 
-def moment(t: np.ndarray, value: float, origin: Origin, likely: tuple[float, float] | None = None) -> Value:
+def moment_text(t: np.ndarray, value: float, origin: Origin, likely: tuple[float, float] | None = None) -> Value:
     """A moment (s from the recording's start) by the owner's clock, and the frames, at t (n,) s, between which it lies.
 
     likely : (earliest, latest) s, where it may lie between other frames as well
@@ -157,7 +173,7 @@ def moment(t: np.ndarray, value: float, origin: Origin, likely: tuple[float, flo
     return Value(origin.shown(value), "s", [origin.shown(t[low - 1]), origin.shown(t[high])])
 
 
-def save(folder: Path, d: PlatformDiagnosis, recording: Recording, report: Report) -> None:
+def write_platform_diagnosis(folder: Path, d: PlatformDiagnosis, recording: Recording, report: Report) -> None:
     """Write diagnosis.json into a folder and, where a machine was commanded, what it takes to simulate it as found:
     machine.json and the recording's own rig.toml, commands, frames and sensors.
     report : Report of d"""
@@ -165,7 +181,7 @@ def save(folder: Path, d: PlatformDiagnosis, recording: Recording, report: Repor
     k = d.selection.fit.refined.point
     if not k.axes:
         return
-    tree = machine_json.tree(k.design, (*d.swapped, *d.effects))
+    tree = machine_json.machine_dict(k.design, (*d.swapped, *d.effects))
     write_text(folder / "machine.json", json.dumps(tree) + "\n")
     copy_recording(folder, recording)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
 from calib.diagnose.report.diagnosis_json import ASSUMED, CovariateEntry, FindingEntry, FitEntry, RemarkEntry, SuggestionEntry, Value
-from rig.formats.number_rounding import UNITS, apart, rounded
+from rig.formats.number_rounding import UNITS, separating_digits, round_to_digits
 
 SCALES = {unit: UNITS[unit][0] for unit in ("m", "rad", "1/K", "N/m")}  # one unit for all sizes, so that they compare
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
@@ -17,103 +17,109 @@ CONVINCING = 10  # of the information criterion
 SELDOM = 1e-3  # chance of a finding where there is nothing, from which it is one
 
 
-def number(value: float, unit: str, with_unit: bool = True, digits: int = 3) -> str:
+def value_text(value: float, unit: str, with_unit: bool = True, digits: int = 3) -> str:
     """A value in the unit that people read it in, to so many digits."""
     scale, name = SCALES.get(unit, (1, unit))
-    text = "unlimited" if not np.isfinite(value) else f"{value:.1f}" if unit == "s" and abs(value) >= LONG_TIME else rounded(value * scale, digits)
+    text = (
+        "unlimited"
+        if not np.isfinite(value)
+        else f"{value:.1f}"
+        if unit == "s" and abs(value) >= LONG_TIME
+        else round_to_digits(value * scale, digits)
+    )
     return f"{text} {name}".strip() if with_unit else text
 
 
-def interval(low: float, high: float, unit: str, with_unit: bool = True) -> str:
+def interval_text(low: float, high: float, unit: str, with_unit: bool = True) -> str:
     """"39.1 to 41.2 µm", to as many digits as tell its ends apart."""
-    digits = apart(low, high)
-    return f"{number(low, unit, False, digits)} to {number(high, unit, with_unit, digits)}"
+    digits = separating_digits(low, high)
+    return f"{value_text(low, unit, False, digits)} to {value_text(high, unit, with_unit, digits)}"
 
 
 def _ends(p: Value, with_unit: bool = True) -> str:
     """A number's 95 % interval, as far as the data close it."""
     if p.ci95 is None or p.open == "both":
         return NOT_DETERMINED
-    low, high = (number(end, p.unit, with_unit) for end in p.ci95)
-    between = interval(p.ci95[0], p.ci95[1], p.unit, with_unit)
+    low, high = (value_text(end, p.unit, with_unit) for end in p.ci95)
+    between = interval_text(p.ci95[0], p.ci95[1], p.unit, with_unit)
     return f"{low} or more" if p.open == "above" else f"{high} or less" if p.open == "below" else between
 
 
 def _digits(p: Value) -> int:
     """How many digits a number with a 95 % interval is written to."""
-    return 3 if p.ci95 is None or p.open is not None else apart(*p.ci95)
+    return 3 if p.ci95 is None or p.open is not None else separating_digits(*p.ci95)
 
 
-def title(finding: FindingEntry | RemarkEntry) -> str:
+def finding_title(finding: FindingEntry | RemarkEntry) -> str:
     """"backlash at strut 4"."""
     return f"{finding.effect.replace('_', ' ')} at {finding.place}"
 
 
-def size(finding: FindingEntry | RemarkEntry) -> str:
+def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
     """The first parameter in words; of a vector its length, of a profile its root mean square; empty where there is none."""
     for name, p in finding.parameters.items():
         if isinstance(p.value, (int, float)) and p.ci95 is not None:
             at = "; at the bound of what makes sense" if p.at_bound is not None else ""
             sure = NOT_DETERMINED if p.open == "both" else f"95 %: {_ends(p, False)}"
-            return f", {name.replace('_', ' ')} {number(p.value, p.unit, digits=_digits(p))} ({sure}{at})"
+            return f", {name.replace('_', ' ')} {value_text(p.value, p.unit, digits=_digits(p))} ({sure}{at})"
         if ", " in p.unit and len(p.value) % 3 == 0 and len(p.value):
             thirds = np.reshape(np.asarray(p.value, float), (-1, 3))
-            return ", by " + " and ".join(number(float(np.linalg.norm(v)), u) for v, u in zip(thirds, p.unit.split(", ")))
+            return ", by " + " and ".join(value_text(float(np.linalg.norm(v)), u) for v, u in zip(thirds, p.unit.split(", ")))
         if name == "profile" and len(p.value):
-            return f", {number(np.sqrt(np.mean(np.square(p.value))), p.unit)} RMS"
+            return f", {value_text(np.sqrt(np.mean(np.square(p.value))), p.unit)} RMS"
     return ""
 
 
-def beforehand(finding: FindingEntry) -> str:
+def stated_beforehand_text(finding: FindingEntry) -> str:
     """" (assumed)" of what the operator said beforehand."""
     return f" ({finding.said})" if finding.said else ""
 
 
-def sentence(text: str) -> str:
+def as_sentence(text: str) -> str:
     """With a capital and a full stop."""
     return text[0].upper() + text[1:] + "."
 
 
-def left_out(one: LeftOut) -> tuple[str, str, str, str]:
+def excluded_row_texts(one: LeftOut) -> tuple[str, str, str, str]:
     """(frame, where, how far off, why) of a row that was left out."""
-    return str(one.frame), one.place, f"{number(one.off, one.unit)}, {one.times:.0f} times the scatter of the others", one.reason
+    return str(one.frame), one.place, f"{value_text(one.off, one.unit)}, {one.times:.0f} times the scatter of the others", one.reason
 
 
-def rows(count: int) -> str:
+def row_count_text(count: int) -> str:
     """How many rows are off, as the beginning of a sentence."""
     return "1 row is" if count == 1 else f"{count} rows are"
 
 
-def crowd(found: Crowd) -> str:
+def many_outliers_sentence(found: Crowd) -> str:
     """Why rows that are far off were not left out."""
     return (f"{found.count} of {found.of} {found.what} are far off all others: too many to be mistakes of their own, so they were not left out, and "
             "something is left out of the model")
 
 
-def held_out(fit: FitEntry, named: bool) -> str:
+def held_out_sentence(fit: FitEntry, named: bool) -> str:
     """What is left over on stretches that the fit had not seen."""
-    before, after, floor = (number(value, fit.unit) for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))
+    before, after, floor = (value_text(value, fit.unit) for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))
     ratio = f", {fit.heldout_after / fit.noise_floor:.2f} times the noise" if fit.noise_floor else ""
     if not named:
         return f"On stretches of the recording that the fit had not seen, {after} are left over{ratio} ({floor})."
     return f"On stretches of the recording that the fit had not seen, the misfit falls from {before} to {after}{ratio} ({floor})."
 
 
-def chance(p: float | None) -> str:
+def probability_text(p: float | None) -> str:
     """A probability in words."""
     if p is None:
         return "not known"
     return "below 1 in a million" if p < CERTAIN else f"1 in {1 / p:.0f}"
 
 
-def how_sure(finding: FindingEntry) -> str:
+def evidence_sentence(finding: FindingEntry) -> str:
     """The evidence of a finding in a sentence, empty where there is none."""
     e = finding.evidence
     if e.delta_bic is None or e.p_value is None or e.heldout_before is None or e.heldout_after is None or e.unit is None:
         return ""
     errors = f" ({e.gain_sigma:.1f} standard errors)" if e.gain_sigma is not None and np.isfinite(e.gain_sigma) else ""
-    said = [f"held out, {number(e.heldout_before, e.unit)} without it and {number(e.heldout_after, e.unit)} with it{errors}",
-            f"chance of such a finding where there is nothing: {chance(e.p_value)}",
+    said = [f"held out, {value_text(e.heldout_before, e.unit)} without it and {value_text(e.heldout_after, e.unit)} with it{errors}",
+            f"chance of such a finding where there is nothing: {probability_text(e.p_value)}",
             f"information criterion better by {e.delta_bic:.0f} ({CONVINCING} is convincing)"]
     if finding.said == ASSUMED:
         shown = e.p_value is not None and e.p_value <= SELDOM and e.delta_bic >= CONVINCING
@@ -121,7 +127,7 @@ def how_sure(finding: FindingEntry) -> str:
     return f"How sure: {'; '.join(said)}."
 
 
-def remains(unknown: Sequence[FindingEntry]) -> str:
+def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
     """What is unknown: functions that fit it, scatter that none does."""
     fitted = [f for f in unknown if f.parameters["depends_on"].value]
     said = ["Something remains that nothing in the catalogue explains."]
@@ -131,9 +137,9 @@ def remains(unknown: Sequence[FindingEntry]) -> str:
     return " ".join(said)
 
 
-def suggestion(entry: SuggestionEntry) -> str:
+def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
     """What is suggested in place of a name, and how it did where it was not chosen, in sentences."""
-    before, after, floor = (number(value, entry.unit) for value in (entry.heldout_before, entry.heldout_after, entry.noise))
+    before, after, floor = (value_text(value, entry.unit) for value in (entry.heldout_before, entry.heldout_after, entry.noise))
     alike = sum(set(part) == set(entry.covariates) for part in entry.parts)
     return (f"Deviation {entry.formula}, where {entry.where}. Held out on whole stretches, by formulas chosen and fitted without them: {before} "
             f"before, {after} after, {entry.heldout_after / entry.noise:.2f} times the noise ({floor}); {alike} of {len(entry.parts)} times the same "
@@ -153,15 +159,15 @@ def covariate_table(found: Sequence[CovariateEntry]) -> tuple[tuple[str, ...], l
     for c in found:
         shares = [c.explains.get(what) for what in looked_at]
         cells = [text for s in shares for text in ((f"{s.before:.1%}", f"{s.after:.1%}") if s else ("", ""))]
-        rows.append((c.name.replace("_", " "), *cells, chance(min(s.p_value for s in c.explains.values()))))
+        rows.append((c.name.replace("_", " "), *cells, probability_text(min(s.p_value for s in c.explains.values()))))
     return heads, rows
 
 
 def remark_row(remark: RemarkEntry) -> tuple[str, str, str]:
     """(what, how large, why it is no finding) of a remark."""
-    text = size(remark).removeprefix(", ")
+    text = finding_size_text(remark).removeprefix(", ")
     unknown = remark.parameters.get("magnitude")
-    return title(remark), text or (number(unknown.value, unknown.unit) if unknown else ""), remark.reason
+    return finding_title(remark), text or (value_text(unknown.value, unknown.unit) if unknown else ""), remark.reason
 
 
 def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
@@ -170,7 +176,7 @@ def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
     for name, p in finding.parameters.items():
         name = name.replace("_", " ")
         if isinstance(p.value, (int, float)):
-            rows.append((name, number(p.value, p.unit, digits=_digits(p)), _interval(p)))
+            rows.append((name, value_text(p.value, p.unit, digits=_digits(p)), _interval(p)))
             continue
         shown = [i for i, v in enumerate(p.value) if v][: 2 * LONG] if len(p.value) > LONG else range(len(p.value))
         units = p.unit.split(", ") if ", " in p.unit else [p.unit]
@@ -179,7 +185,7 @@ def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
             if isinstance(p.value[i], str):
                 rows.append((f"{name} {i + 1}", p.value[i], ""))
                 continue
-            rows.append((f"{name} {i + 1}", number(p.value[i], own), interval(p.ci95[0][i], p.ci95[1][i], own) if p.ci95 else ""))
+            rows.append((f"{name} {i + 1}", value_text(p.value[i], own), interval_text(p.ci95[0][i], p.ci95[1][i], own) if p.ci95 else ""))
     return rows
 
 
@@ -190,7 +196,7 @@ def _interval(p: Value) -> str:
     return f"{text}; stands at its bound" if p.at_bound is not None else text
 
 
-def line(finding: FindingEntry, few: int = 6) -> str:
+def finding_line(finding: FindingEntry, few: int = 6) -> str:
     """A finding in a line for a terminal, in SI units. few : numbers of a parameter that are printed; of more, how many there are"""
     return f"{finding.effect} at {finding.place}: " + ", ".join(_printed(name, p, few) for name, p in finding.parameters.items())
 

@@ -2,20 +2,20 @@
 
 import numpy as np
 
-from rig.report.pages.plots import Series, panel, panels
+from rig.report.pages.plots import Series, plot_panel, panel_row
 
 BINS = 14  # of the covariate, with as many residuals each
 BEFORE, AFTER, GREY = 3, 0, -1  # colours of a figure
 
 
-def scatter(x: np.ndarray, label: str, both: list[np.ndarray], y: str) -> str:
+def residual_scatter_figure(x: np.ndarray, label: str, both: list[np.ndarray], y: str) -> str:
     """Residuals before and after (m,) against a covariate x (m,), and those before against what the effect explains."""
     limit = 1.15 * max(float(np.quantile(np.abs(v), 0.995)) for v in both) + 1e-12
     explained = both[0] - both[1]
     ends = np.array([explained.min(), explained.max()])
     panes = ((x, both[0], "without it", BEFORE, label, ()), (x, both[1], "with it", AFTER, label, ()),
              (explained, both[0], "without it, against what it explains", BEFORE, f"explained: {y}", (Series(ends, ends, kind="line", colour=GREY),)))
-    return panels(*(panel(title, (below, y), [Series(at, np.clip(values, -limit, limit), colour=GREY), _means(at, values, colour), *more],
+    return panel_row(*(plot_panel(title, (below, y), [Series(at, np.clip(values, -limit, limit), colour=GREY), _means(at, values, colour), *more],
                           limits=(-limit, limit), level=0.0) for at, values, title, colour, below, more in panes))
 
 
@@ -33,9 +33,9 @@ def _bins(x: np.ndarray) -> list[np.ndarray]:
     return [place == b for b in np.unique(place)]
 
 
-def over_time(title: str, t: np.ndarray, values: np.ndarray, y: str) -> str:
+def residuals_in_time_figure(title: str, t: np.ndarray, values: np.ndarray, y: str) -> str:
     """What is left (n,) at times t (n,) s, its running mean drawn in."""
     order, width = np.argsort(t), max(len(t) // 25, 1)
     ones = np.ones(width) / width
     mean = Series(np.convolve(t[order], ones, "valid") / 60, np.convolve(values[order], ones, "valid"), "running mean", "line", AFTER)
-    return panel(title, ("time, min", y), [Series(t / 60, values, colour=GREY), mean], level=0.0)
+    return plot_panel(title, ("time, min", y), [Series(t / 60, values, colour=GREY), mean], level=0.0)

@@ -7,15 +7,15 @@ from calib.diagnose.problems.platform.held_out_validation import change
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
-from calib.diagnose.report.residual_figures import AFTER, BEFORE, scatter
+from calib.diagnose.report.residual_figures import AFTER, BEFORE, residual_scatter_figure
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.report.pages.plots import bars, panels
-from rig.report.pages.image_plane_figures import Arrows, image_plane, patches
+from rig.report.pages.plots import bar_chart, panel_row
+from rig.report.pages.image_plane_figures import Arrows, image_plane, patch_means
 
 CELLS = 14  # of a residual map, across the image
 
 
-def residuals(refined: Refined, without: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray]:
+def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray]:
     """(closures (F, axes) m, corners (n, 2) px in the observations' order) that are left where some admitted effects (numbers) are taken
     away and cameras, geometry and poses make up for it as far as they can."""
     model, k = refined.model, refined.point
@@ -49,10 +49,10 @@ def _in_pixels(model: LinearisedModel, image: np.ndarray) -> np.ndarray:
 def diagnostic_plot(refined: Refined, number: int) -> str:
     """Figures of admitted effect number `number`: left without it, right with it, all else as admitted."""
     k, effect = refined.point, refined.point.effects[number]
-    (struts_before, image_before), (struts_after, image_after) = residuals(refined, (number,)), residuals(refined)
+    (struts_before, image_before), (struts_after, image_after) = residuals_without_effects(refined, (number,)), residuals_without_effects(refined)
     if not seen_alone(effect):
         x, label, y = _strut_view(effect, k, struts_before, struts_after)
-        return scatter(x, label, [v * 1e6 for v in y], "strut, µm")
+        return residual_scatter_figure(x, label, [v * 1e6 for v in y], "strut, µm")
     own = _own(effect, k)
     draw = {"map": lambda: residual_map(k, own, (image_before, image_after)), "time": lambda: _along_time(k, own, image_before, image_after),
             "scale": lambda: _focal(k, own, image_before, image_after), "outward": lambda: _outward(k, own, image_before, image_after),
@@ -61,8 +61,12 @@ def diagnostic_plot(refined: Refined, number: int) -> str:
         return draw[effect.view]()
     way = image_before[own] - image_after[own]
     size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
-    return scatter(size[:, 0], "displacement that it makes, px", [np.einsum("ni,ni->n", v[own], way / size) for v in (image_before, image_after)],
-                   "residual along it, px")
+    return residual_scatter_figure(
+        size[:, 0],
+        "displacement that it makes, px",
+        [np.einsum("ni,ni->n", v[own], way / size) for v in (image_before, image_after)],
+        "residual along it, px",
+    )
 
 
 def _along_time(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
@@ -71,7 +75,9 @@ def _along_time(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: n
     along = _mean(frame, before[own] - after[own])
     way = along[np.argmax(np.linalg.norm(along, axis=1))]
     way = way / max(np.linalg.norm(way), 1e-12)
-    return scatter(k.t[np.unique(frame)] / 60, "time, min", [_mean(frame, v[own] @ way) for v in (before, after)], "mean of a picture's corners, px")
+    return residual_scatter_figure(
+        k.t[np.unique(frame)] / 60, "time, min", [_mean(frame, v[own] @ way) for v in (before, after)], "mean of a picture's corners, px"
+    )
 
 
 def _strut_view(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, str, list[np.ndarray]]:
@@ -119,7 +125,7 @@ def _focal(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.nda
     camera = [c.name for c in k.design.cameras]
     warmth = np.stack([k.logged(f"camera_{name}_temperature_C", "ambient_temperature_C") for name in camera])
     x = warmth[o.camera[own][first], o.frame[own][first]]
-    return scatter(x, f"temperature, C (dimensions hold at {REFERENCE_TEMPERATURE:g})", scale, "scale of a picture, 1e-6")
+    return residual_scatter_figure(x, f"temperature, C (dimensions hold at {REFERENCE_TEMPERATURE:g})", scale, "scale of a picture, 1e-6")
 
 
 def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
@@ -131,7 +137,7 @@ def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.n
     away = o.uv[own] - middle[index]
     size = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
     values = [_mean(row, np.einsum("ni,ni->n", v[own], away) / size) for v in (before, after)]
-    return scatter(np.sqrt(2) * _mean(row, size), "side of the marker in the image, px", values, "corners lie outward by, px")
+    return residual_scatter_figure(np.sqrt(2) * _mean(row, size), "side of the marker in the image, px", values, "corners lie outward by, px")
 
 
 def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray) -> str:
@@ -142,7 +148,7 @@ def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarr
     labels = sorted(set(names.tolist()), key=lambda n: (len(n), n))
     groups = [(text, [float(np.sqrt(np.mean(values[names == n] ** 2))) for n in labels], colour)
               for values, colour, text in ((before, BEFORE, "without it"), (after, AFTER, "with it"))]
-    return bars(f"residuals of every {'cube' if by_target else 'marker'}, RMS", labels, groups, "px", [effect.place.split(" ")[1]])
+    return bar_chart(f"residuals of every {'cube' if by_target else 'marker'}, RMS", labels, groups, "px", [effect.place.split(" ")[1]])
 
 
 def residual_map(k: OperatingPoint, own: np.ndarray, both: tuple[np.ndarray, ...], titles: tuple[str, ...] = ("without it", "with it")) -> str:
@@ -150,8 +156,8 @@ def residual_map(k: OperatingPoint, own: np.ndarray, both: tuple[np.ndarray, ...
     o = k.observed.observations
     camera = k.design.cameras[o.camera[own[0]]]
     cell = camera.width / CELLS
-    drawn = [patches(o.uv[own], values[own], cell) for values in both]
+    drawn = [patch_means(o.uv[own], values[own], cell) for values in both]
     longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
-    return panels(*(image_plane(f"{camera.name}, {title}", f"longest arrow of both {longest:.3g} px", (camera.width, camera.height),
+    return panel_row(*(image_plane(f"{camera.name}, {title}", f"longest arrow of both {longest:.3g} px", (camera.width, camera.height),
                                 (Arrows(centre, mean, 1.2 * cell / longest, "px", colour),))
                     for (centre, mean), title, colour in zip(drawn, titles, (BEFORE, AFTER))))

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.report.scene_3d import ring
+from calib.report.scene_3d import closed_outline
 from rig.model.design import Camera, Hexapod, Planar2
-from rig.report.pages.svg_elements import WIDTH, hover, svg, text
+from rig.report.pages.svg_elements import WIDTH, tooltip, svg, text
 from rig.model.pose import transform_points
 from vision.targets import marker_map
 
@@ -31,15 +31,15 @@ class Outline:
 
     def line(self, points: Any, colour: int, said: str = "") -> None:
         """A line through points (n, 3) m. colour : of a finding, or PLAIN; said : what it is"""
-        self._shapes.append((flat(np.asarray(points, float)), "outline", colour, said))
+        self._shapes.append((oblique_projection(np.asarray(points, float)), "outline", colour, said))
 
     def patch(self, points: np.ndarray, style: str, colour: int = PLAIN) -> None:
         """A filled polygon of points (n, 3) m. style : plate or patch"""
-        self._shapes.append((flat(points), style, colour, ""))
+        self._shapes.append((oblique_projection(points), style, colour, ""))
 
     def label(self, point: Any, words: str, colour: int) -> None:
         """Words at a point (3,) m."""
-        self._words.append((flat(np.asarray(point, float)), words, colour))
+        self._words.append((oblique_projection(np.asarray(point, float)), words, colour))
 
     def figure(self, title: str, more: list[tuple[str, int]]) -> str:
         """SVG of all of it. more : words with their colours, in a corner"""
@@ -56,7 +56,7 @@ class Outline:
         for points, style, colour, said in sorted(self._shapes, key=lambda s: (s[1] != "plate", s[2] != PLAIN)):
             d = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(points).tolist()) + ("Z" if style != "outline" else "")
             marked = f" marked c{colour}" if colour != PLAIN else ""
-            parts.append(f'<path class="{style}{marked}" d="{d}">{hover(said) if said else ""}</path>')
+            parts.append(f'<path class="{style}{marked}" d="{d}">{tooltip(said) if said else ""}</path>')
         for point, words, colour in self._words:
             x, y = placed(point).tolist()
             parts.append(text(x, y + 4, words, "middle", f"said over c{colour}" if colour != PLAIN else "small over"))
@@ -64,10 +64,10 @@ class Outline:
         return svg(int(tall + 2 * MARGIN), title, parts)
 
 
-def schematic(point: OperatingPoint, places: list[str]) -> str:
+def rig_outline_figure(point: OperatingPoint, places: list[str]) -> str:
     """Figure of the rig at the middle of its poses. point : OperatingPoint; places : of the findings, in their order"""
     k, drawn = point, Outline()
-    T, colour = k.T.mean(), colours(places)
+    T, colour = k.T.mean(), part_colours(places)
     m = k.design.mechanism
     if isinstance(m, Hexapod):
         _hexapod(drawn, m, T, colour)
@@ -81,7 +81,7 @@ def schematic(point: OperatingPoint, places: list[str]) -> str:
     return drawn.figure(f"the rig in outline, marked: {', '.join(places) or 'nothing'}", whole)
 
 
-def colours(places: list[str]) -> Colour:
+def part_colours(places: list[str]) -> Colour:
     """A function from a part's place (and what takes it in) to its colour, PLAIN where nothing is the matter."""
     def colour(*names: str) -> int:
         return next((MARKS[n % len(MARKS)] for n, place in enumerate(places) if place in names), PLAIN)
@@ -89,7 +89,7 @@ def colours(places: list[str]) -> Colour:
     return colour
 
 
-def flat(points: np.ndarray) -> np.ndarray:
+def oblique_projection(points: np.ndarray) -> np.ndarray:
     """(..., 2) m of points (..., 3) m seen from far away."""
     right = np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0])
     up = np.array([-np.sin(ELEVATION) * np.cos(AZIMUTH), -np.sin(ELEVATION) * np.sin(AZIMUTH), np.cos(ELEVATION)])
@@ -98,7 +98,7 @@ def flat(points: np.ndarray) -> np.ndarray:
 
 def _hexapod(drawn: Outline, m: Hexapod, T: RigidTransform, colour: Colour) -> None:
     tops = transform_points(T, m.platform_joints)
-    for around in (np.array(ring(joints)) for joints in (m.base_joints, tops)):
+    for around in (np.array(closed_outline(joints)) for joints in (m.base_joints, tops)):
         drawn.patch(around[:-1], "plate")
         drawn.line(around, colour("rig"))
     for i in range(6):

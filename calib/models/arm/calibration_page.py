@@ -9,18 +9,18 @@ from calib.models.arm import error_model
 from calib.models.arm.certification import Certified
 from calib.certify.calibration import Calibration
 from calib.certify.held_out_errors import Figures
-from calib.certify.calibration_evidence import judgement
-from calib.certify.held_out_errors import errors_of
-from calib.report.pose_figures import before_after, coverage
-from calib.report.calibration_page import in_space, origin, rests_on
+from calib.certify.calibration_evidence import calibration_verdict
+from calib.certify.held_out_errors import errors_before_and_after
+from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
+from calib.report.calibration_page import view_3d_html, provenance_html, evidence_html
 from calib.samples.pose_samples import Samples
-from calib.workspace.workspace_figures import section
+from calib.workspace.workspace_figures import workspace_section_html
 from rig.model import mechanisms
 from rig.effects.framework.covariate import DRAWN
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.plots import Series, panel, panels
-from rig.report.pages.html_elements import folded, heading, note, paragraph, table
-from rig.report.pages.view_3d import scripts
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, plot_panel, panel_row
+from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
+from rig.report.pages.view_3d import view_scripts
 from rig.recording.recording_folder import Recording
 
 
@@ -28,16 +28,27 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
                      links: Sequence[Link] = ()) -> None:
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
     went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
-    parts = [*rests_on(calibration), *_held(done),
-             heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
-             before_after(*errors_of(calibration.correction, samples), samples.frame), *in_space(recording, calibration, samples),
-             heading("What each joint is corrected by"), note("Beyond its offset, along the configurations visited."),
-             _profiles(calibration, samples), heading("Where the target went"), coverage(went), *section(calibration.workspace, "rad"),
-             heading("Parameters"), *(paragraph(f"{line}.") for line in done.found.rank.report()),
-             folded("Every parameter's change", _parameters(calibration)),
-             heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
-    judged = judgement(calibration)
-    write(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, scripts(parts)))
+    parts = [
+        *evidence_html(calibration),
+        *_held(done),
+        heading("Before and after, pose by pose"),
+        note("All poses; the fit has seen these."),
+        correction_error_figures(*errors_before_and_after(calibration.correction, samples), samples.frame),
+        *view_3d_html(recording, calibration, samples),
+        heading("What each joint is corrected by"),
+        note("Beyond its offset, along the configurations visited."),
+        _profiles(calibration, samples),
+        heading("Where the target went"),
+        pose_coverage_figures(went),
+        *workspace_section_html(calibration.workspace, "rad"),
+        heading("Parameters"),
+        *(paragraph(f"{line}.") for line in done.found.rank.report()),
+        folding_section("Every parameter's change", _parameters(calibration)),
+        heading("Where this came from"),
+        folding_section("Recording, versions, arguments", provenance_html(calibration)),
+    ]
+    judged = calibration_verdict(calibration)
+    write_page(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)))
 
 
 def _held(done: Certified) -> list[str]:
@@ -63,9 +74,13 @@ def _figures(f: Figures) -> list[str]:
 
 def _profiles(calibration: Calibration, samples: Samples) -> str:
     q, nominal = samples.commanded, calibration.correction.nominal
-    rho, places, units = calibration.correction.rho(q), mechanisms.places(nominal), mechanisms.units(nominal)
-    return panels(*(panel(places[i], (f"commanded, {DRAWN[unit][1]}", f"correction, m{unit}"), [Series(q[:, i] * DRAWN[unit][0], rho[:, i] * 1e3)])
-                    for i, unit in enumerate(units)))
+    rho, places, units = calibration.correction.rho(q), mechanisms.axis_places(nominal), mechanisms.axis_units(nominal)
+    return panel_row(
+        *(
+            plot_panel(places[i], (f"commanded, {DRAWN[unit][1]}", f"correction, m{unit}"), [Series(q[:, i] * DRAWN[unit][0], rho[:, i] * 1e3)])
+            for i, unit in enumerate(units)
+        )
+    )
 
 
 def _parameters(calibration: Calibration) -> str:

@@ -9,20 +9,30 @@ from calib.models.arm import error_model, joint_profiles
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification import GATE, Identified, identify, needed, parameters
 from calib.models.arm.instrument_observations import KINDS, Observations, of_samples
-from calib.models.arm.instrument_placement import placed
+from calib.models.arm.instrument_placement import place_arm
 from calib.models.arm.parameter_rank import PLAUSIBLE
-from calib.models.arm.joint_physics_fit import Together
+from calib.models.arm.joint_physics_fit import JointFit
 from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import Progress, silent
-from calib.certify.held_out_error_statistics import HeldErrors, Influence, both, held_errors, influence
-from calib.certify.held_out_errors import HeldOut, compare, errors_of, pays
-from calib.certify.workspace_claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, dispersion, extension_scatter, too_few
-from calib.certify.distinct_configurations import LEAST, folds, labels, ranges, witnesses
-from calib.identify.robust_fit import CONSISTENT, MOST, wild_rows
+from calib.certify.platform_certification import Progress, silent_progress
+from calib.certify.held_out_error_statistics import HeldErrors, Influence, both, held_out_error_statistics, influence
+from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after, is_significant_gain
+from calib.certify.workspace_claim import (
+    DRAWS,
+    PLACES,
+    Claim,
+    ConfigurationInformation,
+    Workspace,
+    claim_of_drawn_machines,
+    draw_variance_ratio,
+    extension_scatter,
+    claim_of_too_few_configurations,
+)
+from calib.certify.distinct_configurations import LEAST, configuration_folds, configuration_numbers, axis_ranges, mean_sample_per_configuration
+from calib.identify.robust_fit import CONSISTENT, MOST, outlier_rows
 from calib.samples.pose_samples import Samples
 from rig.model.design import Arm, Instrument
 from rig.planning.plan import FILL, low_discrepancy
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 STRETCHES = 30  # in time; every third is held out at once, so a third of the samples, and each sample once
 PARTS = 3
@@ -57,16 +67,16 @@ class _Way(NamedTuple):
 
 
 def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: np.random.Generator,
-            progress: Progress | None = None, physics: Together | None = None) -> Certified:
+            progress: Progress | None = None, physics: JointFit | None = None) -> Certified:
     """Certified : geometry and joint profiles of an arm, the profiles only where they pay on held-out stretches.
 
     samples : Samples as measured; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the rig's own frames)
     rng : numpy Generator, for the random rows and the bootstrap; progress : called with (label, done, of), or None
-    physics : Together of what was found, which then is part of the model, or None
+    physics : JointFit of what was found, which then is part of the model, or None
     Raises NotEnoughData, RigError as `calibrate`
     """
-    said = progress or silent
-    label = labels(samples.commanded, ranges(nominal))
+    said = progress or silent_progress
+    label = configuration_numbers(samples.commanded, axis_ranges(nominal))
     parts = _parts(label)
     said("fitting the geometry", 0, 1)
     _enough_for_any(samples, nominal)
@@ -86,19 +96,19 @@ def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: 
     full = plain if in_part else errors[ways[1]]
     scale = 1.0 if in_part else _spread(plain[1])
     loss = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
-    profiled = not in_part and pays(loss[0] - loss[1])
+    profiled = not in_part and is_significant_gain(loss[0] - loss[1])
     rows = rng.permutation(np.arange(len(samples)) % (parts.max() + 1))
     ((before, after),) = _held_out((samples, physics), nominal, instrument, (rows, start), [_Way(asked, profiled)], said)
     if profiled:
         correction, found = _profiled(known, correction, found)
     covariance, best = kept.total_covariance(), full if profiled else plain
-    held, drawn, bare = (compare(*each, covariance, rng, of_kept) for each in (best, (before[good], after[good]), errors[_Way(False, False)]))
+    held, drawn, bare = (compare_errors(*each, covariance, rng, of_kept) for each in (best, (before[good], after[good]), errors[_Way(False, False)]))
     agreed, whole = samples.take(found.inliers), len(found.scatter) == 6
     if whole and not profiled and physics is None:  # few numbers, fitted to all: what they took into themselves is known
         left = beyond_geometry(found, correction, agreed, label[found.inliers])
     else:
         own = by_parameters(found, correction, agreed, parts[found.inliers]) if whole else np.zeros(2)
-        left = held_errors(best[1] - shared_errors(kept, found.shared), kept, of_kept, 0.0, own)
+        left = held_out_error_statistics(best[1] - shared_errors(kept, found.shared), kept, of_kept, 0.0, own)
     return Certified(correction, _as_stated(as_held_out(found, left, rng), samples.measured), label, held, drawn, bare, left)
 
 
@@ -107,7 +117,7 @@ def _counted(found: Identified, samples: Samples) -> np.ndarray:
     sigma = np.sqrt(np.einsum("mkk->mk", of_samples(samples).covariance) + found.scatter**2)
     relative = found.residuals / sigma
     relative = relative / np.maximum(1.0, CONSISTENT * np.median(np.abs(relative), axis=0))
-    wild = ~found.inliers & wild_rows(relative, samples.t, samples.commanded, GATE)
+    wild = ~found.inliers & outlier_rows(relative, samples.t, samples.commanded, GATE)
     return ~wild if wild.mean() <= MOST else np.ones(len(samples), bool)
 
 
@@ -118,7 +128,7 @@ def shared_errors(samples: Samples, shared: np.ndarray) -> np.ndarray:
 
 def beyond_geometry(found: Identified, correction: ArmCorrection, agreed: Samples, label: np.ndarray) -> HeldErrors:
     """HeldErrors of an arm's geometry at each configuration. agreed : Samples that it was fitted to; label : (m,) configuration of each"""
-    return held_errors(_influence(found, correction, agreed, label).standardised, agreed, label)
+    return held_out_error_statistics(_influence(found, correction, agreed, label).standardised, agreed, label)
 
 
 def by_parameters(found: Identified, correction: ArmCorrection, agreed: Samples, parts: np.ndarray) -> np.ndarray:
@@ -152,7 +162,7 @@ def _as_stated(found: Identified, measured: str) -> Identified:
 def _parts(label: np.ndarray) -> np.ndarray:
     """(n,) part of each sample: every third stretch of the configurations (n,) at once; of few configurations, one by one or a tenth."""
     count = label.max() + 1
-    return folds(label, min(STRETCHES, count)) % (PARTS if count >= FEW else min(count, 10))
+    return configuration_folds(label, min(STRETCHES, count)) % (PARTS if count >= FEW else min(count, 10))
 
 
 def _enough_for_any(samples: Samples, nominal: Arm) -> None:
@@ -191,7 +201,7 @@ def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) ->
     observations, parts = of_samples(samples), correction.remainder
     for _ in range(ROUNDS):
         left = observations.residuals(found.arm) - np.einsum("mkj,j->mk", observations.common, found.shared)
-        parts = joint_profiles.fit(observations, replace(found, residuals=left))
+        parts = joint_profiles.fit_joint_profiles(observations, replace(found, residuals=left))
         if not any(parts):
             break
         effective = observations.q - replace(correction, remainder=parts).rho(observations.q)
@@ -203,7 +213,7 @@ def start_of(observations: Observations, nominal: Arm, instrument: Instrument | 
     """The Arm from which a fit starts: nominal, with the instrument's free places as the observations have them, and zeros moved along."""
     if instrument is None:
         return nominal
-    return placed(observations, nominal, instrument.base == "free", instrument.tool == "free")
+    return place_arm(observations, nominal, instrument.base == "free", instrument.tool == "free")
 
 
 def owners_model(observations: Observations, nominal: Arm, instrument: Instrument | None, start: Arm) -> Arm:
@@ -233,7 +243,7 @@ def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarr
     return covariance + (joints * correction.extension.error(commands)[:, None] ** 2) @ np.swapaxes(joints, 1, 2)
 
 
-def _held_out(known: tuple[Samples, Together | None], nominal: Arm, instrument: Instrument | None, plan: tuple[np.ndarray, Arm], ways: list[_Way],
+def _held_out(known: tuple[Samples, JointFit | None], nominal: Arm, instrument: Instrument | None, plan: tuple[np.ndarray, Arm], ways: list[_Way],
               said: Progress) -> list[tuple[np.ndarray, np.ndarray]]:
     """(before, after), (n, 6) each, of parts held out in turn, in each of the ways asked for."""
     (samples, physics), (part, start) = known, plan
@@ -245,8 +255,8 @@ def _held_out(known: tuple[Samples, Together | None], nominal: Arm, instrument: 
             correction, found = plain[asked]
             if profiled:
                 correction, _ = _profiled(told[asked].take(part != k), correction, found)
-            before[part == k], _ = errors_of(correction, samples.take(part == k))
-            _, after[part == k] = errors_of(correction, told[asked].take(part == k))
+            before[part == k], _ = errors_before_and_after(correction, samples.take(part == k))
+            _, after[part == k] = errors_before_and_after(correction, told[asked].take(part == k))
         said("holding configurations out" + (", joints corrected" if any(way.profiles for way in ways) else ""), int(k) + 1, part.max() + 1)
     return out
 
@@ -256,7 +266,7 @@ def _spread(errors: np.ndarray) -> np.ndarray:
     return np.repeat([np.median(np.abs(errors[:, part])) for part in (slice(0, 3), slice(3, 6))], 3) + 1e-15
 
 
-def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
+def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a certified arm for its joints' angles between the least and the greatest recorded, each configuration once."""
     found, correction = done.found, done.correction
     good = found.inliers
@@ -266,19 +276,19 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
                      "none", None, None, None, None, UNPLACED[samples.measured])
     label = np.unique(done.label[good], return_inverse=True)[1]
     kept = samples.take(good)
-    each = witnesses(kept, label, error_model.joint_jacobian(kept.commanded, found.arm))
+    each = mean_sample_per_configuration(kept, label, error_model.joint_jacobian(kept.commanded, found.arm))
     words = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
     fitted = int(found.rank.free.sum())
-    told = Told(len(each), fitted, fitted, found.rank.asked, "what is told at all is fitted without one")
+    told = ConfigurationInformation(len(each), fitted, fitted, found.rank.asked, "what is told at all is fitted without one")
     if done.held_out is None:
-        return too_few(told, words)
+        return claim_of_too_few_configurations(told, words)
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
     q = low_discrepancy(seen, PLACES, FILL)
     T = correction.predict(q)
     stated = extension_scatter(correction, q, error_model.joint_jacobian(q, found.arm))
     own = done.left.own_draws(float(stated[0]), DRAWS, rng) if done.left is not None else stated
     workspace = Workspace(
-        error_model.parameter_jacobian(q, correction.fitted), difference(error_model.predicted(q, correction.nominal), T), own, words
+        error_model.parameter_jacobian(q, correction.fitted), pose_difference(error_model.predicted(q, correction.nominal), T), own, words
     )
     observed = of_samples(each)
     free = parameters(correction.nominal, observed.kind)  # of the figures stated: axes found a little off parallel tell no more
@@ -286,8 +296,8 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     whitened = np.linalg.solve(np.linalg.cholesky(observed.covariance + np.diag(again.scatter**2)), again.residuals[..., None])[again.inliers]
     freedom = max(whitened.size - int(again.rank.free.sum()), 1)
     draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")
-    draws *= np.sqrt(dispersion(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
-    return replace(claimed(workspace, draws, each, told, rng), unexplained=unexplained(again.scatter, observed.covariance))
+    draws *= np.sqrt(draw_variance_ratio(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
+    return replace(claim_of_drawn_machines(workspace, draws, each, told, rng), unexplained=unexplained(again.scatter, observed.covariance))
 
 
 def unexplained(scatter: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:

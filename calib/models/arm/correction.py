@@ -12,14 +12,14 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.models.arm import error_model
-from calib.models.arm.solution_branch import led
+from calib.models.arm.solution_branch import solution_from_start
 from calib.models.arm.joint_profiles import Profile
 from calib.correct.correction import Correction, Responses
 from rig.model.design import Arm
 from rig.errors import Unreachable
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import deficient_arm as deficient
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 STARTS = 4  # visited configurations tried as a start before any other
 ITERATIONS = 40
@@ -49,19 +49,22 @@ class ArmCorrection(Correction[Arm, Profile]):
         Raises Unreachable with the index of commands near which the owner's model does not take that pose
         """
         if self.deficient:
-            return commands - deficient.nearest(self.predict(commands), self.nominal, commands, deficient.directions(self.nominal))[0]
+            return (
+                commands
+                - deficient.nearest_configuration(self.predict(commands), self.nominal, commands, deficient.reachable_directions(self.nominal))[0]
+            )
         flat = commands.reshape(-1, commands.shape[-1])
         found, left = mechanism.solve(self.predict(flat), self.nominal, flat, starts=0)
         far = np.flatnonzero(left > mechanism.GOOD)
         if len(far):
             raise Unreachable(f"the owner's model does not take {len(far)} of {len(flat)} corrected poses in their own posture:", far,
                               [f"pose {i}: it comes no nearer than {left[i]:.3g} m or rad" for i in far.tolist()])
-        return mechanism.apart(flat, found, self.nominal).reshape(commands.shape)
+        return mechanism.joint_difference(flat, found, self.nominal).reshape(commands.shape)
 
     def missed(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
         """(n, joints) rad or m by which commands (n, joints) differ from those nearest to them that give wanted poses (n,), whole turns aside; NaN
         where none is found."""
-        return mechanism.apart(commands, self.near(T_base_platform, commands), self.nominal)
+        return mechanism.joint_difference(commands, self.near(T_base_platform, commands), self.nominal)
 
     def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., joints) rad or m that the owner's model gives for wanted poses (m,), as the nearest visited ones took them."""
@@ -89,7 +92,7 @@ class ArmCorrection(Correction[Arm, Profile]):
 
     def rest(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
         """(..., 6) m and rad that commands (..., joints) leave to wanted poses (...), in the hand: what too few joints cannot make up for."""
-        return difference(self.predict(commands), T_base_platform)
+        return pose_difference(self.predict(commands), T_base_platform)
 
     def inverse(self, T_base_platform: RigidTransform, guess: np.ndarray | None = None) -> np.ndarray:
         """Commands (..., joints) rad or m that give wanted poses (...), or come nearest to them; limits are for `reachable` to check.
@@ -125,7 +128,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             if not len(todo):
                 break
             start = starts[todo, min(k, starts.shape[1] - 1)]
-            q, reached = led(T[todo], self.fitted, start) if k < starts.shape[1] else mechanism.solve(T[todo], self.fitted, start)
+            q, reached = solution_from_start(T[todo], self.fitted, start) if k < starts.shape[1] else mechanism.solve(T[todo], self.fitted, start)
             q, reached = self._compensate(T[todo], np.where((reached < NEAR)[:, None], q, start))
             better = (reached <= TOLERANCE) | (reached < left[todo])
             commands[todo[better]], left[todo[better]] = q[better], reached[better]
@@ -136,7 +139,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         if self.deficient:
             q, good, _ = self._led(T_base_platform, guess, self.fitted, self.rho)
             return np.where(good[:, None], q, np.nan)
-        q, reached = led(T_base_platform, self.fitted, guess)
+        q, reached = solution_from_start(T_base_platform, self.fitted, guess)
         commands, left = self._compensate(T_base_platform, np.where((reached < NEAR)[:, None], q, guess))
         return np.where((left <= TOLERANCE)[:, None], commands, np.nan)
 
@@ -162,18 +165,18 @@ class ArmCorrection(Correction[Arm, Profile]):
     def _led(self, T: RigidTransform, start: np.ndarray, arm: Arm,
              rho: Callable[[np.ndarray], np.ndarray] | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(commands (m, joints), good (m,) bool, rest (m, 6)) of an arm of few joints led to poses T (m,) from starts (m, joints), as `_nearest`."""
-        count = deficient.directions(self.nominal)
-        q, rest, settled = deficient.nearest(T, arm, start, count, None if rho is None else lambda values: values - rho(values))
+        count = deficient.reachable_directions(self.nominal)
+        q, rest, settled = deficient.nearest_configuration(T, arm, start, count, None if rho is None else lambda values: values - rho(values))
         place, turn = np.linalg.norm(rest[:, :3], axis=1), np.linalg.norm(rest[:, 3:], axis=1)
         good = settled & (place <= (MET if count.position == 3 else FAR)) & (turn <= FAR)
-        return mechanism.wrapped(q, self.nominal, q), good, rest
+        return mechanism.nearest_turn(q, self.nominal, q), good, rest
 
     def _compensate(self, T: RigidTransform, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(commands, left): from joint solutions q (m, n) of the fitted arm, by differential error transforms."""
         left = np.full(len(q), np.inf)
         best, going = q.copy(), np.arange(len(q))
         for _ in range(ITERATIONS):
-            error = difference(mechanism.forward(q - self.rho(q), self.fitted), T[going])
+            error = pose_difference(mechanism.forward(q - self.rho(q), self.fitted), T[going])
             size = np.maximum(np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1))
             better = size < left[going]
             best[going[better]], left[going[better]] = q[better], size[better]
@@ -185,7 +188,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             damping = (size**2 + 1e-14)[:, None, None] * np.eye(6)
             step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping, error[..., None]))[..., 0]
             q = q + step / np.maximum(1, np.abs(step).max(axis=1, keepdims=True) / STEP)
-        return mechanism.wrapped(best, self.nominal, best), left
+        return mechanism.nearest_turn(best, self.nominal, best), left
 
     def _near(self, T: RigidTransform) -> np.ndarray:
         """(m, STARTS, joints) visited configurations whose poses are nearest to T (m,), nearest first."""

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import difference, exp, skew
+from rig.model.pose import pose_difference, exp, skew
 
 ROW = ("theta", "d", "a", "alpha", "beta")
 TANGENT = ("x", "y", "z", "rx", "ry", "rz")
@@ -55,7 +55,7 @@ def predicted(q: np.ndarray, arm: Arm) -> RigidTransform:
 
 def residuals(q: np.ndarray, T_measured: RigidTransform, arm: Arm) -> np.ndarray:
     """(..., 6) m, rad: measured against predicted pose, position and rotation vector apart, in the predicted target frame."""
-    return difference(predicted(q, arm), T_measured)
+    return pose_difference(predicted(q, arm), T_measured)
 
 
 def joint_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
@@ -73,7 +73,7 @@ def parameter_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
     R, p = chain[..., -1, :3, :3], chain[..., -1, :3, 3]
     before, after = chain[..., :n, :, :], chain[..., 1 : n + 1, :, :]
     rows = arm.rows
-    turn = (mechanism.turned(q, arm) + rows[:, 0])[..., None]
+    turn = (mechanism.joint_rotations(q, arm) + rows[:, 0])[..., None]
     along = np.cos(turn) * before[..., :3, 0] + np.sin(turn) * before[..., :3, 1]  # the common normal, x of the turned frame
     across, origin = after[..., :3, 1], after[..., :3, 3]
     z = before[..., :3, 2]

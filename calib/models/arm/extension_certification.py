@@ -15,11 +15,20 @@ from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification import Identified, identify, parameters
 from calib.models.arm.instrument_observations import of_samples
 from calib.models.arm.parameter_rank import PLAUSIBLE, Rank
-from calib.certify.platform_certification import FOLDS, Progress, silent
-from calib.certify.workspace_claim import DRAWS, LEAST, Claim, Told, Workspace, claimed, extension_scatter, too_few
-from calib.certify.distinct_configurations import folds, labels, ranges, witnesses
-from calib.certify.extension_certification import NONE, Asked, Stand, Tried, extended_on, none_held_out
-from calib.certify.held_out_error_statistics import shared_squares
+from calib.certify.platform_certification import FOLDS, Progress, silent_progress
+from calib.certify.workspace_claim import (
+    DRAWS,
+    LEAST,
+    Claim,
+    ConfigurationInformation,
+    Workspace,
+    claim_of_drawn_machines,
+    extension_scatter,
+    claim_of_too_few_configurations,
+)
+from calib.certify.distinct_configurations import configuration_folds, configuration_numbers, axis_ranges, mean_sample_per_configuration
+from calib.certify.extension_certification import NONE, Asked, Stand, Tried, certify_extension_of, claim_without_held_out_data
+from calib.certify.held_out_error_statistics import draw_common_error_squares
 from calib.correct.interpolation.field import Field, Known
 from calib.correct.correction_tables import Summands
 from calib.samples.pose_samples import Samples
@@ -27,7 +36,7 @@ from rig.planning.configuration_sets import FILL, low_discrepancy
 from rig.model.design import Arm, Instrument
 from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 LOOSE = 10.0  # times the typical; a direction of the joints that a pose tells worse than that, as of a wrist near its singularity, keeps none
 STEPS, SETTLED = 20, 1e-13  # of joint values that meet a pose, rad or m
@@ -42,7 +51,7 @@ def left(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
     return Known(samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel(arm))
 
 
-def owners_summands(samples: Samples, placed: Arm) -> Summands:
+def stated_model_summands(samples: Samples, placed: Arm) -> Summands:
     """Summands by the owner's model, placed where the instrument sees it stand; covariance : what all poses share included. Raises RigError as
     `summands`"""
     whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
@@ -90,8 +99,8 @@ def certify_extended(samples: Samples, nominal: Arm, instrument: Instrument | No
     """
     if samples.measured in UNPLACED:
         raise RigError(f"--extend takes an arm's poses, or its positions, as joint values are found from them; here {UNPLACED[samples.measured]}")
-    said = progress or silent
-    label = labels(samples.commanded, ranges(nominal))
+    said = progress or silent_progress
+    label = configuration_numbers(samples.commanded, axis_ranges(nominal))
     said("fitting the geometry", 0, 1)
     start = start_of(of_samples(samples), nominal, instrument)
 
@@ -107,7 +116,7 @@ def certify_extended(samples: Samples, nominal: Arm, instrument: Instrument | No
         return Stand(left(some, plain.fitted, by.shared), lambda field: replace(plain, extension=field),
                      lambda field, at: _said(field, at, plain.fitted))
 
-    done, tried = extended_on(samples, (correction.nominal, label, found), stand, asked.kind, rng, said)
+    done, tried = certify_extension_of(samples, (correction.nominal, label, found), stand, asked.kind, rng, said)
     corrected = replace(correction, extension=done.correction.extension)
     bare = next((one.held_out for one in tried if one.kind == NONE), None)
     found, held = _without(samples, corrected, found, asked.alone), done.left
@@ -116,7 +125,7 @@ def certify_extended(samples: Samples, nominal: Arm, instrument: Instrument | No
         if corrected.extension is None:  # the geometry as it is, of which more is known
             held = beyond_geometry(found, corrected, agreed, of_agreed)
         else:
-            held = replace(held, parameters=by_parameters(found, corrected, agreed, folds(of_agreed, min(FOLDS, len(agreed)))))
+            held = replace(held, parameters=by_parameters(found, corrected, agreed, configuration_folds(of_agreed, min(FOLDS, len(agreed)))))
         found = as_held_out(found, held, rng)
     return Certified(corrected, found, label, done.held_out, None, bare, held), tried
 
@@ -147,29 +156,29 @@ def _without(samples: Samples, correction: ArmCorrection, found: Identified, alo
     return replace(again, arm=found.arm, rank=found.rank)
 
 
-def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
+def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a correction that stands on the owner's model alone, for the middle of the angles recorded: by its field's error estimate."""
     correction = done.correction
-    each = witnesses(samples, done.label, error_model.joint_jacobian(samples.commanded, correction.fitted))
+    each = mean_sample_per_configuration(samples, done.label, error_model.joint_jacobian(samples.commanded, correction.fitted))
     way = "nothing at all" if correction.extension is None else correction.extension.kind
-    told = Told(len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}")
+    told = ConfigurationInformation(len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}")
     middle = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
     if len(each) < LEAST:
-        return too_few(told, middle)
+        return claim_of_too_few_configurations(told, middle)
     q = _places(correction)
     T = correction.predict(q)
     if done.left is None:
-        return none_held_out(told, middle)
+        return claim_without_held_out_data(told, middle)
     stated = float(extension_scatter(correction, q, error_model.joint_jacobian(q, correction.fitted))[0])
-    own = done.left.own_draws(stated, DRAWS, rng) + shared_squares(samples, DRAWS, rng)
-    offset = difference(error_model.predicted(q, correction.nominal), T)
+    own = done.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
+    offset = pose_difference(error_model.predicted(q, correction.nominal), T)
     known = done.found.covariance
-    return claimed(
+    return claim_of_drawn_machines(
         Workspace(error_model.parameter_jacobian(q, correction.fitted), offset, own, middle), np.zeros((DRAWS, len(known))), each, told, rng
     )
 
 
-def single_step_misses(correction: ArmCorrection) -> tuple[float, float]:
+def single_step_errors(correction: ArmCorrection) -> tuple[float, float]:
     """(RMS, greatest) rad or m by which X + KSF(X) misses the fixed point's commands, over the middle of the values visited.
 
     Source: configuration-space patent, [0030], [0091]
@@ -177,7 +186,7 @@ def single_step_misses(correction: ArmCorrection) -> tuple[float, float]:
     q = _places(correction)
     x = q - _summand(correction, q)
     near = np.isfinite(x).all(axis=1)
-    off = mechanism.apart(x[near] + _summand(correction, x[near]), q[near], correction.nominal)
+    off = mechanism.joint_difference(x[near] + _summand(correction, x[near]), q[near], correction.nominal)
     return float(np.sqrt(np.nanmean(off**2))), float(np.nanmax(np.abs(off)))
 
 
@@ -187,7 +196,7 @@ def _summand(correction: ArmCorrection, q: np.ndarray) -> np.ndarray:
     if correction.deficient:
         return correction.summand(q)
     found, rest = mechanism.solve(correction.predict(q), correction.nominal, q, starts=0)
-    return np.where((rest <= mechanism.GOOD)[:, None], mechanism.apart(q, found, correction.nominal), np.nan)
+    return np.where((rest <= mechanism.GOOD)[:, None], mechanism.joint_difference(q, found, correction.nominal), np.nan)
 
 
 def _places(correction: ArmCorrection) -> np.ndarray:

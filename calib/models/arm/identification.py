@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.models.arm import error_model, independent_parameters
 from calib.models.arm.instrument_observations import Observations
-from calib.models.arm.parameter_rank import Rank, independent
+from calib.models.arm.parameter_rank import Rank, independent_parameters as independent
 from calib.models.arm.excess_scatter import beyond
 from rig.model.design import Arm
 from rig.errors import NotEnoughData, RigError

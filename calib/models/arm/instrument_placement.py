@@ -46,7 +46,7 @@ class Placement:
     left: float
 
 
-def placed(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
+def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
     """The Arm with base and tool as the observations place them, and zeros moved along; base, tool : whether they are unknown.
 
     Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in closed form stays
@@ -127,8 +127,8 @@ def _placed_about(X: np.ndarray, F: np.ndarray, f: np.ndarray, p: np.ndarray, M:
     t = X @ solution[-3:] if base else arm.base.translation
     Z = arm.tool.rotation.as_matrix()
     if tool and M is not None:
-        Z = nearest(np.einsum("mji,kj,mkl->il", F, X, M))
-    return replace(arm, base=transform(X, t), tool=transform(Z, z))
+        Z = nearest_rotation(np.einsum("mji,kj,mkl->il", F, X, M))
+    return replace(arm, base=rigid_transform(X, t), tool=rigid_transform(Z, z))
 
 
 def _apart(X: np.ndarray, cost: np.ndarray) -> list[int]:
@@ -243,17 +243,17 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
     assert isinstance(value, RigidTransform)
     M, X, Z = value.rotation.as_matrix(), arm.base.rotation.as_matrix(), arm.tool.rotation.as_matrix()
     if base and tool:
-        X, Z, told = from_rotations(M, F)
+        X, Z, told = solve_rotation_placement(M, F)
         if told < TELLS:
             raise RigError("orientations of a hand that turns about one axis alone leave a family of places of base and target; move more joints, or "
                            "state one of the two places")
-        return replace(arm, base=transform(X, arm.base.translation), tool=transform(Z, arm.tool.translation))
-    X = nearest(np.einsum("mij,mkj->ik", M, F @ Z)) if base else X
-    Z = nearest(np.einsum("mji,mjk->ik", X @ F, M)) if tool else Z
-    return replace(arm, base=transform(X, arm.base.translation), tool=transform(Z, arm.tool.translation))
+        return replace(arm, base=rigid_transform(X, arm.base.translation), tool=rigid_transform(Z, arm.tool.translation))
+    X = nearest_rotation(np.einsum("mij,mkj->ik", M, F @ Z)) if base else X
+    Z = nearest_rotation(np.einsum("mji,mjk->ik", X @ F, M)) if tool else Z
+    return replace(arm, base=rigid_transform(X, arm.base.translation), tool=rigid_transform(Z, arm.tool.translation))
 
 
-def from_rotations(M: np.ndarray, F: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def solve_rotation_placement(M: np.ndarray, F: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """(X, Z, how well they are told) of M = X F Z, rotations M and F (m, 3, 3): the null vector of M Z' = X F.
 
     The third is the second least eigenvalue over the greatest, 0 where a family of answers fits. Source: Shah, J. Mechanisms Robotics 5, 2013
@@ -263,7 +263,7 @@ def from_rotations(M: np.ndarray, F: np.ndarray) -> tuple[np.ndarray, np.ndarray
                           axis=2).reshape(-1, 18)
     values, vectors = np.linalg.eigh(rows.T @ rows)
     null = vectors[:, 0] * np.sign(np.linalg.det(vectors[9:, 0].reshape(3, 3)))
-    return nearest(null[9:].reshape(3, 3)), nearest(null[:9].reshape(3, 3).T), float(values[1] / values[-1])
+    return nearest_rotation(null[9:].reshape(3, 3)), nearest_rotation(null[:9].reshape(3, 3).T), float(values[1] / values[-1])
 
 
 def _from_distances(lengths: np.ndarray, target: RigidTransform, arm: Arm) -> Arm:
@@ -272,15 +272,15 @@ def _from_distances(lengths: np.ndarray, target: RigidTransform, arm: Arm) -> Ar
     A = np.concatenate([-2 * p, np.ones((len(p), 1))], axis=1)
     w = np.linalg.lstsq(A, lengths**2 - (p**2).sum(axis=1))[0][:3]
     R = arm.base.rotation.as_matrix()
-    return replace(arm, base=transform(R, -R @ w))
+    return replace(arm, base=rigid_transform(R, -R @ w))
 
 
-def nearest(matrix: np.ndarray) -> np.ndarray:
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """The rotation nearest to a matrix (3, 3)."""
     U, _, V = np.linalg.svd(matrix)
     return U @ np.diag([1, 1, np.linalg.det(U @ V)]) @ V
 
 
-def transform(R: np.ndarray, t: np.ndarray) -> RigidTransform:
+def rigid_transform(R: np.ndarray, t: np.ndarray) -> RigidTransform:
     """RigidTransform of a rotation (3, 3) and a translation (3,) m."""
     return RigidTransform.from_components(t, Rotation.from_matrix(R))

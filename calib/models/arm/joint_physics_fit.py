@@ -11,14 +11,14 @@ import numpy as np
 from calib.models.arm import error_model
 from calib.models.arm.identification import Identified, identify, parameters
 from calib.models.arm.instrument_observations import of_samples, rows
-from calib.correct.physics import told
+from calib.correct.physics import samples_with_effects
 from calib.identify.bounded_step import bounded_step
 from calib.samples.pose_samples import Samples
 from rig.model import motion_simulation
 from rig.model.design import Arm, Design
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_validity import check
-from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of, kept_sums
+from rig.effects.framework.effect_validity import check_effect
+from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of, constrained_sums
 from rig.model.mechanism_kinds import arm_of
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -49,13 +49,13 @@ class History:
 
     def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[np.ndarray, np.ndarray]:
         """(joints (n, joints), hand (n, 6)) that commands become under effects, as `machine.reached`."""
-        return motion_simulation.reached(
+        return motion_simulation.effective_commands_and_sway(
             replace(self.design, mechanism=arm), self.commands, samples.t, samples.T_base_platform, effects, self.sensors
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beforehand:
+class Prior:
     """What another recording told of c coordinates. values, sigma : (c,)"""
 
     values: np.ndarray
@@ -75,9 +75,9 @@ class Columns:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Together:
+class JointFit:
     """Effects fitted with an arm's geometry. measured : Samples; history : History
-    effects : fitted; arm : its geometry beside them; own : (c, c) covariance of their coordinates; columns : Columns there; before : Beforehand or
+    effects : fitted; arm : its geometry beside them; own : (c, c) covariance of their coordinates; columns : Columns there; before : Prior or
     None; samples : Samples with what the effects do to their commands."""
 
     measured: Samples
@@ -86,7 +86,7 @@ class Together:
     arm: Arm
     own: np.ndarray
     columns: Columns
-    before: Beforehand | None
+    before: Prior | None
     samples: Samples = field(init=False)
 
     def __post_init__(self) -> None:
@@ -105,8 +105,8 @@ class Together:
         return out
 
 
-def together(measured: Samples, history: History, start: Arm, effects: tuple[Effect, ...], before: Beforehand | None = None) -> Together:
-    """Together of effects, from where their parameters stand, and of the geometry from an Arm on. Raises as `identify`"""
+def fit_geometry_and_effects(measured: Samples, history: History, start: Arm, effects: tuple[Effect, ...], before: Prior | None = None) -> JointFit:
+    """JointFit of effects, from where their parameters stand, and of the geometry from an Arm on. Raises as `identify`"""
     arm, columns = start, None
     for _ in range(ROUNDS):
         arm = history.identified(history.told(measured, effects, arm), arm).arm
@@ -162,17 +162,17 @@ class _Prior:
     kept: np.ndarray
 
     @staticmethod
-    def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], before: Beforehand | None) -> "_Prior":
+    def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], before: Prior | None) -> "_Prior":
         loose = np.array([c.loose for c in coordinates]) ** 2
         told = np.zeros(len(loose)) if before is None else np.maximum(before.sigma, 1e-300) ** -2.0
         values = np.zeros(len(loose)) if before is None else told * before.values / np.maximum(loose + told, 1e-300)
-        return _Prior(values, loose + told, np.array([c.ends for c in coordinates], float).reshape(-1, 2), kept_sums(coordinates, effects))
+        return _Prior(values, loose + told, np.array([c.ends for c in coordinates], float).reshape(-1, 2), constrained_sums(coordinates, effects))
 
     def cost(self, values: np.ndarray) -> float:
         return float((self.weight * (values - self.values) ** 2).sum())
 
 
-def _refined(measured: Samples, history: History, arm: Arm, effects: tuple[Effect, ...], before: Beforehand | None, columns: Columns) -> Together:
+def _refined(measured: Samples, history: History, arm: Arm, effects: tuple[Effect, ...], before: Prior | None, columns: Columns) -> JointFit:
     """Together from where effects and an Arm stand, with the geometry that is left in the end."""
     coordinates = coordinates_of(effects)
     samples = history.told(measured, effects, arm)
@@ -195,7 +195,7 @@ def _refined(measured: Samples, history: History, arm: Arm, effects: tuple[Effec
             break
         columns = _columns(measured, history, effects, arm, columns)
     found = history.identified(history.told(measured, effects, arm), arm)
-    return Together(measured, history, effects, found.arm, own, columns, before)
+    return JointFit(measured, history, effects, found.arm, own, columns, before)
 
 
 def _values(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
@@ -206,7 +206,7 @@ def _written(coordinates: list[Coordinate], effects: tuple[Effect, ...], values:
     out = list(effects)
     for c, value in zip(coordinates, values.tolist()):
         out[c.effect] = c.written(out[c.effect], value)
-    return tuple(check(effect) for effect in out)
+    return tuple(check_effect(effect) for effect in out)
 
 
 def _columns(samples: Samples, history: History, effects: tuple[Effect, ...], arm: Arm, before: Columns | None) -> Columns:

@@ -44,7 +44,7 @@ class Profile:
         return _waves(q[..., self.axis], self.orders) @ self.own + np.sin(q) @ self.others[:, 0] + np.cos(q) @ self.others[:, 1]
 
 
-def fit(observations: Observations, found: Identified) -> tuple[Profile | None, ...]:
+def fit_joint_profiles(observations: Observations, found: Identified) -> tuple[Profile | None, ...]:
     """A Profile or None per joint, of what an Identified arm leaves in observations of whole poses.
 
     The geometry's own freedoms are solved for beside the profiles and thrown away, so that neither takes the other's part.

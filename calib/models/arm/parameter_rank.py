@@ -29,7 +29,7 @@ class Rank:
         return lines
 
 
-def independent(B: np.ndarray, free: np.ndarray, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
+def independent_parameters(B: np.ndarray, free: np.ndarray, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
     """Rank of the columns of B (rows, p), rows whitened, of the parameters asked for: free (p,) bool.
 
     A column is dependent where, those before it given, the data leave its parameter less certain than PLAUSIBLE: a plain zero

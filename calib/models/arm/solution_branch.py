@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 
 STEP = (0.05, 0.1)  # m, rad; of the hand
 MOST = 60  # steps of a way
@@ -18,11 +18,11 @@ REPEATS = 2  # corrections of the joints at each
 DAMPING = 0.03  # m or rad, against singular values of a Jacobian
 
 
-def led(T_base_platform: RigidTransform, arm: Arm, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def solution_from_start(T_base_platform: RigidTransform, arm: Arm, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(q (m, n) rad or m, left (m,) m or rad): joint values of poses (m,) to which the joints come from starts (m, n); left as `arm.solve`."""
     q = np.array(start, float)
     begin = mechanism.forward(q, arm)
-    way = difference(begin, T_base_platform)
+    way = pose_difference(begin, T_base_platform)
     length = np.stack([np.linalg.norm(way[:, part], axis=1) / size for part, size in zip((slice(0, 3), slice(3, 6)), STEP)])
     steps = np.clip(np.ceil(length.max(axis=0)), 1, MOST)
     for k in range(1, int(steps.max(initial=0)) + 1):
@@ -30,8 +30,8 @@ def led(T_base_platform: RigidTransform, arm: Arm, start: np.ndarray) -> tuple[n
         at = begin[going] * exp((k / steps[going])[:, None] * way[going])
         for _ in range(REPEATS):
             J = mechanism.jacobian(q[going], arm)
-            error = difference(mechanism.forward(q[going], arm), at)
+            error = pose_difference(mechanism.forward(q[going], arm), at)
             Jt = np.swapaxes(J, 1, 2)
             q[going] += (Jt @ np.linalg.solve(J @ Jt + DAMPING**2 * np.eye(6), error[..., None]))[..., 0]
     q, left = mechanism.solve(T_base_platform, arm, q, starts=0)
-    return mechanism.wrapped(q, arm, start), left
+    return mechanism.nearest_turn(q, arm, start), left

@@ -6,31 +6,39 @@ from pathlib import Path
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.calibration_evidence import judgement
-from calib.certify.held_out_errors import errors_of
+from calib.certify.calibration_evidence import calibration_verdict
+from calib.certify.held_out_errors import errors_before_and_after
 from calib.models.chain import error_model
 from calib.models.chain.certification import Certified
-from calib.report.pose_figures import before_after, coverage
-from calib.report.calibration_page import in_space, origin, rests_on
+from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
+from calib.report.calibration_page import view_3d_html, provenance_html, evidence_html
 from calib.samples.pose_samples import Samples
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.html_elements import folded, heading, note, paragraph, table
-from rig.model.pose import vector
-from rig.report.pages.view_3d import scripts
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
+from rig.model.pose import pose_to_vector
+from rig.report.pages.view_3d import view_scripts
 from rig.recording.recording_folder import Recording
 
 
 def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified,
                      links: Sequence[Link] = ()) -> None:
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
-    parts = [*rests_on(calibration), heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
-             before_after(*errors_of(calibration.correction, samples), samples.frame), *in_space(recording, calibration, samples),
-             heading("Stage by stage"),
-             *(paragraph(line) for line in done.found.report()), _parameters(done),
-             heading("Where the last platform went"), coverage(vector(samples.T_base_platform)),
-             heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
-    judged = judgement(calibration)
-    write(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, scripts(parts)))
+    parts = [
+        *evidence_html(calibration),
+        heading("Before and after, pose by pose"),
+        note("All poses; the fit has seen these."),
+        correction_error_figures(*errors_before_and_after(calibration.correction, samples), samples.frame),
+        *view_3d_html(recording, calibration, samples),
+        heading("Stage by stage"),
+        *(paragraph(line) for line in done.found.report()),
+        _parameters(done),
+        heading("Where the last platform went"),
+        pose_coverage_figures(pose_to_vector(samples.T_base_platform)),
+        heading("Where this came from"),
+        folding_section("Recording, versions, arguments", provenance_html(calibration)),
+    ]
+    judged = calibration_verdict(calibration)
+    write_page(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)))
 
 
 def _parameters(done: Certified) -> str:
@@ -38,4 +46,4 @@ def _parameters(done: Certified) -> str:
     sigma = np.sqrt(np.diag(found.covariance))
     rows = [(name, f"{1e3 * step:+.4f}", f"{2e3 * s:.4f}", "mm" if unit == "m" else "mrad")
             for name, unit, step, s in zip(error_model.names(nominal), error_model.units(nominal), found.step, sigma) if s > 0]
-    return folded("Every parameter", table(("change from nominal", "", "± (k = 2)", ""), rows))
+    return folding_section("Every parameter", table(("change from nominal", "", "± (k = 2)", ""), rows))

@@ -6,19 +6,27 @@ import numpy as np
 
 from calib.models.arm.certification import unexplained
 from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import Progress, in_turn, silent
-from calib.certify.workspace_claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, too_few
-from calib.certify.distinct_configurations import LEAST, labels, witnesses
-from calib.certify.held_out_error_statistics import HeldErrors, held_errors, influence
-from calib.certify.held_out_errors import HeldOut, compare, errors_of
+from calib.certify.platform_certification import Progress, held_out_errors_by_fold, silent_progress
+from calib.certify.workspace_claim import (
+    DRAWS,
+    PLACES,
+    Claim,
+    ConfigurationInformation,
+    Workspace,
+    claim_of_drawn_machines,
+    claim_of_too_few_configurations,
+)
+from calib.certify.distinct_configurations import LEAST, configuration_numbers, mean_sample_per_configuration
+from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics, influence
+from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after
 from calib.models.chain import error_model
 from calib.models.chain.identification import Identified, identify
-from calib.correct.correction import Correction, closing
+from calib.correct.correction import Correction, commands_with_pose
 from calib.samples.pose_samples import Samples
 from rig.planning.configuration_sets import FILL, low_discrepancy
 from rig.model.design import Chain
 from rig.model.mechanisms import chain as mechanism
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,23 +46,23 @@ def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress
 
     Raises what `identify` raises
     """
-    said = progress or silent
-    label = labels(samples.commanded, mechanism.travel(nominal))
+    said = progress or silent_progress
+    label = configuration_numbers(samples.commanded, mechanism.travel(nominal))
     said("fitting the geometry", 0, 1)
     found = identify(samples, nominal)
     correction = _corrected(nominal, found)
     said("fitting the geometry", 1, 1)
     if label.max() + 1 < LEAST:
         return Certified(correction, found, label, None)
-    before, after = in_turn(samples, label, lambda some: [_corrected(nominal, identify(some, nominal))], said)
+    before, after = held_out_errors_by_fold(samples, label, lambda some: [_corrected(nominal, identify(some, nominal))], said)
     good = found.inliers
     agreed = samples.take(good)
     J = error_model.parameter_jacobian(agreed.commanded, found.chain)
     noise = agreed.covariance + np.diag(found.scatter**2)
-    by = influence(errors_of(correction, agreed)[1], J, found.covariance, noise, label[good])
-    left = held_errors(by.standardised, agreed, label[good])
+    by = influence(errors_before_and_after(correction, agreed)[1], J, found.covariance, noise, label[good])
+    left = held_out_error_statistics(by.standardised, agreed, label[good])
     scatter = np.maximum(found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3)))  # what a model lacks a fit takes into itself
-    return Certified(correction, replace(found, scatter=scatter), label, compare(before, after, samples.total_covariance(), rng, label), left)
+    return Certified(correction, replace(found, scatter=scatter), label, compare_errors(before, after, samples.total_covariance(), rng, label), left)
 
 
 def _corrected(nominal: Chain, found: Identified) -> Correction:
@@ -68,19 +76,19 @@ def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarr
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
 
 
-def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
+def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a certified chain all over its axes' travels, each configuration once."""
     found, nominal = done.found, done.correction.nominal
     kept = samples.take(found.inliers)
     label = np.unique(done.label[found.inliers], return_inverse=True)[1]
-    each = witnesses(kept, label, mechanism.jacobian(kept.commanded, nominal))
+    each = mean_sample_per_configuration(kept, label, mechanism.jacobian(kept.commanded, nominal))
     words = f"the middle {FILL * 100:.0f} % of every travel, all axes free of each other"
     asked = int((error_model.prior(nominal) > 0).sum())
-    told = Told(len(each), asked - len(found.untold), asked - len(found.untold), asked, "what no pose tells stays as stated")
+    told = ConfigurationInformation(len(each), asked - len(found.untold), asked - len(found.untold), asked, "what no pose tells stays as stated")
     if len(each) < LEAST:
-        return too_few(told, words)
-    values, T = closing(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), done.correction)
+        return claim_of_too_few_configurations(told, words)
+    values, T = commands_with_pose(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), done.correction)
     own = (found.scatter**2).reshape(2, 3).sum(axis=1) if done.left is None else done.left.own_draws(0.0, DRAWS, rng)
-    workspace = Workspace(error_model.parameter_jacobian(values, found.chain), difference(mechanism.forward(values, nominal), T), own, words)
+    workspace = Workspace(error_model.parameter_jacobian(values, found.chain), pose_difference(mechanism.forward(values, nominal), T), own, words)
     draws = rng.multivariate_normal(np.zeros(len(found.covariance)), found.covariance, DRAWS, method="eigh")
-    return replace(claimed(workspace, draws, each, told, rng), unexplained=unexplained(found.scatter, each.covariance))
+    return replace(claim_of_drawn_machines(workspace, draws, each, told, rng), unexplained=unexplained(found.scatter, each.covariance))

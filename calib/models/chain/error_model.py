@@ -13,7 +13,7 @@ from calib.models.arm import error_model as arms
 from calib.models.arm.identification import parameters as independent
 from calib.models.arm.parameter_rank import PLAUSIBLE
 from calib.models.platform.identification import NAMES, PRIOR, parameters, pose_jacobian, with_parameters
-from calib.models.platform.parameter_observability import struts_with_base
+from calib.models.platform.parameter_observability import base_motion_columns
 from rig.model.design import Arm, Chain
 from rig.model.mechanism_geometry import Stage
 from rig.model.mechanisms import chain as mechanism
@@ -63,7 +63,7 @@ def _moved(stage: Stage, step: np.ndarray) -> Stage:
 
 def base_motions(stage: Stage) -> np.ndarray:
     """(p, 6 or 3) change of a stage's parameters with its own base frame: x y z rx ry rz, m and rad; of two struts x, y and rz alone."""
-    return np.eye(len(_names(stage)), 6) if isinstance(stage, Arm) else struts_with_base(stage)
+    return np.eye(len(_names(stage)), 6) if isinstance(stage, Arm) else base_motion_columns(stage)
 
 
 def parameter_jacobian(values: np.ndarray, chain: Chain, upto: int | None = None) -> np.ndarray:
@@ -71,9 +71,9 @@ def parameter_jacobian(values: np.ndarray, chain: Chain, upto: int | None = None
 
     upto : number (from 1) of the stage whose platform is meant in the place of the last; what is above it does not move it
     """
-    poses = mechanism.each(values, chain)[:upto]
+    poses = mechanism.stage_transforms(values, chain)[:upto]
     own = np.concatenate([back @ _own(own, T, stage) for (stage, own), T, back in
-                          zip(mechanism.stages(values, chain), poses, mechanism.beyond(poses))], axis=-1)
+                          zip(mechanism.stages(values, chain), poses, mechanism.tangent_maps(poses))], axis=-1)
     return np.pad(own, ((0, 0), (0, 0), (0, len(names(chain)) - own.shape[-1])))
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.models.chain import error_model
-from calib.models.chain.stage_equations import bodies, hat_of
+from calib.models.chain.stage_equations import bodies, leverage
 from calib.identify.least_squares import Linear, fit
 from calib.identify.robust_fit import MOST as FEW
 from calib.identify.robust_fit import robust_fit
@@ -30,7 +30,7 @@ GATE = 8.0  # standard deviations, of poses that a robust start leaves out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Untold:
+class UndeterminedParameters:
     """A combination that poses leave as stated. parameters : ((name, weight), ..) in plausible sizes, the largest first; stages : it spans
     left : of what is plausible, that remains uncertain (1: all); stands : (upper, lower) stage where it is the upper one's base that moves as a
     whole on the lower, so that the lower's own parameters do the same; None for anything else."""
@@ -50,7 +50,7 @@ class Identified:
     """What a fit of a chain found, p parameters in the order of calib.models.chain.error_model.
 
     chain : with the fitted geometry; step : (p,) m and rad from the owner's figures; covariance : (p, p), 0 for what is no freedom
-    told : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; untold : (Untold, ..)
+    told : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; untold : (UndeterminedParameters, ..)
     scatter : (6,) m and rad of the last platform beyond the instrument's own; inliers : (n,) bool, its poses that agree
     below : ((stage, poses that agree, of), ..) of the stages that were measured beside it
     """
@@ -59,7 +59,7 @@ class Identified:
     step: np.ndarray
     covariance: np.ndarray
     told: tuple[tuple[int, int], ...]
-    untold: tuple[Untold, ...]
+    untold: tuple[UndeterminedParameters, ...]
     scatter: np.ndarray
     inliers: np.ndarray
     below: tuple[tuple[int, int, int], ...] = ()
@@ -110,7 +110,7 @@ def identify(samples: Samples, nominal: Chain) -> Identified:
             if inliers.all():
                 raise
             found = fit(linearise, start, start, sigma[free], inliers=inliers, robust=True)
-        hat = hat_of(linearise(found.parameters), found.inliers, sigma[free])
+        hat = leverage(linearise(found.parameters), found.inliers, sigma[free])
         again = np.array([one.scatter(W, found.residual[own], found.inliers[own], hat[own]) for one, W, own in zip(measured, white, rows)])
         if np.allclose(again, scatter, rtol=SETTLED, atol=1e-12):
             break
@@ -146,7 +146,7 @@ def _told(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[tupl
     return tuple(out)
 
 
-def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[Untold, ...]:
+def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[UndeterminedParameters, ...]:
     """The combinations of all parameters that keep more than half of what is plausible, the least told first."""
     free = np.flatnonzero(sigma > 0)
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free]))
@@ -162,7 +162,7 @@ def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[Un
         whole = np.zeros(len(sigma))
         whole[free] = v
         parameters = tuple((names[free[j]], float(v[j])) for j in strong)
-        out.append(Untold(parameters, spans, float(np.sqrt(values[i])), _stands(whole, sigma, chain, spans)))
+        out.append(UndeterminedParameters(parameters, spans, float(np.sqrt(values[i])), _stands(whole, sigma, chain, spans)))
     return tuple(out)
 
 

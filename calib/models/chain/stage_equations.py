@@ -11,7 +11,7 @@ from calib.identify.least_squares import Linear
 from calib.samples.pose_samples import Samples
 from rig.model.design import Chain
 from rig.model.mechanisms import chain as mechanism
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 MOST = 0.9  # share of the squares that a fit is taken to have followed: where it followed all, nothing is left to tell scatter by
 
@@ -28,8 +28,8 @@ class Body:
 
     def linear(self, chain: Chain, white: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(residual, jacobian, common) as in Linear, at a chain. white : (m, 6, 6); free : (p,) bool"""
-        stands = mechanism.standing(self.values, chain)[-1 if self.stage is None else self.stage - 1]
-        left = difference(stands, self.T)
+        stands = mechanism.stage_poses(self.values, chain)[-1 if self.stage is None else self.stage - 1]
+        left = pose_difference(stands, self.T)
         J = error_model.parameter_jacobian(self.values, chain, self.stage)[..., free]
         return (white @ left[..., None])[..., 0], white @ J, white @ self.common
 
@@ -51,7 +51,7 @@ def bodies(samples: Samples) -> list[Body]:
                     for b in samples.below if b.seen.any())]
 
 
-def hat_of(linear: Linear, inliers: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+def leverage(linear: Linear, inliers: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """(n, 6, 6) of every pose, the share of its own noise that a fit follows: what its residual's covariance lacks of the identity.
 
     sigma : (k,) the prior of the parameters

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.compute.numba_kernels import njit
-from rig.model.rotation_increment import turned
+from rig.model.rotation_increment import rotate_increment
 
 TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 40
@@ -126,7 +126,7 @@ def pose_of(command: np.ndarray, p: np.ndarray, R: np.ndarray, t: np.ndarray) ->
             t[i] += share * (R[i, 0] * right[0, 0] + R[i, 1] * right[1, 0] + R[i, 2] * right[2, 0])
         for i in range(3, 6):
             right[i, 0] *= share
-        turned(R, right[3:, 0])
+        rotate_increment(R, right[3:, 0])
     return worst < 1e-11
 
 

@@ -40,7 +40,7 @@ class Chosen:
     even: np.ndarray
 
 
-def choose(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion: str = "determinant", given: np.ndarray | None = None,
+def choose_configurations(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion: str = "determinant", given: np.ndarray | None = None,
            seed: int = 0, progress: Callable[[int, int], None] | None = None, avoided: Avoided | None = None) -> Chosen:
     """Chosen configurations, `count` of them, beside those given (k, 6) m.
 
@@ -54,21 +54,23 @@ def choose(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion:
     if count + len(given) < 7:
         raise RigError(f"{count + len(given)} configurations cannot determine 42 parameters; it takes 7, better 30")
     candidates, G = _candidates(hexapod, sigmas, seed, avoided)
-    known = information(given, hexapod, sigmas)[1].reshape(-1, 42) if len(given) else np.zeros((0, 42))
-    picked = exchanged(G, known.T @ known, count, criterion, progress)
-    even = information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[1].reshape(-1, 42)
+    known = configuration_information(given, hexapod, sigmas)[1].reshape(-1, 42) if len(given) else np.zeros((0, 42))
+    picked = exchange_configurations(G, known.T @ known, count, criterion, progress)
+    even = configuration_information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[1].reshape(-1, 42)
     parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
     chosen = candidates[picked]
     order = balanced_order(chosen, np.random.default_rng(seed), hexapod.strut_range.mean(axis=1))
     return Chosen(chosen[order], *(_root(rows) for rows in (parts[0], known, parts[1])))
 
 
-def exchanged(G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progress: Callable[[int, int], None] | None = None) -> list[int]:
+def exchange_configurations(
+    G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progress: Callable[[int, int], None] | None = None
+) -> list[int]:
     """`count` of the candidates with whitened rows G (c, m, p), in plausible sizes, that tell most beside the information M0 (p, p)."""
     picked: list[int] = []
     gain = _determinant if criterion == "determinant" else _noise
     for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
-        M = M0 + summed(G, picked)
+        M = M0 + sum_information(G, picked)
         picked.append(int(np.argmax(_determinant(M + np.eye(G.shape[2]), G)[1])))
         if progress:
             progress(k + 1, count * (1 + PASSES))
@@ -76,7 +78,7 @@ def exchanged(G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progres
         moved = 0
         for k in range(count):
             rest = picked[:k] + picked[k + 1 :]
-            M = M0 + summed(G, rest) + 1e-9 * np.eye(G.shape[2])
+            M = M0 + sum_information(G, rest) + 1e-9 * np.eye(G.shape[2])
             now, values = gain(M, G, picked[k])
             best = int(np.argmax(values))
             if values[best] > now + PAYS * abs(now):
@@ -90,7 +92,7 @@ def exchanged(G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progres
     return picked
 
 
-def information(commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def configuration_information(commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """(commands (n, 6) m that close on a pose, rows (n, 6, 42): J_p whitened by the pose's sigmas (m, rad), in plausible sizes)."""
     commands = np.asarray(commands, float)
     while True:
@@ -106,10 +108,12 @@ def information(commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, flo
 def _candidates(hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: Avoided | None) -> tuple[np.ndarray, np.ndarray]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
     spread = plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed)
-    return information(allowed(np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)]), avoided), hexapod, sigmas)
+    return configuration_information(
+        allowed_configurations(np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)]), avoided), hexapod, sigmas
+    )
 
 
-def allowed(commands: np.ndarray, avoided: Avoided | None) -> np.ndarray:
+def allowed_configurations(commands: np.ndarray, avoided: Avoided | None) -> np.ndarray:
     """Those of the commands (n, 6) m that may be visited. Raises RigError where none may."""
     kept = commands if avoided is None else commands[~avoided(commands)]
     if not len(kept):
@@ -118,7 +122,7 @@ def allowed(commands: np.ndarray, avoided: Avoided | None) -> np.ndarray:
     return kept
 
 
-def summed(G: np.ndarray, picked: list[int] | np.ndarray) -> np.ndarray:
+def sum_information(G: np.ndarray, picked: list[int] | np.ndarray) -> np.ndarray:
     """(p, p) information of those picked (k,) of candidates with whitened rows G (c, m, p)."""
     rows = G[picked].reshape(-1, G.shape[2])
     return rows.T @ rows

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.models.platform.d_optimal_configurations import FILL, Avoided, allowed, information
+from calib.models.platform.d_optimal_configurations import FILL, Avoided, allowed_configurations, configuration_information
 from calib.models.platform.identification import pose_jacobian
 from calib.models.platform.parameter_observability import PLAUSIBLE
 from rig.planning import plan
@@ -25,7 +25,7 @@ DRAWS, SURE = 2000, 0.975
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Promised:
+class ChosenConfigurations:
     """commands : (n, 6) m, in the order in which they help most; left : (n + 1,) m, the position error, RMS over the workspace, that 97.5 % of
     machines keep to once so many of them are measured beside what was given."""
 
@@ -33,8 +33,8 @@ class Promised:
     left: np.ndarray
 
 
-def fewest(hexapod: Hexapod, promise: float, sigmas: tuple[float, float], given: np.ndarray | None = None, seed: int = 0,
-           progress: Callable[[int, int], None] | None = None, avoided: Avoided | None = None) -> Promised:
+def fewest_configurations(hexapod: Hexapod, promise: float, sigmas: tuple[float, float], given: np.ndarray | None = None, seed: int = 0,
+           progress: Callable[[int, int], None] | None = None, avoided: Avoided | None = None) -> ChosenConfigurations:
     """Promised configurations beside those given (k, 6) m: the fewest found that keep a promise (m).
 
     sigmas : (m, rad) standard deviations of a measured pose, per axis, each pose's own; progress : called with (done, of)
@@ -42,13 +42,13 @@ def fewest(hexapod: Hexapod, promise: float, sigmas: tuple[float, float], given:
     Raises RigError where MOST poses do not keep it, or where none may be visited
     """
     spread = plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed)
-    candidates, G = information(allowed(spread, avoided), hexapod, sigmas)
-    places, _ = information(plan.low_discrepancy(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas)
+    candidates, G = configuration_information(allowed_configurations(spread, avoided), hexapod, sigmas)
+    places, _ = configuration_information(plan.low_discrepancy(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas)
     J = pose_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
     A = J.T @ J / len(places)
     covariance = np.eye(42)  # of the parameters, each in its plausible size
     if given is not None and len(given):
-        known = information(given, hexapod, sigmas)[1].reshape(-1, 42)
+        known = configuration_information(given, hexapod, sigmas)[1].reshape(-1, 42)
         covariance = np.linalg.inv(np.eye(42) + known.T @ known)
     chosen: list[int] = []
     left = [_left(covariance, A, seed)]
@@ -66,7 +66,7 @@ def fewest(hexapod: Hexapod, promise: float, sigmas: tuple[float, float], given:
             progress(len(chosen), MOST)
     if progress:
         progress(MOST, MOST)
-    return Promised(candidates[chosen].reshape(-1, 6), np.array(left))
+    return ChosenConfigurations(candidates[chosen].reshape(-1, 6), np.array(left))
 
 
 def _left(covariance: np.ndarray, A: np.ndarray, seed: int) -> float:

@@ -142,9 +142,9 @@ class Loops:
         where poses are too few for that, or too many are far off. What parameters may do is asked at the poses that commands give, of which none
         is wild. Raises NotConverged for commands that no pose closes."""
         T, geometry, every = self.samples.T_base_platform, with_parameters(self.nominal, p), np.ones(len(self.lengths), bool)
-        commanded = mechanisms.of(geometry).forward(self.lengths, geometry)
+        commanded = mechanisms.kinematics_of(geometry).forward(self.lengths, geometry)
         A, loops = strut_jacobian(commanded, geometry), loop_jacobian(commanded, geometry)
-        left = self.lengths - mechanisms.of(geometry).inverse(T, geometry)
+        left = self.lengths - mechanisms.kinematics_of(geometry).inverse(T, geometry)
         sigma = np.sqrt(np.einsum("nij,njk,nik->ni", A, self.samples.covariance, A))
         own = [loops[:, i, loops[:, i].any(axis=0)] for i in range(left.shape[1])]
         if len(every) < ROWS * max(columns.shape[1] for columns in own):
@@ -157,7 +157,9 @@ class Loops:
         """(n, axes) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, axes, axes) m^2 from the poses'."""
         T, geometry = self.samples.T_base_platform, with_parameters(self.nominal, found.parameters)
         A = strut_jacobian(T, geometry)
-        left = self.lengths - mechanisms.of(geometry).inverse(T, geometry) + np.einsum("nij,njk,k->ni", A, self.samples.common, found.shared)
+        left = (
+            self.lengths - mechanisms.kinematics_of(geometry).inverse(T, geometry) + np.einsum("nij,njk,k->ni", A, self.samples.common, found.shared)
+        )
         return left, A @ self.samples.covariance @ np.swapaxes(A, 1, 2)
 
 
@@ -168,7 +170,7 @@ def strut_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.nda
     return two_strut_plane.jacobian(T_base_platform, mechanism)
 
 
-def to_pose(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+def inverse_strut_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
     """(..., 6, axes) change of the pose's tangent (m, rad, on the right) with the struts' lengths, at poses RigidTransform (...)."""
     A = strut_jacobian(T_base_platform, mechanism)
     return np.linalg.inv(A) if A.shape[-2] == 6 else np.linalg.pinv(A)
@@ -197,7 +199,7 @@ def pose_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndar
     delta_e = J_p delta_x, docs/mathematics.md (7); source: the on-line learning patent for Stewart platforms, eq. 1 [0024]
     """
     if isinstance(mechanism, Planar2):
-        return to_pose(T_base_platform, mechanism) @ loop_jacobian(T_base_platform, mechanism)
+        return inverse_strut_jacobian(T_base_platform, mechanism) @ loop_jacobian(T_base_platform, mechanism)
     return np.linalg.solve(hexapod.jacobian(T_base_platform, mechanism), loop_jacobian(T_base_platform, mechanism))
 
 

@@ -35,7 +35,7 @@ class Joint:
     residuals: np.ndarray
 
 
-def solve(observations: Observations, commanded: np.ndarray, state: State, stated: tuple[Camera, ...], nominal: Hexapod,
+def fit_cameras_and_geometry(observations: Observations, commanded: np.ndarray, state: State, stated: tuple[Camera, ...], nominal: Hexapod,
           start: Hexapod | None = None) -> Joint:
     """Joint of corners whose frames all were commanded, with every camera fixed: docs/mathematics.md (1), (2) and (3) in one solve.
 
@@ -94,7 +94,7 @@ def solve(observations: Observations, commanded: np.ndarray, state: State, state
 
 
 def commanded_state(measured: Measurement, samples: Samples) -> tuple[Observations, np.ndarray, State]:
-    """(Observations, commanded (F, 6) m, State) for `solve`: the corners a measurement used, in the frames that were commanded.
+    """(Observations, commanded (F, 6) m, State) for `fit_cameras_and_geometry`: the corners a measurement used, in the frames that were commanded.
 
     measured : vision Measurement; samples : Samples of it
     """

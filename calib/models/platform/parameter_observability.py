@@ -30,16 +30,16 @@ class Combination:
         return self.sigma < PLAUSIBLE
 
 
-def combinations(root: np.ndarray, mechanism: Struts) -> tuple[tuple[Combination, ...], Visibility]:
+def parameter_combinations(root: np.ndarray, mechanism: Struts) -> tuple[tuple[Combination, ...], Visibility]:
     """(tuple of p Combinations, the worst determined first; Visibility) of the information's square root (p, p) 1/m."""
     seen: Visibility = visibility(root, np.full(root.shape[1], PLAUSIBLE))
     patterns = _patterns(mechanism)
     with np.errstate(divide="ignore"):
         sigma = PLAUSIBLE / seen.singular
-    return tuple(Combination(d, float(s), describe(d, patterns)) for d, s in zip(seen.directions[::-1], sigma[::-1])), seen
+    return tuple(Combination(d, float(s), direction_text(d, patterns)) for d, s in zip(seen.directions[::-1], sigma[::-1])), seen
 
 
-def gauge(mechanism: Hexapod) -> np.ndarray:
+def frame_motion_columns(mechanism: Hexapod) -> np.ndarray:
     """(42, 12) the parameters' motions with the frames: base joints with the base frame (x y z rx ry rz), platform joints with theirs.
 
     Where targets with stated poses hold both frames the poses determine them like any other combination; where an instrument
@@ -51,17 +51,17 @@ def gauge(mechanism: Hexapod) -> np.ndarray:
     return out
 
 
-def struts_with_base(mechanism: Struts) -> np.ndarray:
+def base_motion_columns(mechanism: Struts) -> np.ndarray:
     """(p, 6) m/m and m/rad the parameters' motions with the base frame (x y z rx ry rz); of two struts (6, 3), with x, y and rz."""
     if isinstance(mechanism, Hexapod):
-        return gauge(mechanism)[:, :6]
+        return frame_motion_columns(mechanism)[:, :6]
     out = np.zeros((6, 3))
     out[0:4:2, 0] = out[1:4:2, 1] = 1.0
     out[:4, 2] = (mechanism.base_joints @ [[0, 1.0], [-1, 0]]).ravel()
     return out
 
 
-def describe(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> str:
+def direction_text(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> str:
     """A unit direction (p,) in words: up to TERMS of the patterns {name: (p,) unit} or single parameters, the largest first."""
     left, terms = direction.copy(), list[str]()
     while len(terms) < TERMS and left @ left > 1 - MOSTLY:
@@ -75,7 +75,7 @@ def describe(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> str:
 def _patterns(mechanism: Struts) -> dict[str, np.ndarray]:
     """{name: unit direction (p,)}: plates moved and scaled as a whole, all zeros together, each strut's loop, each parameter alone."""
     found = _of_hexapod(mechanism) if isinstance(mechanism, Hexapod) else {
-        **{f"base joints moved {axis}": motion for axis, motion in zip(("along x", "along y", "about z"), struts_with_base(mechanism).T)},
+        **{f"base joints moved {axis}": motion for axis, motion in zip(("along x", "along y", "about z"), base_motion_columns(mechanism).T)},
         "base joints spread": np.r_[(mechanism.base_joints - mechanism.base_joints.mean(axis=0)).ravel(), 0, 0],
         "both zeros": np.r_[np.zeros(4), 1, 1.0]}
     for name, unit in zip(NAMES[mechanism.kind], np.eye(len(NAMES[mechanism.kind]))):
@@ -86,7 +86,7 @@ def _patterns(mechanism: Struts) -> dict[str, np.ndarray]:
 def _of_hexapod(mechanism: Hexapod) -> dict[str, np.ndarray]:
     """{name: direction (42,)} of a hexapod's patterns beyond single parameters."""
     found = {}
-    motions = gauge(mechanism)
+    motions = frame_motion_columns(mechanism)
     for k, plate in enumerate(("base", "platform")):
         for j, axis in enumerate(("along x", "along y", "along z", "about x", "about y", "about z")):
             found[f"{plate} joints moved {axis}"] = motions[:, 6 * k + j]

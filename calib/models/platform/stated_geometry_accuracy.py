@@ -32,22 +32,22 @@ class Tolerance:
     @property
     def prior(self) -> np.ndarray:
         """(p,) m, the likeliest standard deviation of each parameter (the mean of its logarithm)."""
-        return spread(np.exp(self.weight @ np.log(self.widths)), self.counts)
+        return parameter_widths(np.exp(self.weight @ np.log(self.widths)), self.counts)
 
 
-def spread(widths: np.ndarray, counts: tuple[int, int]) -> np.ndarray:
+def parameter_widths(widths: np.ndarray, counts: tuple[int, int]) -> np.ndarray:
     """(..., p) of widths (..., 2) of joints and zeros, of which there are so many."""
     return np.repeat(widths, counts, axis=-1)
 
 
-def tolerance(found: Identified, nominal: Struts) -> Tolerance:
+def stated_geometry_accuracy(found: Identified, nominal: Struts) -> Tolerance:
     """Tolerance of an Identified: widths from 10 um to 5 mm, each order of magnitude as likely as another before the poses."""
     information = found.root.T @ found.root
     counts = (len(found.prior) - len(nominal.axes), len(nominal.axes))
     right = information @ (parameters(found.mechanism) - parameters(nominal)) + (parameters(found.mechanism) - parameters(nominal)) / found.prior**2
     grid = np.geomspace(LEAST, PRIOR, STEPS)
     widths = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
-    sigma = spread(widths, counts)
+    sigma = parameter_widths(widths, counts)
     # with p = sigma x, x ~ N(0, I): log evidence = -1/2 log |I + sigma Lambda sigma| + 1/2 |L^-1 sigma right|^2
     L = np.linalg.cholesky(np.eye(len(found.prior)) + sigma[:, :, None] * information * sigma[:, None, :])
     half = np.linalg.solve(L, (sigma * right)[..., None])[..., 0]

@@ -14,7 +14,7 @@ SHARED = ("blind", "calibrate", "certify", "diagnose", "insitu", "investigate", 
 NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures joined by commas, of which the first is negative
 
 
-def with_figures(words: Iterable[str]) -> list[str]:
+def join_negative_numbers(words: Iterable[str]) -> list[str]:
     """A command line on which `--pose -0.1,0,0` is `--pose=-0.1,0,0`, as argparse takes what begins with a dash for an option."""
     joined: list[str] = []
     for word in words:
@@ -39,7 +39,7 @@ class Parser(ArgumentParser):
         """Say what is wrong with the usage, and what was probably meant, and end with status 2."""
         parser = self.command or self
         hints = [f"{word}: did you mean {near}?" for word in self.words if word.startswith("--") and len(word) > 2
-                 for near in [nearest(word.split("=")[0], parser.options())] if near]
+                 for near in [nearest_word(word.split("=")[0], parser.options())] if near]
         hint = "".join(f"\n{line}" for line in hints)
         parser.exit(2, f"{parser.format_usage()}{parser.prog}: error: {message}{hint}\n")
 
@@ -49,10 +49,10 @@ class Parser(ArgumentParser):
 
     def unknown(self, word: str, commands: Iterable[str]) -> NoReturn:
         """Say that there is no such command, and which was probably meant, and end with status 2."""
-        self.exit(2, f"{self.prog}: error: there is no command {word!r}{meant(word, commands) or '.'} `{self.prog} --help` lists them\n")
+        self.exit(2, f"{self.prog}: error: there is no command {word!r}{suggestion_text(word, commands) or '.'} `{self.prog} --help` lists them\n")
 
 
-def nearest(word: str, known: Iterable[str]) -> str | None:
+def nearest_word(word: str, known: Iterable[str]) -> str | None:
     """The known word most like a mistyped one; None for a known one, one that starts a known one, and where none is like it."""
     found = list(known)
     if word in found or any(word.startswith("--") and name.startswith(word) for name in found):
@@ -62,9 +62,9 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return next(iter(get_close_matches(word, found, n=1, cutoff=0.6)), None)
 
 
-def meant(word: str, known: Iterable[str]) -> str:
+def suggestion_text(word: str, known: Iterable[str]) -> str:
     """What is said after a mistyped word: which of the known ones was probably meant, "" where none is like it."""
-    near = nearest(word, known)
+    near = nearest_word(word, known)
     return f"; did you mean {near}?" if near else ""
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.report.verdict import Evidence, Missing, Verdict, judge
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.plots import Series, panel
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, plot_panel
 from rig.report.pages.html_elements import heading, note, paragraph, table
 from synthetic import diagnosis_score
 
@@ -27,12 +27,12 @@ OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknow
 def tree(cases: list[Case]) -> dict:
     """{verdict, figures, medians, by_effect, by_strength, confusion, cases} of Cases."""
     return {
-        "verdict": judged(diagnosis_score.figures(cases)).tree(),
-        "figures": [asdict(f) for f in diagnosis_score.figures(cases)],
-        "medians": {name: None if math.isnan(value) else value for name, value in diagnosis_score.medians(cases).items()},
-        "by_effect": _rows(diagnosis_score.by_effect(cases)),
-        "by_strength": _rows(diagnosis_score.by_strength(cases)),
-        "confusion": diagnosis_score.confusion(cases),
+        "verdict": judged(diagnosis_score.campaign_figures(cases)).tree(),
+        "figures": [asdict(f) for f in diagnosis_score.campaign_figures(cases)],
+        "medians": {name: None if math.isnan(value) else value for name, value in diagnosis_score.campaign_medians(cases).items()},
+        "by_effect": _rows(diagnosis_score.figures_by_effect(cases)),
+        "by_strength": _rows(diagnosis_score.figures_by_strength(cases)),
+        "confusion": diagnosis_score.confusion_table(cases),
         "cases": [
             {
                 "case": c.index,
@@ -69,23 +69,24 @@ def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
             f"{len(cases)} blinded cases ({said}). Strength is an effect's signal-to-noise over all corners once cameras and geometry "
             f"have taken what they can; an effect is strong from {diagnosis_score.STRONG:g} on. Intervals are Clopper and Pearson's, 95 %."
         ),
-        table(("what", "hits", "of", "share", "interval", "to reach"), [_figure(f) for f in diagnosis_score.figures(cases)]),
+        table(("what", "hits", "of", "share", "interval", "to reach"), [_figure(f) for f in diagnosis_score.campaign_figures(cases)]),
         table(
-            ("median", ""), [(name, "not known" if math.isnan(value) else f"{value:.3g}") for name, value in diagnosis_score.medians(cases).items()]
+            ("median", ""),
+            [(name, "not known" if math.isnan(value) else f"{value:.3g}") for name, value in diagnosis_score.campaign_medians(cases).items()],
         ),
         heading("By effect"),
         note("Strong ones, in cases with one or two."),
-        _grouped(diagnosis_score.by_effect(cases), "effect"),
+        _grouped(diagnosis_score.figures_by_effect(cases), "effect"),
         heading("By strength"),
-        _grouped(diagnosis_score.by_strength(cases), "signal-to-noise"),
+        _grouped(diagnosis_score.figures_by_strength(cases), "signal-to-noise"),
     ]
     if any(c.hidden for c in cases):
         parts.append(_strengths(cases))
     parts += [heading("What was taken for what"), note("Rows: what was hidden. Columns: the name that it was given."),
-              _confusion(diagnosis_score.confusion(cases)), heading("Answers that were not right"), _wrong(cases)]
+              _confusion(diagnosis_score.confusion_table(cases)), heading("Answers that were not right"), _wrong(cases)]
     links = [Link(f"Case {c.index}", f"diagnoses/{c.index:04d}/diagnosis.html") for c in cases if c.failed is None and not _right(c)][:LINKS]
-    verdict = judged(diagnosis_score.figures(cases))
-    write(path, Page("blind", "Blind cases", verdict, parts, list(dict.fromkeys([*verdict.next, *([LOOK_AT] if links else [])])), links))
+    verdict = judged(diagnosis_score.campaign_figures(cases))
+    write_page(path, Page("blind", "Blind cases", verdict, parts, list(dict.fromkeys([*verdict.next, *([LOOK_AT] if links else [])])), links))
 
 
 def judged(figures: list[Figure]) -> Verdict:
@@ -93,13 +94,13 @@ def judged(figures: list[Figure]) -> Verdict:
     asked = [f for f in figures if f.goal is not None and f.trials]
     missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
     if not asked:
-        return judge(Evidence("no figure is judged", missing=(Missing("no case shows a figure that is to be reached", MORE),)))
+        return judge_evidence(Evidence("no figure is judged", missing=(Missing("no case shows a figure that is to be reached", MORE),)))
     surely = [f for f in missed if f.high < (f.goal or 0)]
     few = [f for f in asked if f not in missed and f.low < (f.goal or 0) < 1]  # of no number of cases is all surely reached
     missing = [Missing(f"{_said(f)} falls short") for f in missed if f not in surely]
     missing += [Missing(f"too few cases to be sure: {'; '.join(map(_said, few))}", MORE)] if few else []
     reached = f"{len(asked) - len(missed)} of {len(asked)} figures reach what they are to reach"
-    return judge(Evidence(reached, missing=tuple(missing), refuted=tuple(f"{_said(f)} falls short for sure" for f in surely), look=LOOK_AT))
+    return judge_evidence(Evidence(reached, missing=tuple(missing), refuted=tuple(f"{_said(f)} falls short for sure" for f in surely), look=LOOK_AT))
 
 
 def _said(f: Figure) -> str:
@@ -128,7 +129,7 @@ def _strengths(cases: list[Case]) -> str:
     strength, became = (np.array(column, float) for column in zip(*told)) if told else (np.zeros(0), np.zeros(0))
     series = [Series(np.log10(strength[became == k]), np.full((became == k).sum(), len(OUTCOMES) - float(k)), name, colour=k)
               for k, name in enumerate(OUTCOMES)]
-    return panel("what became of each hidden effect", ("signal-to-noise, power of ten", ""), series, limits=(0.0, len(OUTCOMES) + 1.0))
+    return plot_panel("what became of each hidden effect", ("signal-to-noise, power of ten", ""), series, limits=(0.0, len(OUTCOMES) + 1.0))
 
 
 def _confusion(matrix: dict[str, dict[str, int]]) -> str:

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 def tell(arguments: Namespace, calibration: Calibration, poses: int) -> None:
     """Say what a calibration of so many poses is worth, and leave for --json its held-out figures and claim, as calibration.json has them."""
-    from calib.certify.calibration_evidence import judgement
+    from calib.certify.calibration_evidence import calibration_verdict
 
     held, claim = calibration.held_out, calibration.claim
     arguments.result = {"schema": "calibrated/1", "held_out": held and asdict(held), "claim": claim and asdict(claim), "poses": poses,
-                        "confounds": calibration.confounds and calibration.confounds.tree(), "verdict": judgement(calibration).tree()}
+                        "confounds": calibration.confounds and calibration.confounds.tree(), "verdict": calibration_verdict(calibration).tree()}
     if calibration.confounds is not None:
         print(calibration.confounds.line())
     _say_promise(arguments.promise, claim)
@@ -40,11 +40,11 @@ def _say_promise(promise: float | None, claim: Claim | None) -> None:
 
 def _say_workspace(calibration: Calibration) -> None:
     """Print what a calibration does to the workspace; nothing where that was not worked out."""
-    from calib.workspace.workspace_sentences import lines
+    from calib.workspace.workspace_sentences import workspace_lines
     from rig.model import mechanisms
 
     if calibration.workspace is not None:
-        print(lines(calibration.workspace, mechanisms.unit(calibration.correction.nominal))[0])
+        print(workspace_lines(calibration.workspace, mechanisms.travel_unit(calibration.correction.nominal))[0])
 
 
 def say_joints(done: Certified, physics: Physics | None) -> None:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.online.run_learning import Learner
 from rig.model import mechanisms
 from rig.model.design import Camera, Design
-from vision.corners.marker_detection import detect
+from vision.corners.marker_detection import detect_markers
 from vision.predict import expected
 from vision.reading.live_measurement import Live
 from vision.targets import MarkerMap, marker_cells, marker_map
@@ -16,23 +16,23 @@ GREY, BLACK, WHITE = 70, 20, 190  # of 255
 CELL = 8  # px of a cell before it is drawn as it is seen
 
 
-def warm(design: Design) -> None:
+def warm_up(design: Design) -> None:
     """Measure one picture of a hexapod at home, learn from it, and forget it all."""
     m = design.mechanism
     if m.kind != "hexapod" or not design.cameras or not any(target.body == "platform" for target in design.targets):
         return
     markers, live = marker_map(design), Live(design)
-    images = drawn(design.cameras, m.home, markers)
+    images = draw_markers(design.cameras, m.home, markers)
     live.take(0, images)
     live.close()
     for camera in design.cameras:
-        detect(images[camera.name], camera, markers, T_base_platform=m.home)
-    learner, lengths = Learner(m), mechanisms.of(m).inverse(m.home, m)
+        detect_markers(images[camera.name], camera, markers, T_base_platform=m.home)
+    learner, lengths = Learner(m), mechanisms.kinematics_of(m).inverse(m.home, m)
     for _ in range(2):  # the second is held against the first
         learner.learn(lengths, m.home, 1e-10 * np.eye(6))
 
 
-def drawn(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> dict[str, np.ndarray]:
+def draw_markers(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> dict[str, np.ndarray]:
     """{camera: (height, width) uint8} of markers alone, nothing in front of anything."""
     return {camera.name: _picture(camera, T_base_platform, markers) for camera in cameras}
 

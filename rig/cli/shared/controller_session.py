@@ -16,7 +16,7 @@ from rig.errors import FileError, RigError
 from rig.driving.controller_lock import Occupied
 
 
-def design_of(path: Path, port: str | None) -> Design:
+def design_with_controller(path: Path, port: str | None) -> Design:
     """The design of a rig.toml with a controller, at another port where that is asked for. Raises RigError for one without."""
     design = design_file.load(path)
     if design.controller is None:
@@ -27,7 +27,7 @@ def design_of(path: Path, port: str | None) -> Design:
 
 
 @contextmanager
-def driving(design: Design, trace: Path | None, say: Callable[[str], None], clock: Clock | None = None,
+def open_driver(design: Design, trace: Path | None, say: Callable[[str], None], clock: Clock | None = None,
             stopping: bool = False) -> Iterator[Driver]:
     """The open Driver of a design, which no other process drives meanwhile. say : takes a line of text
     stopping : the struts are stopped before anything is asked of the controller
@@ -75,7 +75,7 @@ def print_status(status: Status, design: Design) -> None:
     from rig.model import mechanisms
     from rig.driving.operator_advice import advice
     from rig.errors import NotConverged
-    from rig.model.pose import vector
+    from rig.model.pose import pose_to_vector
 
     homing = design.driver().homing
     fault = f" ({status.fault})" if status.fault not in ("", status.activity) else ""
@@ -85,7 +85,7 @@ def print_status(status: Status, design: Design) -> None:
     print(f"lengths {lengths_text(status.lengths)}")
     if design.mechanism.kind == "hexapod" and status.known:
         try:
-            v = vector(mechanisms.of(design.mechanism).forward(status.lengths, design.mechanism))
+            v = pose_to_vector(mechanisms.kinematics_of(design.mechanism).forward(status.lengths, design.mechanism))
         except NotConverged:
             print("these lengths close on no pose of the owner's model")
             return

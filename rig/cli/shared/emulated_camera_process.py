@@ -54,14 +54,14 @@ def _draw(design: str, truth: str | None, history: str, address: tuple[str, int]
     from synthetic.emulated_sensors import Eyes, ToldByFile
     from synthetic.camera_server import EyesServer
     from synthetic.image_simulation import Images, check_drawable
-    from synthetic.renderer import opengl
+    from synthetic.renderer import import_pyrender
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the emulator ends this with it
     try:
         stated = design_file.load(design)
-        secret = secret_machine.from_truth(Path(truth), stated) if truth else secret_machine.World(stated, stated)
+        secret = secret_machine.world_from_truth(Path(truth), stated) if truth else secret_machine.World(stated, stated)
         check_drawable(secret.effects)
-        opengl()
+        import_pyrender()
         clock, images = SystemClock(), Images(stated.sensor)
         home = home_lengths(struts_of(stated.mechanism))
         at_home = Eyes(secret, images, seed, lambda: (np.array([0.0, 1.0]), np.array([home, home])), clock)

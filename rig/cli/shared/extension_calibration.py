@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import RigError
-from rig.formats.number_parsing import number
+from rig.formats.number_parsing import parse_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,16 +71,22 @@ class Extended:
     unit: str
 
 
-def certified(arguments: Namespace, mechanism: Struts | Arm | Chain | Free, sampled: Sampled, before: Calibration | None, rng: np.random.Generator,
-              progress: Progress) -> Extended:
+def certify_extension(
+    arguments: Namespace,
+    mechanism: Struts | Arm | Chain | Free,
+    sampled: Sampled,
+    before: Calibration | None,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> Extended:
     """Extended, of a machine on struts or an arm. Raises RigError for a chain."""
     from rig.model.mechanism_kinds import arm_of, struts_of
 
     if mechanism.kind == "arm":
         return _of_arm(arguments, arm_of(mechanism), sampled.samples, sampled.instrument, rng, progress)
-    from calib.certify.platform_certification import promised
-    from calib.certify.extension_certification import Asked, certify_extended, promised_alone
-    from calib.correct.summand_extension import single_step_misses
+    from calib.certify.platform_certification import workspace_claim_of
+    from calib.certify.extension_certification import Asked, certify_extended, claim_without_geometry
+    from calib.correct.summand_extension import single_step_errors
     from calib.report.calibration_page import calibration_page
 
     samples, nominal = sampled.samples, struts_of(mechanism)
@@ -88,27 +94,27 @@ def certified(arguments: Namespace, mechanism: Struts | Arm | Chain | Free, samp
     if before is None:
         done, tried = certify_extended(samples, nominal, Asked(arguments.extend, arguments.alone), rng, progress)
     else:
-        done, tried, kept = passed(arguments, samples, before, rng, progress)
-    claim = promised(samples, done, rng) if not arguments.alone and before is None else promised_alone(samples, done, rng)
+        done, tried, kept = certify_pass(arguments, samples, before, rng, progress)
+    claim = workspace_claim_of(samples, done, rng) if not arguments.alone and before is None else claim_without_geometry(samples, done, rng)
     return Extended(done, tried, claim, kept, lambda page, rec, made, links: calibration_page(page, rec, made, samples, done.found, links),
-                    single_step_misses(done.correction), "m")
+                    single_step_errors(done.correction), "m")
 
 
 def _of_arm(arguments: Namespace, nominal: Arm, samples: Samples, instrument: Instrument | None, rng: np.random.Generator,
             progress: Progress) -> Extended:
-    from calib.models.arm.certification import promised
-    from calib.models.arm.extension_certification import certify_extended, promised_alone, single_step_misses
+    from calib.models.arm.certification import workspace_claim_of
+    from calib.models.arm.extension_certification import certify_extended, claim_without_geometry, single_step_errors
     from calib.models.arm.calibration_page import calibration_page
     from calib.certify.extension_certification import Asked
     from rig.model import mechanisms
 
     done, tried = certify_extended(samples, nominal, instrument, Asked(arguments.extend, arguments.alone), rng, progress)
-    claim = (promised_alone if arguments.alone else promised)(samples, done, rng)
+    claim = (claim_without_geometry if arguments.alone else workspace_claim_of)(samples, done, rng)
     return Extended(done, tried, claim, {}, lambda page, rec, made, links: calibration_page(page, rec, made, samples, done, links),
-                    single_step_misses(done.correction), mechanisms.unit(nominal))
+                    single_step_errors(done.correction), mechanisms.travel_unit(nominal))
 
 
-def say(found: Extended, on: str) -> None:
+def print_extension(found: Extended, on: str) -> None:
     """Print what was tried and what was made of it. on : what the extension stands on, in words"""
     for one in found.tried:
         words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses"
@@ -128,17 +134,17 @@ def say(found: Extended, on: str) -> None:
     print(f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms} RMS, {most} at most")
 
 
-def passed(arguments: Namespace, samples: Samples, before: Calibration, rng: np.random.Generator,
+def certify_pass(arguments: Namespace, samples: Samples, before: Calibration, rng: np.random.Generator,
            progress: Progress) -> tuple[Certified, tuple[Tried, ...], dict[str, Any]]:
     """(Certified, what was tried, what the provenance keeps of it) of one more pass. Raises RigError for a part that cannot be."""
-    from calib.certify.additional_pass import CONFIGURATION, POSE, Pass, certify_onto
+    from calib.certify.additional_pass import CONFIGURATION, POSE, Pass, certify_additional_pass
 
     space = arguments.space or CONFIGURATION
     configurations, poses = _parts(arguments.within, before.correction.nominal)
     if configurations is not None and space == POSE or poses is not None and space == CONFIGURATION:
         raise RigError(f"--within {arguments.within}: a pass over {'poses' if space == POSE else 'configurations'} is bounded by "
                        f"{'x y z rx ry rz' if space == POSE else 'the axes'}; --space both takes either")
-    done, tried, count = certify_onto(samples, before, Pass(arguments.extend, space, configurations, poses), rng, progress)
+    done, tried, count = certify_additional_pass(samples, before, Pass(arguments.extend, space, configurations, poses), rng, progress)
     number = len(before.provenance.get("passes", ())) + 2
     return done, tried, {"number": number, "way": arguments.extend, "space": space, "within": arguments.within, "samples": count,
                          "chosen": [one.kind for one in tried if one.chosen]}
@@ -150,17 +156,17 @@ def _parts(text: str | None, mechanism: Struts) -> tuple[Part | None, Part | Non
         return None, None
     import numpy as np
 
-    from calib.correct.summand_extension import coordinates
+    from calib.correct.summand_extension import pose_coordinate_indices
     from calib.correct.interpolation.partial_map import Part
     from calib.correct.pose_space_map import NAMES
 
-    spaces = [mechanism.axes, tuple(NAMES[i] for i in coordinates(mechanism))]
+    spaces = [mechanism.axes, tuple(NAMES[i] for i in pose_coordinate_indices(mechanism))]
     bounds = [np.tile([-np.inf, np.inf], (len(names), 1)) for names in spaces]
     for word in text.split(","):
         name, _, span = word.strip().partition("=")
         low, colon, high = span.partition(":")
         try:
-            pair = number(low) if low else -np.inf, number(high) if high else np.inf
+            pair = parse_number(low) if low else -np.inf, parse_number(high) if high else np.inf
         except ValueError:
             pair = np.nan, np.nan
         at = [(k, names.index(name)) for k, names in enumerate(spaces) if name in names]

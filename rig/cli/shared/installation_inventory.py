@@ -15,7 +15,7 @@ from pathlib import Path
 SPACE = 2e9  # bytes: a recording of a thousand images of a megapixel, and what is made of it
 CONTEXT = """
 import os
-from synthetic.renderer import opengl
+from synthetic.renderer import import_pyrender as opengl
 pyrender = opengl()
 renderer = pyrender.OffscreenRenderer(8, 8)
 from OpenGL.GL import GL_RENDERER, GL_VERSION, glGetString
@@ -25,7 +25,7 @@ renderer.delete()
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class InventoryItem:
     """about : what was looked for; state : "ok", "absent" (needed for some things only) or "missing"; text : what was found
     todo : what to do, "" where nothing is"""
 
@@ -35,29 +35,40 @@ class Found:
     todo: str = ""
 
 
-def everything() -> list[Found]:
+def installation_inventory() -> list[InventoryItem]:
     """All that was found, versions first."""
     system = f"Python {platform.python_version()} on {platform.system()} {platform.release()}, {platform.machine()}"
-    return [Found("rig", "ok", f"{metadata.version('rig')}, {Path(__file__).parents[3]}"), Found("system", "ok", system), *packages(), graphics(),
-            cameras(), genicam(), ports(), *space(), threads()]
+    return [
+        InventoryItem("rig", "ok", f"{metadata.version('rig')}, {Path(__file__).parents[3]}"),
+        InventoryItem("system", "ok", system),
+        *installed_packages(),
+        check_graphics(),
+        list_cameras(),
+        list_genicam_producers(),
+        list_serial_ports(),
+        *free_disk_space(),
+        thread_limits(),
+    ]
 
 
-def packages() -> Iterator[Found]:
+def installed_packages() -> Iterator[InventoryItem]:
     """The packages that rig names: those of a plain installation must be there."""
     for need in metadata.requires("rig") or ():
-        name, least, extra = parsed(need)
+        name, least, extra = parse_requirement(need)
         if extra == "test":
             continue
         try:
             version = metadata.version(name)
         except metadata.PackageNotFoundError:
-            yield Found(name, "absent" if extra else "missing", "not installed", f"pip install 'rig[{extra}]'" if extra else f"pip install {name}")
+            yield InventoryItem(
+                name, "absent" if extra else "missing", "not installed", f"pip install 'rig[{extra}]'" if extra else f"pip install {name}"
+            )
             continue
         old = least is not None and _numbers(version) < _numbers(least)
-        yield Found(name, "missing" if old else "ok", version, f"rig needs {least} or newer: pip install -U {name}" if old else "")
+        yield InventoryItem(name, "missing" if old else "ok", version, f"rig needs {least} or newer: pip install -U {name}" if old else "")
 
 
-def parsed(need: str) -> tuple[str, str | None, str | None]:
+def parse_requirement(need: str) -> tuple[str, str | None, str | None]:
     """(name, least version or None, extra or None) of a requirement as a package states it."""
     name = re.match(r"[\w.-]+", need)
     least, extra = re.search(r">=\s*([\w.]+)", need.split(";")[0]), re.search(r"extra\s*==\s*['\"]([\w-]+)", need)
@@ -68,35 +79,35 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.findall(r"\d+", version)[:3])
 
 
-def graphics() -> Found:
+def check_graphics() -> InventoryItem:
     """Whether a picture can be drawn, tried in a process of its own, as a driver that is broken ends its process."""
     try:
         done = subprocess.run([sys.executable, "-c", CONTEXT], capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired:
-        return Found("OpenGL", "absent", "no answer within 60 s", "drawing images does not work; all else does")
+        return InventoryItem("OpenGL", "absent", "no answer within 60 s", "drawing images does not work; all else does")
     if done.returncode == 0:
-        return Found("OpenGL", "ok", done.stdout.strip())
+        return InventoryItem("OpenGL", "ok", done.stdout.strip())
     said = (done.stderr.strip().splitlines() or [f"ended by status {done.returncode}"])[-1]
-    return Found("OpenGL", "absent", said, "drawing images (simulate --images, emulate --cameras) does not work; all else does")
+    return InventoryItem("OpenGL", "absent", said, "drawing images (simulate --images, emulate --cameras) does not work; all else does")
 
 
-def cameras(folder: Path = Path("/sys/class/video4linux")) -> Found:
+def list_cameras(folder: Path = Path("/sys/class/video4linux")) -> InventoryItem:
     """Video devices and their names; none is opened."""
     there = sorted(folder.iterdir()) if folder.is_dir() else []
     names = [f"/dev/{one.name} ({(one / 'name').read_text().strip()})" for one in there]
-    return Found("cameras", "ok" if names else "absent", ", ".join(names) or "no video device",
+    return InventoryItem("cameras", "ok" if names else "absent", ", ".join(names) or "no video device",
                  "" if names else "plug one in, or name a folder of images in [[camera]] of rig.toml")
 
 
-def genicam() -> Found:
+def list_genicam_producers() -> InventoryItem:
     """The makers' producers through which GenICam cameras are found."""
     folders = [Path(folder) for folder in os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep) if folder]
     files = [file.name for folder in folders if folder.is_dir() for file in sorted(folder.glob("*.cti"))]
     todo = "only for GenICam cameras: install the maker's producer, which sets GENICAM_GENTL64_PATH"
-    return Found("GenICam producers", "ok" if files else "absent", ", ".join(files) or "none", "" if files else todo)
+    return InventoryItem("GenICam producers", "ok" if files else "absent", ", ".join(files) or "none", "" if files else todo)
 
 
-def ports() -> Found:
+def list_serial_ports() -> InventoryItem:
     """Serial ports, and whether this user may open them."""
     from serial.tools import list_ports
 
@@ -104,22 +115,24 @@ def ports() -> Found:
     closed = [port.device for port in found if not os.access(port.device, os.R_OK | os.W_OK)]
     text = ", ".join(f"{port.device} ({port.description})" for port in found) or "no serial port"
     if closed:
-        return Found("ports", "absent", text, f"this user may not open {', '.join(closed)}: add them to the group dialout and log in again")
-    return Found("ports", "ok" if found else "absent", text, "" if found else "plug the controller in, or name socket://HOST:PORT in [controller]")
+        return InventoryItem("ports", "absent", text, f"this user may not open {', '.join(closed)}: add them to the group dialout and log in again")
+    return InventoryItem(
+        "ports", "ok" if found else "absent", text, "" if found else "plug the controller in, or name socket://HOST:PORT in [controller]"
+    )
 
 
-def space() -> Iterator[Found]:
+def free_disk_space() -> Iterator[InventoryItem]:
     """Free space here and where temporary files go."""
     for name, folder in (("space here", Path.cwd()), ("temporary space", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free
         writable = os.access(folder, os.W_OK)
         todo = "" if free > SPACE and writable else "free some: a thousand images take about 2 GB" if writable else "choose a folder of your own"
         text = f"{free / 1e9:.1f} GB free in {folder}{'' if writable else ', which cannot be written'}"
-        yield Found(name, "ok" if not todo else "absent", text, todo)
+        yield InventoryItem(name, "ok" if not todo else "absent", text, todo)
 
 
-def threads() -> Found:
+def thread_limits() -> InventoryItem:
     """Cores that this process may use, and what limits the libraries' threads."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     limits = [f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ]
-    return Found("threads", "ok", f"{cores} of {os.cpu_count()} cores" + (f", {', '.join(limits)}" if limits else ""))
+    return InventoryItem("threads", "ok", f"{cores} of {os.cpu_count()} cores" + (f", {', '.join(limits)}" if limits else ""))

@@ -18,23 +18,23 @@ REACH = 0.7  # of the strokes, over which new poses lie: what is corrected has t
 VERIFYING = 1000  # added to the seed for the new poses
 
 
-def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, ...]:
+def certify_investigation(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, ...]:
     """Calibrate, correct, verify on new poses and certify; what was done and what could not be, in lines. Raises Waiting as `Rig.record` does
 
     Where a command refuses, what follows from it is left out, and that is a line
     """
-    from calib.experiment.investigation_folder import diagnosis_of, plan_of, recording_of
-    from rig.planning.plan import build
-    from rig.planning.plan_table import write
+    from calib.experiment.investigation_folder import diagnosis_path, plan_path, recording_path
+    from rig.planning.plan import build_plan
+    from rig.planning.plan_table import write_plan
 
     out, said = arguments.out, []
-    recordings = [str(recording_of(out, look.number)) for look in looks]
+    recordings = [str(recording_path(out, look.number)) for look in looks]
     calibration, number = out / "calibration.json", len(looks)
     poses, commands, plan, again = (out / f"verify{number}{suffix}" for suffix in ("-poses.csv", "-commands.csv", ".csv", ""))
     done = plan.exists()
     try:
         if not done:
-            rig.call("calibrate", *recordings, "--diagnosis", str(diagnosis_of(out, number)), "--out", str(calibration))
+            rig.call("calibrate", *recordings, "--diagnosis", str(diagnosis_path(out, number)), "--out", str(calibration))
     except RigError as error:
         return (f"not calibrated: {error}",)
     found = ", ".join(looks[-1].findings) or "no physics"
@@ -43,8 +43,8 @@ def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, 
         if not done:
             _wanted(poses, rig, arguments, calibration)
             rig.call("correct", str(calibration), "--poses", str(poses), "--out", str(commands), "--skip-unreachable", "--force")
-            stands = build(rig.design, f"commands:{plan_of(out, number)}").turned  # cubes stay as they were put back
-            write(plan, replace(build(rig.design, f"commands:{commands}"), turned=stands), rig.design.mechanism.axes)
+            stands = build_plan(rig.design, f"commands:{plan_path(out, number)}").turned  # cubes stay as they were put back
+            write_plan(plan, replace(build_plan(rig.design, f"commands:{commands}"), turned=stands), rig.design.mechanism.axes)
         rig.record(plan, again, arguments.seed + VERIFYING)
         rig.call("verify", str(calibration), str(again))
         said.append(f"verified on new poses, commanded through the correction: {again.name}")
@@ -65,17 +65,17 @@ def _wanted(path: Path, rig: Rig, arguments: Namespace, calibration: Path) -> No
     from rig.model import mechanisms
     from rig.planning.configuration_sets import low_discrepancy
     from rig.model.mechanism_kinds import arm_of
-    from rig.planning.plan import strokes_of
+    from rig.planning.plan import axis_strokes
     from rig.recording.recording_folder import Poses
     from rig.recording.recording_tables import write_poses
 
     m = rig.design.mechanism
-    lengths = low_discrepancy(strokes_of(rig.design), arguments.verify, REACH, arguments.seed + VERIFYING)
+    lengths = low_discrepancy(axis_strokes(rig.design), arguments.verify, REACH, arguments.seed + VERIFYING)
     if m.kind == "arm":
         from calib.files import calibration_file
         from calib.models.arm import error_model
 
         T = error_model.predicted(lengths, arm_of(calibration_file.load(calibration).correction.fitted))
     else:
-        T = mechanisms.of(m).forward(lengths, m)
+        T = mechanisms.kinematics_of(m).forward(lengths, m)
     write_poses(path, Poses(np.arange(len(lengths)), T, None))

@@ -48,10 +48,10 @@ class Rig:
 
     def refuse(self, plan: Plan) -> None:
         """Raise RigError for a plan that this machine cannot carry out."""
-        from rig.driving.run_steps import steps
+        from rig.driving.run_steps import steps_of_plan
 
         if self.by == "driver":
-            steps(plan)
+            steps_of_plan(plan)
 
     def record(self, plan: Path, out: Path, seed: int) -> None:
         """Have a plan carried out and recorded, unless that is done. Raises Waiting where somebody has to do it"""
@@ -68,14 +68,14 @@ class Rig:
 
     def _drive(self, plan: Path, out: Path) -> None:
         """Have the driver carry a plan out, from where it was interrupted."""
-        from rig.model.cube_quarter_turns import to_do, turned
-        from rig.planning.plan import build
+        from rig.model.cube_quarter_turns import turning_instructions, quarter_turns
+        from rig.planning.plan import build_plan
 
         begun, a = (out / "journal.jsonl").exists(), self._arguments
         if begun and _done(out / "journal.jsonl"):
             return
-        cubes = dict(build(self.design, f"commands:{plan}").turned)
-        todo = to_do(cubes, turned(self.design))
+        cubes = dict(build_plan(self.design, f"commands:{plan}").turned)
+        todo = turning_instructions(cubes, quarter_turns(self.design))
         if todo:
             then = f"  then say so in {a.design}, {_said(cubes)}, and give the same command with --resume"
             raise Waiting("\n".join(["to do, before the struts move:", *(f"  {text}" for text in todo), then]))
@@ -85,21 +85,21 @@ class Rig:
     def _stood(self, plan: Path, out: Path) -> None:
         """Raise RigError where a recording by hand does not say that cubes stood as its plan has them."""
         from rig.formats.rig_toml import design_file
-        from rig.model.cube_quarter_turns import turned
-        from rig.planning.plan import build
+        from rig.model.cube_quarter_turns import quarter_turns
+        from rig.planning.plan import build_plan
 
-        wanted, told = dict(build(self.design, f"commands:{plan}").turned), turned(design_file.load(out / "rig.toml"))
+        wanted, told = dict(build_plan(self.design, f"commands:{plan}").turned), quarter_turns(design_file.load(out / "rig.toml"))
         if told != wanted:
             raise RigError(f"{plan} is for cubes that stand as {_said(wanted) if wanted else 'rig.toml states them'}, and {out / 'rig.toml'} says "
                            f"{_said(told) if told else 'that none was taken off'}; state there how they stood")
 
     def _asked(self, plan: Path, out: Path) -> str:
         """What somebody is asked to do, in words."""
-        from rig.model.cube_quarter_turns import to_do
-        from rig.planning.plan import build
+        from rig.model.cube_quarter_turns import turning_instructions
+        from rig.planning.plan import build_plan
 
-        todo = build(self.design, f"commands:{plan}")
-        cubes = [f"  before it begins: {text}" for text in to_do(dict(todo.turned), {})]
+        todo = build_plan(self.design, f"commands:{plan}")
+        cubes = [f"  before it begins: {text}" for text in turning_instructions(dict(todo.turned), {})]
         cubes += [f"  and say so in its rig.toml: {_said(dict(todo.turned))}"] if cubes else []
         loads = [f"  at t = {t:.0f} s: " + (f"load {mass:.3g} kg" if mass else "take the load off") for t, mass in todo.payload[1:]]
         return "\n".join([f"to do: carry out {plan} ({len(todo.t)} exposures, where a row has a frame; {todo.commands.t[-1] / 60:.1f} min) and "
@@ -113,7 +113,7 @@ def _said(cubes: dict[str, int]) -> str:
 
 def _done(journal: Path) -> bool:
     """Whether a run's journal says that it came to its end."""
-    from rig.driving.run_journal import Ended, read
+    from rig.driving.run_journal import Ended, read_journal
 
-    rows, _ = read(journal)
+    rows, _ = read_journal(journal)
     return bool(rows) and isinstance(rows[-1], Ended) and not rows[-1].reason

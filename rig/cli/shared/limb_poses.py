@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.errors import RigError
-from rig.formats.number_parsing import whole
+from rig.formats.number_parsing import parse_whole_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,17 +28,21 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the source of poses to a command that takes vision's by default."""
     parser.add_argument("--limbs", metavar="FILE", type=Path, help="poses from measuring limbs that `rig insitu` accepted and saved here; "
                         "vision checks some, and the acceptance is withdrawn where they no longer agree")
-    parser.add_argument("--check", type=whole, metavar="N", help=f"with --limbs: vision looks at every Nth pose at least (default {EVERY})")
+    parser.add_argument(
+        "--check", type=parse_whole_number, metavar="N", help=f"with --limbs: vision looks at every Nth pose at least (default {EVERY})"
+    )
 
 
-def refuse_check(arguments: Namespace) -> int:
+def check_interval(arguments: Namespace) -> int:
     """How many poses lie between two looks. Raises RigError for --check without --limbs, or below 1."""
     if arguments.check is not None and (arguments.limbs is None or arguments.check < 1):
         raise RigError("--check takes a number of poses, at least 1, and --limbs")
     return arguments.check or EVERY
 
 
-def sampled(arguments: Namespace, recording: Recording, progress: Progress, look: Callable[[Corners], None] | None = None) -> Sampled:
+def samples_by_limbs_or_vision(
+    arguments: Namespace, recording: Recording, progress: Progress, look: Callable[[Corners], None] | None = None
+) -> Sampled:
     """Sampled of a recording, from the limbs where these are named, else by vision. look : as for `sample_recording`
 
     Raises RigError for limbs that were not accepted, that are others than rig.toml states, or with which vision no longer agrees
@@ -47,23 +51,26 @@ def sampled(arguments: Namespace, recording: Recording, progress: Progress, look
     from calib.samples.recording_samples import sample_recording
 
     if arguments.limbs is None:
-        refuse_check(arguments)
+        check_interval(arguments)
         return sample_recording(recording, progress=progress, look=look)
-    found, accepted = poses(arguments, recording, progress)
-    return replace(recorded_limb_poses.sampled(recording, found), files=(arguments.limbs,), data=tuple(accepted.provenance.get("data", ())))
+    found, accepted = checked_limb_poses(arguments, recording, progress)
+    return replace(
+        recorded_limb_poses.samples_of_limb_poses(recording, found), files=(arguments.limbs,), data=tuple(accepted.provenance.get("data", ()))
+    )
 
 
-def poses(arguments: Namespace, recording: Recording, progress: Progress) -> tuple[LimbPoses, Accepted]:
-    """(LimbPoses of a recording, checked and said; the Accepted they are from). Raises as `sampled` does: the acceptance is withdrawn first."""
+def checked_limb_poses(arguments: Namespace, recording: Recording, progress: Progress) -> tuple[LimbPoses, Accepted]:
+    """(LimbPoses of a recording, checked and said; the Accepted they are from). Raises as `samples_by_limbs_or_vision` does: the acceptance is
+    withdrawn first."""
     from calib.online import recorded_limb_poses, measuring_limbs_file
 
-    every = refuse_check(arguments)
-    accepted = measuring_limbs_file.in_force(arguments.limbs, recording.design)
-    found = recorded_limb_poses.read(recording, accepted)
-    checked = recorded_limb_poses.check(recording, accepted, found, every, progress)
+    every = check_interval(arguments)
+    accepted = measuring_limbs_file.accepted_limbs(arguments.limbs, recording.design)
+    found = recorded_limb_poses.limb_poses(recording, accepted)
+    checked = recorded_limb_poses.check_limb_poses(recording, accepted, found, every, progress)
     progress.close()
     if checked.disagreement is not None and checked.frame is not None:
-        withdraw(arguments.limbs, accepted, str(recording.folder), checked.frame, checked.disagreement.reason)
+        write_withdrawal(arguments.limbs, accepted, str(recording.folder), checked.frame, checked.disagreement.reason)
         raise RigError(f"frame {checked.frame}: {checked.disagreement.reason}. {checked.disagreement.who}: their acceptance is withdrawn "
                        f"in {arguments.limbs}, and nothing was computed; without --limbs vision measures")
     spare = 0 if accepted.limbs.checks is None else len(accepted.limbs.checks.limbs)
@@ -74,22 +81,22 @@ def poses(arguments: Namespace, recording: Recording, progress: Progress) -> tup
     return found, accepted
 
 
-def in_force(arguments: Namespace, design: Design) -> Accepted:
+def accepted_limbs_for_run(arguments: Namespace, design: Design) -> Accepted:
     """Limbs that stand for vision in a run, which reads them. Raises RigError where they do not, and where vision is not to check them."""
     from calib.certify import measuring_limbs
     from calib.online import measuring_limbs_file
 
     if arguments.no_measure:
         raise RigError("--limbs with --no-measure: vision must look at some poses, or a limb that slips is never noticed")
-    found = measuring_limbs_file.in_force(arguments.limbs, design)
-    channels = measuring_limbs.measuring(design).channels
+    found = measuring_limbs_file.accepted_limbs(arguments.limbs, design)
+    channels = measuring_limbs.stated_limbs(design).channels
     if design.sensors is None or set(channels) - set(design.sensors.channels):
         raise RigError(f"--limbs takes a [sensors] table in rig.toml with the channels {channels[0]} .. {channels[-1]}")
     return found
 
 
-def withdraw(path: Path, accepted: Accepted, recording: str, frame: int, reason: str) -> None:
+def write_withdrawal(path: Path, accepted: Accepted, recording: str, frame: int, reason: str) -> None:
     """Write that an acceptance no longer stands, in its own file. Raises FileError where that cannot be written."""
     from calib.online import measuring_limbs_file
 
-    measuring_limbs_file.save(path, measuring_limbs_file.withdrawn(accepted, recording, frame, reason))
+    measuring_limbs_file.save(path, measuring_limbs_file.withdraw_acceptance(accepted, recording, frame, reason))

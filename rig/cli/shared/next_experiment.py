@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.output_options import SEED, Progress
 from rig.errors import RigError
-from rig.formats.number_parsing import number
+from rig.formats.number_parsing import parse_number
 
 if TYPE_CHECKING:
     from calib.experiment.experiment_choice import Experiment
@@ -26,13 +26,13 @@ def arguments(parser: ArgumentParser) -> None:
     """Add --next, how long it may take and what it may do."""
     parser.add_argument("--next", metavar="FILE", type=Path, help="write the plan of the experiment that would best tell apart what is "
                         "still alike (frame,t,payload_mass_kg,l1..l6; `rig simulate --plan commands:FILE` tries it); next.json says its chance")
-    parser.add_argument("--minutes", metavar="MIN", type=number, default=60.0, help="for --next: that the experiment may take (default 60)")
+    parser.add_argument("--minutes", metavar="MIN", type=parse_number, default=60.0, help="for --next: that the experiment may take (default 60)")
     parser.add_argument("--may", action="append", metavar="payload|wait|'turn cube NAME'", help="for --next: what may be asked of an operator, in "
                         "place of what rig.toml says under [experiment]; may be given again")
     parser.add_argument("--standing", action="store_true", help="for --next: only plans at whose exposures the struts stand, as rig run takes them")
 
 
-def refuse(arguments: Namespace) -> None:
+def refuse_invalid_options(arguments: Namespace) -> None:
     """Raise RigError for options that cannot be meant, before anything is read."""
     if not 0 < arguments.minutes <= LONGEST:
         raise RigError(f"--minutes takes a time above 0 and up to {LONGEST:g} min, not {arguments.minutes:g}")
@@ -45,44 +45,44 @@ def refuse(arguments: Namespace) -> None:
             raise RigError(f"--may takes {', '.join(PERMITTED)} or '{TURN}NAME', not {word!r}")
 
 
-def allowed(arguments: Namespace, design: Design) -> tuple[str, ...]:
+def allowed_interventions(arguments: Namespace, design: Design) -> tuple[str, ...]:
     """What an experiment may ask of an operator, cubes by their names. Raises RigError for a cube that the design does not have"""
-    from rig.model.cube_quarter_turns import permitted
+    from rig.model.cube_quarter_turns import parse_permission
 
     out = []
     for word in arguments.may or design.experiment.may:
-        may, problem = permitted(word, design.targets)
+        may, problem = parse_permission(word, design.targets)
         if problem:
             raise RigError(f"--may {word!r}: {problem}")
         out.append(may)
     return tuple(out)
 
 
-def write_next(arguments: Namespace, asked: Sequence[Question], design: Design, out: Path, progress: Progress) -> None:
+def write_next_plan(arguments: Namespace, asked: Sequence[Question], design: Design, out: Path, progress: Progress) -> None:
     """Write the plan that would tell best what a diagnosis leaves alike, and say its chance; say so where nothing is, or no plan would."""
-    from calib.experiment.discriminating_configurations import cameras
-    from calib.experiment.experiment_choice import choose, kinds
+    from calib.experiment.discriminating_configurations import camera_shares
+    from calib.experiment.experiment_choice import choose_experiment, available_plans
     from rig.planning import plan_table
-    from rig.model.cube_quarter_turns import turned
+    from rig.model.cube_quarter_turns import quarter_turns
 
     experiments: list[Experiment] = []
     seen: dict[str, float] = {}
     if asked:
         seed = SEED + 1 + len(arguments.further)
-        texts = kinds(allowed(arguments, design), arguments.standing, tuple(turned(design)))
-        experiments, refused = choose(asked, design, texts, seed, arguments.minutes,
+        texts = available_plans(allowed_interventions(arguments, design), arguments.standing, tuple(quarter_turns(design)))
+        experiments, refused = choose_experiment(asked, design, texts, seed, arguments.minutes,
                                       lambda done, of: progress("foretelling experiments", done, of))
         progress.close()
         experiments = [e for e in experiments if e.bits >= TELLING]
-        seen = cameras(asked, experiments[0].plan) if experiments else {}
+        seen = camera_shares(asked, experiments[0].plan) if experiments else {}
         print("\n".join(odds_lines(asked)))
-        print("\n".join(lines(experiments, seen) if experiments else ["no plan that is allowed tells these apart",
+        print("\n".join(experiment_lines(experiments, seen) if experiments else ["no plan that is allowed tells these apart",
                                                                 *(f"  {text}: {why}" for text, why in refused.items())]))
     else:
         print("nothing is alike that an experiment could tell apart")
     (out / "next.json").write_text(json.dumps(_tree(asked, experiments, seen), indent=1) + "\n", encoding="utf-8")
     if experiments:
-        plan_table.write(arguments.outputs.file(arguments.next), experiments[0].plan, design.mechanism.axes)
+        plan_table.write_plan(arguments.outputs.file(arguments.next), experiments[0].plan, design.mechanism.axes)
         print(f"written: {arguments.next}")
 
 
@@ -101,7 +101,7 @@ def odds_lines(asked: Sequence[Question]) -> list[str]:
     return out + [f"cannot be foretold: {text}" for question in asked for text in question.unasked]
 
 
-def lines(experiments: Sequence[Experiment], seen: dict[str, float]) -> list[str]:
+def experiment_lines(experiments: Sequence[Experiment], seen: dict[str, float]) -> list[str]:
     """The best plan, its chance, what it asks of an operator, and the plans that it was preferred to. seen : {camera: share of what it shows}"""
     best = experiments[0]
     out = [f"next: {best.text} (seed {best.seed}), {len(best.plan.t)} exposures, {best.minutes:.1f} min; it settles this with a chance of "

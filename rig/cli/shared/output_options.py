@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rig.cli.shared.progress_bars import Progress
 from rig.errors import MissingLibrary, RigError
 from rig.formats.output_files import STANDARD_OUTPUT
-from rig.formats.number_parsing import number
+from rig.formats.number_parsing import parse_number
 
 if TYPE_CHECKING:
     from calib.certify.platform_certification import HeldOut
@@ -19,9 +19,29 @@ if TYPE_CHECKING:
     from rig.recording.recording_folder import Recording
     from vision.recording_adjustment import Measurement
 
-__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_page", "add_port", "add_recording", "add_recordings", "add_result",
-           "file_or_stdout", "length", "near", "no_drawing", "numbers", "place_of_page", "print_comparison", "print_json",
-           "print_unsolved", "read_recording", "require_drawing"]
+__all__ = [
+    "SEED",
+    "Progress",
+    "add_driving",
+    "add_overwrite_option",
+    "add_json",
+    "add_page",
+    "add_port",
+    "add_recording",
+    "add_recordings",
+    "add_result",
+    "file_or_stdout",
+    "parse_length",
+    "page_links",
+    "missing_drawing_reason",
+    "parse_numbers",
+    "page_path",
+    "print_comparison",
+    "print_json",
+    "print_unsolved",
+    "read_recording",
+    "require_drawing",
+]
 
 SEED = 0  # of the bootstrap; results are the same from run to run
 
@@ -48,12 +68,12 @@ def _add_left_out(parser: ArgumentParser) -> None:
 def read_recording(arguments: Namespace, path: Path | None = None) -> Recording:
     """The Recording at a path, by default the one of the arguments that `add_recording` adds; images left out are named on standard error."""
     from rig.recording import recording_folder as recordings
-    from rig.recording.frame_mask import masked
+    from rig.recording.frame_mask import remove_frames
 
     found = recordings.load(path or arguments.recording, arguments.skip_unreadable)
     for image in found.skipped:
         print(f"left out, as asked: {image.path}: {image.problem}", file=sys.stderr)
-    return found if arguments.mask is None else masked(found, arguments.mask)
+    return found if arguments.mask is None else remove_frames(found, arguments.mask)
 
 
 def file_or_stdout(text: str) -> Path:
@@ -61,7 +81,7 @@ def file_or_stdout(text: str) -> Path:
     return STANDARD_OUTPUT if text == "-" else Path(text)
 
 
-def add_force(parser: ArgumentParser, name: str = "--force") -> None:
+def add_overwrite_option(parser: ArgumentParser, name: str = "--force") -> None:
     """Let a command that writes be told to write over what it did not make. name : of that option, where --force is taken"""
     parser.add_argument(name, dest="overwrite", action="store_true",
                         help="write over what this command did not make; what it reads it never writes over")
@@ -72,14 +92,14 @@ def add_page(parser: ArgumentParser) -> None:
     parser.add_argument("--page", metavar="FILE", type=Path, help="a page of it, written here: one file that needs no network")
 
 
-def place_of_page(arguments: Namespace) -> Path | None:
+def page_path(arguments: Namespace) -> Path | None:
     """Where the page that `add_page` asks for is written, None where none is. Raises RigError where it cannot be."""
     return None if arguments.page is None else arguments.outputs.file(arguments.page)
 
 
-def near(arguments: Namespace, place: Path) -> list[Link]:
+def page_links(arguments: Namespace, place: Path) -> list[Link]:
     """Links of a page that will be at a place: to the index above it and to the pages of what the command reads."""
-    from rig.report.pages.page_index import links
+    from rig.report.pages.page_index import page_links as links
 
     return links(place, arguments.outputs.inputs)
 
@@ -99,17 +119,17 @@ def print_json(tree: object) -> None:
     """Print a result for programs; figures that are not numbers are null."""
     import json
 
-    from rig.formats.json_file import nulls
+    from rig.formats.json_file import nan_to_null
 
-    print(json.dumps(nulls(tree), indent=1))
+    print(json.dumps(nan_to_null(tree), indent=1))
 
 
-def length(text: str) -> float:
+def parse_length(text: str) -> float:
     """m of a length as written on the command line: 20um, 0.02mm or 2e-5m. Raises ArgumentTypeError for anything else."""
     for unit, scale in (("um", 1e-6), ("mm", 1e-3), ("m", 1.0)):
         if text.endswith(unit):
             try:
-                value = number(text.removesuffix(unit)) * scale
+                value = parse_number(text.removesuffix(unit)) * scale
             except ValueError:
                 break
             if 0 < value < float("inf"):
@@ -118,10 +138,10 @@ def length(text: str) -> float:
     raise ArgumentTypeError(f"expected a length above 0 with its unit, 20um, 0.02mm or 2e-5m, not {text!r}")
 
 
-def numbers(texts: list[str], count: int, option: str) -> list[float]:
+def parse_numbers(texts: list[str], count: int, option: str) -> list[float]:
     """So many numbers of an option's words, apart by commas or spaces. Raises RigError for anything else"""
     try:
-        found = [number(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
+        found = [parse_number(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
     except ValueError:
         found = []
     if len(found) != count or not all(abs(value) < 1e6 for value in found):
@@ -143,7 +163,7 @@ def add_port(parser: ArgumentParser) -> None:
 
 def print_comparison(held: HeldOut, title: str) -> None:
     """Print a HeldOut as a table in mm and mrad."""
-    from calib.certify.calibration_verdict import factor
+    from calib.certify.calibration_verdict import ratio_text
 
     names = ("mean", "RMS", "95 %", "max")
     print(f"{title}, N = {held.after.n}, {held.configurations} distinct configurations:")
@@ -157,7 +177,7 @@ def print_comparison(held: HeldOut, title: str) -> None:
         turned = f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] else "; it does not turn"
     placed = f"{held.floor[0] * 1e3:.4f} mm" if held.floor[0] < 1 else ""
     words = f"{placed}{turned}" if placed else f"{turned.removeprefix(' and ')}; positions were not measured"
-    print(f"on these poses {factor(held.ratio)}; the measured poses themselves are uncertain by {words}")
+    print(f"on these poses {ratio_text(held.ratio)}; the measured poses themselves are uncertain by {words}")
 
 
 def _cell(value: float) -> str:
@@ -166,12 +186,12 @@ def _cell(value: float) -> str:
 
 def require_drawing(what: str) -> None:
     """Raise MissingLibrary where that which draws PDF and pictures is not installed. what : is to be drawn, in the plural"""
-    problem = no_drawing()
+    problem = missing_drawing_reason()
     if problem:
         raise MissingLibrary(f"{what} {problem}")
 
 
-def no_drawing() -> str | None:
+def missing_drawing_reason() -> str | None:
     """Why no PDF and pictures can be drawn, in words that follow theirs; None where they can."""
     from importlib.util import find_spec
 

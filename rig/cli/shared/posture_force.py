@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.output_options import numbers, require_drawing
+from rig.cli.shared.output_options import parse_numbers, require_drawing
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--draw", metavar="FILE.svg", type=Path, help="with --exert: force polytope and ellipsoid of the posture")
 
 
-def wanted(arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: np.ndarray, path: Path) -> Exertion | None:
+def requested_exertion(arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: np.ndarray, path: Path) -> Exertion | None:
     """The Exertion that is asked for, or None. gravity : (3,) m/s^2; path : of the arm's file. Raises RigError for what cannot be meant"""
     import numpy as np
 
@@ -36,41 +36,41 @@ def wanted(arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: np.nd
             raise RigError("--draw and --limits say more of what --exert wants")
         return None
     n, given = len(arm.axes), " ".join(arguments.exert).replace(",", " ").split()
-    wrench = np.array(numbers(arguments.exert, 3 if len(given) == 3 else 6, "--exert") + [0.0] * (3 if len(given) == 3 else 0))
+    wrench = np.array(parse_numbers(arguments.exert, 3 if len(given) == 3 else 6, "--exert") + [0.0] * (3 if len(given) == 3 else 0))
     if not wrench.any():
         raise RigError("--exert takes a force or a moment that is not nothing")
-    limits = np.array(numbers(arguments.limits, n, "--limits")) if arguments.limits else dynamics.need("torque_limits", path)
+    limits = np.array(parse_numbers(arguments.limits, n, "--limits")) if arguments.limits else dynamics.need("torque_limits", path)
     if not (limits > 0).all():
         raise RigError(f"--limits takes positive torques, not {limits.min():g} Nm")
     return Exertion(wrench, Strength(limits, dynamics.links, gravity))
 
 
-def tree(q: np.ndarray, arm: Arm, exertion: Exertion) -> dict[str, Any]:
+def exertion_dict(q: np.ndarray, arm: Arm, exertion: Exertion) -> dict[str, Any]:
     """{what: figure} of a posture q (n,) rad: torques (N m), margins, greatest multiple, the strongest and weakest directions of a force (N)."""
     import numpy as np
 
     from rig.posture import exertable_wrench as of
 
     strength = exertion.strength
-    weight, load = strength.weight(q, arm), of.loads(q, arm, exertion.wrench)
+    weight, load = strength.weight(q, arm), of.joint_loads(q, arm, exertion.wrench)
     low, high = strength.box(q, arm)
     torque = weight + load
     margin, multiple = strength.limits - np.abs(torque), float(exertion.value(q, arm))
-    A = of.loads(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
+    A = of.joint_loads(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
     bears = bool((low <= 0).all() and (high >= 0).all())
     out = {"wrench": exertion.wrench.tolist(), "torques": torque.tolist(), "weight": weight.tolist(), "limits": strength.limits.tolist(),
            "margin": margin.tolist(), "tightest_joint": int(np.argmin(margin / strength.limits)) + 1, "greatest_multiple": multiple,
            "greatest": (multiple * exertion.wrench).tolist() if bears else None, "weight_counted": strength.links is not None}
     if bears:
-        every = of.corners(A, low, high)
-        size, least = np.linalg.norm(every, axis=1), of.weakest(A, low, high)
+        every = of.force_polytope_corners(A, low, high)
+        size, least = np.linalg.norm(every, axis=1), of.weakest_force_direction(A, low, high)
         out["strongest"] = {"force": float(size.max()), "direction": (every[size.argmax()] / size.max()).tolist()}
         out["weakest"] = {"force": least[0], "direction": least[1].tolist()}
     return out
 
 
-def lines(found: dict[str, Any], units: tuple[str, ...]) -> list[str]:
-    """What `tree` found, in words. units : of each joint's torque, "Nm", or of a slide's force "N"."""
+def exertion_lines(found: dict[str, Any], units: tuple[str, ...]) -> list[str]:
+    """What `exertion_dict` found, in words. units : of each joint's torque, "Nm", or of a slide's force "N"."""
     mixed = len(set(units)) > 1
     cells = ", ".join(f"{torque:.3f}{' ' + unit if mixed else ''} ({margin:+.3f})"
                       for torque, margin, unit in zip(found["torques"], found["margin"], units))
@@ -87,7 +87,7 @@ def lines(found: dict[str, Any], units: tuple[str, ...]) -> list[str]:
     return out
 
 
-def drawn(q: np.ndarray, arm: Arm, exertion: Exertion) -> str:
+def exertion_svg(q: np.ndarray, arm: Arm, exertion: Exertion) -> str:
     """SVG of what a posture q (n,) rad can exert. Raises RigError where it cannot hold its own weight"""
     import numpy as np
 
@@ -98,5 +98,5 @@ def drawn(q: np.ndarray, arm: Arm, exertion: Exertion) -> str:
     low, high = exertion.strength.box(q, arm)
     if (low > 0).any() or (high < 0).any():
         raise RigError("the posture cannot hold the arm's own weight, and there is nothing to draw")
-    A = of.loads(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
-    return force_polytope_figure.svg(A, exertion.strength.limits, of.corners(A, low, high), exertion.wrench[:3])
+    A = of.joint_loads(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
+    return force_polytope_figure.force_polytope_svg(A, exertion.strength.limits, of.force_polytope_corners(A, low, high), exertion.wrench[:3])

@@ -7,7 +7,7 @@ import threading
 import time
 from typing import Any, ClassVar
 
-from rig.cli.shared.terminal_safe_output import controls
+from rig.cli.shared.terminal_safe_output import unescaped_stream
 
 EVERY = 5.0  # s between two lines, and before the first
 
@@ -39,7 +39,7 @@ class Progress:
         if label != self.label:
             self.close()
             wait = max(self.from_then - time.monotonic(), 0.0)
-            self.bar, self.label = tqdm(total=of, desc=label, disable=None, leave=False, file=controls(sys.stderr), delay=wait), label
+            self.bar, self.label = tqdm(total=of, desc=label, disable=None, leave=False, file=unescaped_stream(sys.stderr), delay=wait), label
             if wait and not self.bar.disable:  # a bar of its own accord shows only once something is done
                 self.timer = threading.Timer(wait, _show, (self.bar,))
                 self.timer.daemon = True
@@ -54,7 +54,7 @@ class Progress:
             self.label, self.began = label, now
         if now - self.said >= self.every:
             self.said = now
-            print(line(label, done, of, now - self.began), file=sys.stderr, flush=True)
+            print(progress_line(label, done, of, now - self.began), file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Take the bar away."""
@@ -65,7 +65,7 @@ class Progress:
         self.bar, self.label, self.timer = None, None, None
 
 
-def compiling() -> None:
+def compilation_notice() -> None:
     """Say why nothing moves on for a while: a new installation, or a new version, compiles what is called for the first time.
 
     On a terminal, or where lines are asked for; in a pipe the first line on the error output stays the command's own
@@ -73,10 +73,10 @@ def compiling() -> None:
     if Progress.shown == "lines" or Progress.shown == "auto" and sys.stderr.isatty():
         from tqdm import tqdm
 
-        tqdm.write("compiling for this computer, once: up to a minute", file=controls(sys.stderr))
+        tqdm.write("compiling for this computer, once: up to a minute", file=unescaped_stream(sys.stderr))
 
 
-def line(label: str, done: int, of: int, gone: float) -> str:
+def progress_line(label: str, done: int, of: int, gone: float) -> str:
     """How far a stage has come, as a line. gone : s since it began"""
     share = f"{label}: {done} of {of}, {100 * done // max(of, 1)} %"
     if not 0 < done < of or gone <= 0:

@@ -8,7 +8,7 @@ from rig.errors import RigError
 BEYOND = 0.05  # of an axis' range, by which a reading may lie beyond it
 
 
-def forward(arguments: Namespace) -> None:
+def poses_of_readings(arguments: Namespace) -> None:
     """Readings -> poses with covariance: the summands with the opposite sign.
 
     Raises RigError for options that are about commands, and for what cannot be read
@@ -24,9 +24,9 @@ def forward(arguments: Namespace) -> None:
 
     if arguments.uncorrected or arguments.single_step or arguments.skip_unreachable or arguments.sensors:
         raise RigError("--uncorrected, --single-step, --skip-unreachable and --sensors are about commands for wanted poses, not about --forward")
-    calibration = user_effects_option.calibration(arguments.calibration, user_effects_option.plugins(arguments))
+    calibration = user_effects_option.load_calibration(arguments.calibration, user_effects_option.load_effect_files(arguments))
     correction, nominal = calibration.correction, calibration.correction.nominal
-    kinematics = mechanisms.of(nominal)
+    kinematics = mechanisms.kinematics_of(nominal)
     rows = csv_table.read(arguments.forward, ("frame", *nominal.axes))
     readings, frames = rows.matrix(nominal.axes), rows.whole("frame")
     out = arguments.outputs.file(arguments.out)

@@ -13,31 +13,31 @@ from rig.checks.user_mistake import Mistake
 if TYPE_CHECKING:
     from rig.cli.shared.output_options import Progress
     from rig.recording.recording_folder import Corners, Recording
-    from vision.combined_recordings import Together
+    from vision.combined_recordings import CombinedRecordings
 
 
-def argument(parser: argparse.ArgumentParser) -> None:
+def add_anyway_option(parser: argparse.ArgumentParser) -> None:
     """Add --anyway to a command that begins with a check."""
     parser.add_argument("--anyway", action="store_true", help="go on though the recording shows a mistake that makes results meaningless")
 
 
-def loaded(arguments: argparse.Namespace, path: Path | None = None) -> "Recording":
+def load_recording(arguments: argparse.Namespace, path: Path | None = None) -> "Recording":
     """Recording at a path, by default that of the arguments that `add_recording` adds.
 
     Raises RigError that names the likeliest mistake first where it cannot be read
     """
-    from rig.checks.unreadable_recording import unreadable
+    from rig.checks.unreadable_recording import unreadable_recording_mistakes
 
     try:
         return read_recording(arguments, path)
     except FileError as error:
-        causes = unreadable(path or arguments.recording, error)
+        causes = unreadable_recording_mistakes(path or arguments.recording, error)
         if not causes:
             raise
         raise RigError("\n".join([*map(str, causes), str(error)])) from None
 
 
-def checked(recording: "Recording", anyway: bool) -> "Callable[[Corners], None]":
+def check_recording(recording: "Recording", anyway: bool) -> "Callable[[Corners], None]":
     """What looks at a recording's corners once they are read: both refuse what is spoilt, unless anyway, and print what is unlikely.
 
     Raises RigError that names the likeliest mistake first
@@ -45,45 +45,48 @@ def checked(recording: "Recording", anyway: bool) -> "Callable[[Corners], None]"
     _judge_files(recording, anyway)
 
     def look(corners: "Corners") -> None:
-        from vision.checks import look as looked
+        from vision.checks import find_corner_mistakes as looked
 
-        judge(looked(recording, corners), anyway)
+        report_mistakes(looked(recording, corners), anyway)
 
     return look
 
 
-def begin_all(arguments: argparse.Namespace, progress: "Progress") -> "tuple[Recording, Callable[[Corners], None], Together | None]":
-    """(Recording, what looks at its corners, see `checked`) of the arguments that `add_recordings` adds: one Recording of them all, each checked
+def load_and_check_recordings(
+    arguments: argparse.Namespace, progress: "Progress"
+) -> "tuple[Recording, Callable[[Corners], None], CombinedRecordings | None]":
+    """(Recording, what looks at its corners, see `check_recording`) of the arguments that `add_recordings` adds: one Recording of them all, each
+    checked
     by itself; and how they go together, None for one alone. What is shared and what is each one's own is printed.
 
     Raises RigError that names the likeliest mistake first, and for recordings that are not of one rig
     """
     if not arguments.further:
-        recording = loaded(arguments)
-        return recording, checked(recording, arguments.anyway), None
+        recording = load_recording(arguments)
+        return recording, check_recording(recording, arguments.anyway), None
     if arguments.mask is not None:
         raise RigError("--mask names frames of one recording; with several, mask them one by one (rig measure REC --mask FRAMES --out ..)")
-    from rig.recording.combined_recordings import by_instrument
-    from vision.combined_recordings import refuse, together
+    from rig.recording.combined_recordings import is_measured_by_instrument
+    from vision.combined_recordings import require_combinable, combine_recordings
 
-    every = [loaded(arguments, path) for path in (arguments.recording, *arguments.further)]
-    refuse(every)
+    every = [load_recording(arguments, path) for path in (arguments.recording, *arguments.further)]
+    require_combinable(every)
     for recording in every:
         _judge_files(recording, arguments.anyway)
-        corners = recording.corners if recording.corners is not None else some_corners(recording)
+        corners = recording.corners if recording.corners is not None else sample_corners(recording)
         if corners is not None:
-            from vision.checks import look
+            from vision.checks import find_corner_mistakes as look
 
-            judge(look(recording, corners), arguments.anyway)
-    found = together(every, progress)
+            report_mistakes(look(recording, corners), arguments.anyway)
+    found = combine_recordings(every, progress)
     progress.close()
     print("\n".join(found.lines()), flush=True)
     recording = found.recording
-    if by_instrument(recording):
+    if is_measured_by_instrument(recording):
         if recording.design.mechanism.kind in ("hexapod", "planar2"):
-            from calib.drift.instrument_displacement import placed
+            from calib.drift.instrument_displacement import remove_instrument_displacement
 
-            recording, places = placed(recording)
+            recording, places = remove_instrument_displacement(recording)
             print("\n".join(place.line(every[place.recording].name) for place in places) or "the instrument stands where it stood", flush=True)
         else:
             print("the instrument is taken to stand where it stood: of an arm that is not looked at", flush=True)
@@ -92,53 +95,53 @@ def begin_all(arguments: argparse.Namespace, progress: "Progress") -> "tuple[Rec
 
 def _judge_files(recording: "Recording", anyway: bool) -> None:
     """Judge what a recording's files and some of its images show."""
-    from rig.model.cube_quarter_turns import WORDS, turned
-    from rig.checks.recording_without_images import early
+    from rig.model.cube_quarter_turns import WORDS, quarter_turns
+    from rig.checks.recording_without_images import file_mistakes
 
-    judge(early(recording), anyway)
-    for name, quarters in turned(recording.design).items():
+    report_mistakes(file_mistakes(recording), anyway)
+    for name, quarters in quarter_turns(recording.design).items():
         print(f"{recording.folder}: cube {name} was taken off and put back, {WORDS[quarters]}; its place is known only to what that may do, so its "
               "markers hold no pose", flush=True)
     if recording.has_images and recording.corners is None and recording.design.targets:
-        from vision.checks.image_sample import misread
+        from vision.checks.image_sample import image_mistakes
 
-        judge(misread(recording), anyway)
+        report_mistakes(image_mistakes(recording), anyway)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
-        judge(of_poses(recording), anyway)
+        report_mistakes(pose_mistakes(recording), anyway)
 
 
-def some_corners(recording: "Recording") -> "Corners | None":
+def sample_corners(recording: "Recording") -> "Corners | None":
     """Corners read in some frames' images; None where there are none."""
     if not recording.has_images or not recording.design.targets:
         return None
-    from vision.checks.image_sample import read
+    from vision.checks.image_sample import read_image_sample
 
-    return read(recording)[0]
+    return read_image_sample(recording)[0]
 
 
-def of_poses(recording: "Recording") -> tuple[Mistake, ...]:
+def pose_mistakes(recording: "Recording") -> tuple[Mistake, ...]:
     """Mistakes that poses.csv and commands.csv show of each other."""
     if recording.poses is None or recording.commands is None:
         return ()
     kind = recording.design.mechanism.kind
     if kind == "arm":
-        from calib.checks import look
+        from calib.checks import find_arm_mistakes as look
 
         return look(recording)
     if kind != "hexapod":
         return ()
-    from rig.checks import in_order, platform_commands_and_poses
+    from rig.checks import sort_mistakes, platform_commands_and_poses
 
-    return in_order(
-        platform_commands_and_poses.mistakes(
-            platform_commands_and_poses.of(
-                recording, recording.poses.frame, recording.poses.T_base_platform, platform_commands_and_poses.written(recording)
+    return sort_mistakes(
+        platform_commands_and_poses.command_pose_mistakes(
+            platform_commands_and_poses.moves_of_recording(
+                recording, recording.poses.frame, recording.poses.T_base_platform, platform_commands_and_poses.written_pose_columns(recording)
             )
         )
     )
 
 
-def judge(mistakes: Iterable[Mistake], anyway: bool) -> None:
+def report_mistakes(mistakes: Iterable[Mistake], anyway: bool) -> None:
     """Print what is unlikely, first of all; raise RigError with all of it where one makes results meaningless and nobody said anyway."""
     mistakes = tuple(mistakes)
     if any(one.spoils for one in mistakes) and not anyway:

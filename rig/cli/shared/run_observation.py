@@ -11,20 +11,20 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.redundant_limb_checks import enough
+from calib.certify.redundant_limb_checks import has_six_limbs
 from calib.online.limb_vision_agreement import Disagreement
 from calib.online.live_limb_poses import LimbLive
 from calib.online.run_learning import Learner, Learnt, LimbWatch
 from rig.model import mechanisms
 from rig.driving.clock import Clock
-from rig.cli.online import said
+from rig.cli.online import change_sentence
 from rig.model.design import Design
 from rig.errors import NotConverged, RigError
 from rig.driving.run_journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
 from rig.model.mechanism_kinds import struts_of
 from rig.driving.operator_loop import Shot
-from rig.driving.run_steps import Step, distances
-from vision.reading.live_measurement import Live, Sight, told_by_limbs
+from rig.driving.run_steps import Step, step_distances
+from vision.reading.live_measurement import Live, Sight, sight_from_limbs
 from vision.reading.camera_and_marker_alarms import Alarm, Watch
 
 WAITING = 4  # frames that may wait to be measured before the run waits for them
@@ -93,12 +93,12 @@ class Looking:
         self.displays: list[Display] = []
         self.note: Callable[[str], None] = lambda text: None  # puts what is said on record; the operator's, once there is one
         self._watch = Watch(design)
-        self._limbs = LimbWatch(design) if enough(design) else None
+        self._limbs = LimbWatch(design) if has_six_limbs(design) else None
         self._read: np.ndarray | None = None
         self.source: LimbLive | None = None  # limbs whose poses stand for vision's
         self.withdraw: Callable[[LimbLive, int, str], None] = lambda source, frame, reason: None  # writes that they no longer do
         self._waiting: list[Alarm] = []  # jumps that vision has not confirmed
-        self._begun, self._done, self._way = clock.now(), 0, distances(planned, start)
+        self._begun, self._done, self._way = clock.now(), 0, step_distances(planned, start)
         speed = design.controller.max_speed.min() if design.controller else np.inf
         self._travel, self._planned = self._way / speed, planned
         frames = sum(step.frames for step in planned)
@@ -215,9 +215,9 @@ class Looking:
             return
         T, own, common = source.pose(lengths)
         learnt = None if self._learner is None else self._learner.learn(shot.commanded, T, own, common)
-        sight, alarms, live = told_by_limbs(shot.number, T, own + common @ common.T), list[Alarm](), self._live
+        sight, alarms, live = sight_from_limbs(shot.number, T, own + common @ common.T), list[Alarm](), self._live
         if learnt is not None:
-            self._waiting += [Alarm("jump", said(change, shot.number)) for change in learnt.changes]
+            self._waiting += [Alarm("jump", change_sentence(change, shot.number)) for change in learnt.changes]
         if live is not None and source.due(learnt is not None and (learnt.unsure or bool(learnt.changes))):
             seen, alarms = self._look(shot, live)
             if seen.T_base_platform is not None and seen.covariance is not None:
@@ -249,7 +249,7 @@ class Looking:
         learnt = None
         if self._learner is not None and sight.covariance is not None:
             learnt = self._learner.learn(shot.commanded, sight.T_base_platform, sight.covariance)
-            alarms += [Alarm("jump", said(change, shot.number)) for change in learnt.changes]
+            alarms += [Alarm("jump", change_sentence(change, shot.number)) for change in learnt.changes]
             if learnt.drift:
                 alarms.append(Alarm("drift", f"frame {shot.number}: poses have drifted from the calibration by {learnt.drift[0] * 1e3:.3f} mm and "
                                              f"{learnt.drift[1] * 1e3:.3f} mrad, beyond the tolerance"))
@@ -276,6 +276,6 @@ class Looking:
         try:
             if self._learner is not None:
                 return self._learner.expected(shot.commanded)
-            return mechanisms.of(mechanism).forward(shot.commanded, mechanism) if mechanism.kind == "hexapod" else None
+            return mechanisms.kinematics_of(mechanism).forward(shot.commanded, mechanism) if mechanism.kind == "hexapod" else None
         except NotConverged:
             return None

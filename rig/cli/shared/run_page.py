@@ -6,13 +6,13 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.report.scene_3d import fixed_parts, ring
+from calib.report.scene_3d import fixed_rig_lines, closed_outline
 from rig.cli.shared.run_observation import Looking, Seen, View
-from rig.cli.shared.run_verdict import judged
+from rig.cli.shared.run_verdict import run_verdict
 from rig.model.design import Camera, Design
 from rig.report.pages.run_page_server import PageServer
-from rig.model.pose import transform_points, vector
-from vision.jpeg_pictures import jpeg
+from rig.model.pose import transform_points, pose_to_vector
+from vision.jpeg_pictures import encode_jpeg
 from vision.targets import MarkerMap, marker_map
 
 LATEST = 400  # frames whose figures are shown
@@ -28,7 +28,7 @@ class Page:
         self._history: list[dict] = []
         self._shown: Seen | None = None
         self._markers = marker_map(self._design.without_stages()) if self._design.targets else None
-        self._fixed = fixed_parts(self._design, self._markers)
+        self._fixed = fixed_rig_lines(self._design, self._markers)
 
     def __enter__(self) -> "Page":
         return self
@@ -42,7 +42,7 @@ class Page:
         if view.seen is not None and view.seen is not self._shown:
             self._shown = view.seen
             self._history = [*self._history[1 - LATEST :], _figures(view.seen)]
-            images = {name: partial(jpeg, frame.image) for name, frame in view.seen.shot.frames.items()}
+            images = {name: partial(encode_jpeg, frame.image) for name, frame in view.seen.shot.frames.items()}
         self._server.show(partial(self._event, view, self._history), images)
 
     def close(self) -> None:
@@ -52,7 +52,7 @@ class Page:
         struts = [{"low": low * 1e3, "high": high * 1e3, "at": at * 1e3, "goal": goal * 1e3}
                   for (low, high), at, goal in zip(view.ranges.tolist(), view.lengths.tolist(), view.goal.tolist())]
         T = view.seen.sight.T_base_platform if view.seen is not None else None
-        return {"verdict": judged(view).tree(), "phase": view.phase, "frame": view.frame, "frames": view.frames, "step": view.step,
+        return {"verdict": run_verdict(view).tree(), "phase": view.phase, "frame": view.frame, "frames": view.frames, "step": view.step,
                 "steps": view.steps, "left": view.left if np.isfinite(view.left) else 0.0, "ended": view.ended, "struts": struts, "history": history,
                 "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in view.alarms],
                 "seen": None if view.seen is None else _seen(view.seen, self._design, self._markers),
@@ -74,7 +74,7 @@ def _seen(seen: Seen, design: Design, markers: MarkerMap | None) -> dict:
     def scaled(values: np.ndarray, scale: float) -> list[float]:
         return (np.asarray(values) * scale).tolist()
 
-    return {"frame": sight.frame, "reason": sight.reason, "delay": seen.delay, "pose": None if T is None else scaled(vector(T), 1e3),
+    return {"frame": sight.frame, "reason": sight.reason, "delay": seen.delay, "pose": None if T is None else scaled(pose_to_vector(T), 1e3),
             "sigma": None if sight.covariance is None else scaled(np.sqrt(np.diag(sight.covariance)), 1e6),
             "error": None if learnt is None else scaled(learnt.error, 1e6), "innovation": None if learnt is None else learnt.innovation,
             "cameras": [_camera(seen, i, camera, ids) for i, camera in enumerate(design.cameras) if camera.name in sight.detections]}
@@ -103,7 +103,7 @@ def _rig(design: Design, fixed: list[dict], markers: MarkerMap | None, T: RigidT
         top = T.apply(m.platform_joints)
         parts += [{"kind": "strut", "name": str(k), "points": [low.tolist(), high.tolist()]}
                   for k, (low, high) in enumerate(zip(m.base_joints, top), 1)]
-        parts += [{"kind": "plate", "points": around} for around in (ring(m.base_joints), ring(top))]
+        parts += [{"kind": "plate", "points": around} for around in (closed_outline(m.base_joints), closed_outline(top))]
         middle = (m.home.translation / 2).tolist()
     if markers is not None and T is not None:
         corners = transform_points(T, markers.corners[markers.on_platform].reshape(-1, 3))

@@ -5,10 +5,10 @@ from typing import TextIO
 
 import numpy as np
 
-from rig.cli.shared.terminal_safe_output import controls
+from rig.cli.shared.terminal_safe_output import unescaped_stream
 from rig.cli.shared.run_observation import Seen, View
-from rig.formats.printable_text import visible
-from rig.model.pose import vector
+from rig.formats.printable_text import escape_unprintable
+from rig.model.pose import pose_to_vector
 
 WIDTH = 30  # of a strut's bar
 
@@ -24,7 +24,7 @@ class Lines:
     def show(self, view: View) -> None:
         """A line for a new phase, a new pose, a new alarm."""
         if view.phase != self._phase and not view.phase.startswith(("settling", "exposed")):
-            left = f", {clock(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
+            left = f", {minutes_and_seconds(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
             self._print(f"[{view.frame}/{view.frames}] {view.phase}{left}")
         self._phase = view.phase
         if view.seen is not None and view.seen is not self._seen:
@@ -46,11 +46,11 @@ class Block:
     """A block of lines on a terminal that knows ANSI's movements."""
 
     def __init__(self, out: TextIO | None = None) -> None:
-        self._out, self._height = controls(out or sys.stdout), 0
+        self._out, self._height = unescaped_stream(out or sys.stdout), 0
 
     def show(self, view: View) -> None:
         """Draw the block anew over the one before."""
-        lines = [visible(line).replace("\n", "\\n") for line in block(view)]
+        lines = [escape_unprintable(line).replace("\n", "\\n") for line in view_lines(view)]
         up = f"\x1b[{self._height}A" if self._height else ""
         self._out.write(up + "".join(f"\x1b[2K{line}\n" for line in lines) + "\x1b[J")
         self._out.flush()
@@ -60,9 +60,9 @@ class Block:
         """Leave the block where it is."""
 
 
-def block(view: View) -> list[str]:
+def view_lines(view: View) -> list[str]:
     """Lines of the whole view."""
-    left = f", {clock(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
+    left = f", {minutes_and_seconds(view.left)} left" if np.isfinite(view.left) and view.left > 0 else ""
     lines = [f"frame {view.frame} of {view.frames}, step {view.step} of {view.steps}{left}", view.phase]
     for i, (length, goal, (low, high)) in enumerate(zip(view.lengths, view.goal, view.ranges), 1):
         at, to = (int(np.clip((value - low) / (high - low), 0, 1) * (WIDTH - 1)) for value in (length, goal))
@@ -80,7 +80,7 @@ def pose_lines(seen: Seen) -> list[str]:
                         + (f" {seen.rms[name]:.3f} px" if name in seen.rms else "") for name, d in sight.detections.items())
     if sight.T_base_platform is None:
         return [f"frame {sight.frame}: no pose: {sight.reason}", cameras]
-    v = vector(sight.T_base_platform)
+    v = pose_to_vector(sight.T_base_platform)
     position = " ".join(f"{value * 1e3:.3f}" for value in v[:3])
     turn = " ".join(f"{value * 1e3:.3f}" for value in v[3:])
     lines = [f"frame {sight.frame}: {position} mm, {turn} mrad"]
@@ -96,11 +96,11 @@ def pose_lines(seen: Seen) -> list[str]:
     return [*lines, cameras, f"{seen.delay:.2f} s after its exposure"]
 
 
-def clock(seconds: float) -> str:
+def minutes_and_seconds(seconds: float) -> str:
     """Minutes and seconds."""
     return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
 
 
-def terminal() -> Lines | Block:
+def terminal_display() -> Lines | Block:
     """What suits the standard output."""
     return Block() if sys.stdout.isatty() else Lines()

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared.output_options import Progress, print_unsolved
-from rig.cli.shared.unlearnt_frames import fresh_of, not_learnt
+from rig.cli.shared.unlearnt_frames import unlearnt_samples, unlearnt_frame_numbers
 from rig.errors import RigError
-from rig.formats.number_parsing import number
+from rig.formats.number_parsing import parse_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from calib.online.learners import Learner
-    from calib.report.online_page import Learnt
+    from calib.report.online_page import OnlineResult
     from calib.samples.recording_samples import Sampled
     from calib.files.calibration_file import Calibration
     from rig.recording.recording_folder import Recording
@@ -30,9 +30,9 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the choice of a learner, and each one's setting."""
     parser.add_argument("--learner", choices=(WATCHING, *SETTINGS), default=WATCHING, help="filter (the default) names what jumped; forgetting: "
                         "least squares that forget along what is told; drifting: parameters that wander; first-order: gradient steps, no covariance")
-    parser.add_argument("--kept", type=number, metavar="SHARE", help="of forgetting: share of what was known that a pose leaves (default 0.99)")
-    parser.add_argument("--drift", type=number, metavar="M", help="of drifting: how far a parameter wanders from pose to pose (default 1e-7 m)")
-    parser.add_argument("--step", type=number, metavar="M", help="of first-order: how far a parameter may have to go (default 1e-3 m)")
+    parser.add_argument("--kept", type=parse_number, metavar="SHARE", help="of forgetting: share of what was known that a pose leaves (default 0.99)")
+    parser.add_argument("--drift", type=parse_number, metavar="M", help="of drifting: how far a parameter wanders from pose to pose (default 1e-7 m)")
+    parser.add_argument("--step", type=parse_number, metavar="M", help="of first-order: how far a parameter may have to go (default 1e-3 m)")
 
 
 def refuse_settings(arguments: Namespace) -> None:
@@ -42,8 +42,8 @@ def refuse_settings(arguments: Namespace) -> None:
             raise RigError(f"--{setting} is of --learner {learner}, not of {arguments.learner}")
 
 
-def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sampled], calibration: Calibration | None, state: Path | None,
-           progress: Progress) -> tuple[Learnt, dict[str, Any]]:
+def learn_poses(arguments: Namespace, recording: Recording, sampled: Callable[[], Sampled], calibration: Calibration | None, state: Path | None,
+           progress: Progress) -> tuple[OnlineResult, dict[str, Any]]:
     """What a recording's poses taught one at a time, by the learner that is asked for, and what --json prints of it; it is said how well it expected
     them.
 
@@ -54,17 +54,17 @@ def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sam
 
     from calib.models.platform.identification import parameters
     from calib.online import learner_file
-    from calib.report.online_page import Learnt
+    from calib.report.online_page import OnlineResult
     from rig.model.mechanism_kinds import hexapod_of
-    from rig.recording.data_provenance import flat, marks
+    from rig.recording.data_provenance import marks_of_frames, content_marks
 
     refuse_settings(arguments)
     learner = _learner(arguments, recording, calibration)
-    of, before = marks(recording), learner.number
-    fresh = not_learnt(recording, of, learner.data)
+    of, before = content_marks(recording), learner.number
+    fresh = unlearnt_frame_numbers(recording, of, learner.data)
     found = sampled()
-    samples = fresh_of(found.samples, fresh, recording)
-    learner.data |= set(flat(of, fresh))
+    samples = unlearnt_samples(found.samples, fresh, recording)
+    learner.data |= set(marks_of_frames(of, fresh))
     commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
     errors = np.empty((len(samples), 6))
     for k, (x, T, C) in enumerate(zip(commands, samples.T_base_platform, samples.total_covariance())):
@@ -84,7 +84,7 @@ def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sam
     first, last = _quarters(errors)
     result = {"schema": "followed/1", "learner": arguments.learner, learner.SETTING: float(learner.setting), "poses": len(samples),
               "poses_before": before, "first_quarter": first, "last_quarter": last, "moved_rms_m": moved, "sigma_rms_m": sigma}
-    return Learnt(samples.frame, errors, found.source, (), (), sigma, moved), result
+    return OnlineResult(samples.frame, errors, found.source, (), (), sigma, moved), result
 
 
 def _learner(arguments: Namespace, recording: Recording, calibration: Calibration | None) -> Learner:

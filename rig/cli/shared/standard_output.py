@@ -30,14 +30,14 @@ class StandardOutput:
         except BrokenPipeError:
             if not self.writes_files():
                 raise
-            discard(self.stream)
+            discard_output(self.stream)
             self.closed_by_reader = True
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.stream, name)
 
 
-def discard(stream: TextIO) -> None:
+def discard_output(stream: TextIO) -> None:
     """Let everything that is printed to a stream from now on, what waits in its buffer included, go nowhere."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from typing import Any, TextIO, cast
 
-from rig.formats.printable_text import visible
+from rig.formats.printable_text import escape_unprintable
 
 
 class Escaped:
@@ -19,7 +19,7 @@ class Escaped:
 
     def write(self, text: str) -> int:
         """Print a text, escaped; its length."""
-        shown = visible(text)
+        shown = escape_unprintable(text)
         encoding = getattr(self.controls, "encoding", None) or "utf-8"
         self.controls.write(shown.encode(encoding, "backslashreplace").decode(encoding))
         return len(text)
@@ -29,17 +29,17 @@ class Escaped:
 
 
 @contextmanager
-def escaped() -> Iterator[None]:
+def escaped_output() -> Iterator[None]:
     """Within it standard output and error are Escaped; a process may have been started without them."""
     with ExitStack() as stack:
         if sys.stdout is not None:
-            stack.enter_context(redirect_stdout(cast(TextIO, Escaped(controls(sys.stdout)))))
+            stack.enter_context(redirect_stdout(cast(TextIO, Escaped(unescaped_stream(sys.stdout)))))
         if sys.stderr is not None:
-            stack.enter_context(redirect_stderr(cast(TextIO, Escaped(controls(sys.stderr)))))
+            stack.enter_context(redirect_stderr(cast(TextIO, Escaped(unescaped_stream(sys.stderr)))))
         yield
 
 
-def controls(stream: TextIO) -> TextIO:
+def unescaped_stream(stream: TextIO) -> TextIO:
     """The stream beneath an Escaped one, for displays that draw; any other as it is."""
     beneath: TextIO = getattr(stream, "controls", stream)
     return beneath

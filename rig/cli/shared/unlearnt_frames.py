@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from rig.recording.recording_folder import Recording
 
 
-def not_learnt(recording: Recording, of: Marks, learnt: set[str]) -> list[int]:
+def unlearnt_frame_numbers(recording: Recording, of: Marks, learnt: set[str]) -> list[int]:
     """Numbers of the frames whose data have not been learnt; how many have been is said. of : Marks of the recording; learnt : marks
 
     Raises RigError where none is left: what is learnt twice counts twice
     """
-    from rig.recording.data_provenance import shared
+    from rig.recording.data_provenance import frames_with_known_data
 
-    frames, again = recording.exposures.times()[0], shared(of, learnt)
+    frames, again = recording.exposures.times()[0], frames_with_known_data(of, learnt)
     if len(again) == len(of) > 0:
         raise RigError(f"all {len(of)} frames of {recording.folder} in which anything is seen have been learnt already; once more they would count "
                        "twice")
@@ -28,7 +28,7 @@ def not_learnt(recording: Recording, of: Marks, learnt: set[str]) -> list[int]:
     return [frame for frame in frames.tolist() if frame not in set(again)]
 
 
-def fresh_of(samples: Samples, fresh: list[int], recording: Recording) -> Samples:
+def unlearnt_samples(samples: Samples, fresh: list[int], recording: Recording) -> Samples:
     """The Samples of frames that have not been learnt. Raises RigError where none of these has a pose."""
     import numpy as np
 

@@ -14,37 +14,37 @@ if TYPE_CHECKING:
     from rig.effects.texts.user_effect_files import Plugin
 
 
-def argument(parser: ArgumentParser) -> None:
+def add_effects_option(parser: ArgumentParser) -> None:
     """Let a command take files of effects."""
     parser.add_argument("--effects", metavar="FILE.py", type=Path, action="append", default=[], help="a file with effects of your own, as "
                         "`rig effects --new` writes one; it is run; may be given again")
 
 
-def plugins(arguments: Namespace) -> tuple[Plugin, ...]:
+def load_effect_files(arguments: Namespace) -> tuple[Plugin, ...]:
     """The files that were named, read and checked. Raises FileError, with the line, for what is wrong with one."""
     if not arguments.effects:
         return ()
-    from rig.effects.texts.user_effect_files import load
+    from rig.effects.texts.user_effect_files import load_effect_file
 
-    return tuple(load(path) for path in arguments.effects)
+    return tuple(load_effect_file(path) for path in arguments.effects)
 
 
-def known(given: tuple[Plugin, ...]) -> Kinds:
+def known_effects(given: tuple[Plugin, ...]) -> Kinds:
     """{name: class} of all effects that there are with these files. Raises FileError for a name given twice."""
     if not given:
         from rig.effects.catalogue.effect_list import BY_NAME
 
         return BY_NAME
-    from rig.effects.texts.user_effect_files import catalogue
+    from rig.effects.texts.user_effect_files import catalogue_with_files
 
-    return catalogue(given)
+    return catalogue_with_files(given)
 
 
-def calibration(path: Path, given: tuple[Plugin, ...]) -> Calibration:
+def load_calibration(path: Path, given: tuple[Plugin, ...]) -> Calibration:
     """Calibration of a file, which may know effects of these files. Raises RigError where one is not as it was when the calibration was made."""
     from calib.files import calibration_file
 
-    found = calibration_file.load(path, known(given))
+    found = calibration_file.load(path, known_effects(given))
     hashes = found.provenance.get("inputs_sha256", {}).values()
     used = {effect.name for effect in found.physics.effects} if found.physics is not None else set()
     for plugin in given:

@@ -11,8 +11,8 @@ from typing import Any
 from rig.compute import dask_cluster
 from rig.cli.shared.output_options import Progress
 from rig.errors import RigError
-from rig.formats.number_parsing import whole
-from rig.compute.worker_processes import cores, end_waiting, workers
+from rig.formats.number_parsing import parse_whole_number
+from rig.compute.worker_processes import worker_count, end_child_processes, limit_workers
 
 MOST = 1024  # processes
 
@@ -20,13 +20,15 @@ MOST = 1024  # processes
 def add_workers(parser: ArgumentParser) -> None:
     """Let a command be told who works for it."""
     group = parser.add_argument_group("who does the work; results are the same to the last byte")
-    group.add_argument("--workers", "--jobs", dest="workers", type=whole, metavar="N", help="processes at a time on this computer (all cores)")
+    group.add_argument(
+        "--workers", "--jobs", dest="workers", type=parse_whole_number, metavar="N", help="processes at a time on this computer (all cores)"
+    )
     group.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster (tcp://HOST:PORT) whose workers have rig and see the same "
                        "folders: they read images, draw and diagnose; needs the extra rig[cluster]")
 
 
 @contextmanager
-def at_work(arguments: Namespace) -> Iterator[None]:
+def workers_at_work(arguments: Namespace) -> Iterator[None]:
     """Within it those work whom `add_workers` was told of; products of matrices take one thread, so that who works does not change how they are
     rounded. Raises RigError for a number of workers that cannot be, and what `cluster` raises
     """
@@ -36,29 +38,29 @@ def at_work(arguments: Namespace) -> Iterator[None]:
     import scipy.linalg  # noqa: F401  libraries are limited once they are loaded
     from threadpoolctl import threadpool_limits
 
-    with workers(arguments.workers), dask_cluster.cluster(arguments.scheduler), threadpool_limits(1):
+    with limit_workers(arguments.workers), dask_cluster.use_cluster(arguments.scheduler), threadpool_limits(1):
         yield
 
 
 @contextmanager
-def pool() -> Iterator[Any]:
+def worker_pool() -> Iterator[Any]:
     """What runs calls at the same time: threads that wait for processes here, or the cluster. At its end what has not begun is dropped."""
-    there = dask_cluster.at_work()
+    there = dask_cluster.current_cluster()
     if there is not None:
         yield there.executor()
         return
-    threads = ThreadPoolExecutor(cores())
+    threads = ThreadPoolExecutor(worker_count())
     try:
         yield threads
     except BaseException:
         threads.shutdown(wait=False, cancel_futures=True)
-        end_waiting()
+        end_child_processes()
         raise
     else:
         threads.shutdown(wait=False, cancel_futures=True)
 
 
-def each(threads: Any, function: Callable, calls: list, label: str) -> Iterator[Any]:
+def results_with_progress(threads: Any, function: Callable, calls: list, label: str) -> Iterator[Any]:
     """Results of calls of a function as they come, with progress on standard error. Raises what a call raises."""
     progress, start = Progress(), time.monotonic()
     waiting = [threads.submit(function, *call) for call in calls]

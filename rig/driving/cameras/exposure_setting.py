@@ -14,7 +14,7 @@ STEPS = 8  # of setting and looking
 RANGE = (1e-5, 1.0)  # s
 
 
-def expose_well(source: Source, white: Callable[[np.ndarray], tuple[float, float]], start: float) -> tuple[float, float]:
+def set_exposure_for_markers(source: Source, white: Callable[[np.ndarray], tuple[float, float]], start: float) -> tuple[float, float]:
     """Set a camera's exposure so that markers do not clip; returns (exposure s, level of white of 255).
 
     white : (image) -> (level of the markers' white, of 255; share of their pixels that clip); start : s

@@ -11,7 +11,7 @@ VALUE = r"(\([a-z]+\))?[A-Za-z0-9_.:/+-]+"
 CAPS = re.compile(rf"(video|image)/[a-z0-9.+-]+(\(memory:[A-Za-z]+\))?(\s*,\s*[a-z-]+\s*=\s*{VALUE})*")
 
 
-def complaint(pipeline: str) -> str | None:
+def pipeline_complaint(pipeline: str) -> str | None:
     """Why a pipeline is refused, in words that follow its name; None for one that only reads, decodes and converts, and ends in appsink.
 
     Elements are known by name, settings are NAME=VALUE without quotes or blanks, what is asked of the video is as video/x-raw,width=640

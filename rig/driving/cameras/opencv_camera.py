@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rig.driving.cameras.clock_offset import UNIFORM, Offset
 from rig.driving.cameras.camera_interface import CameraError, Frame
 from rig.driving.clock import Clock
-from rig.driving.cameras.gstreamer_pipelines import complaint
+from rig.driving.cameras.gstreamer_pipelines import pipeline_complaint
 
 if TYPE_CHECKING:
     import numpy as np
@@ -101,7 +101,7 @@ def open_video(name: str, kind: str, place: str, clock: Clock, size: tuple[int, 
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
     else:
-        wrong = complaint(place)
+        wrong = pipeline_complaint(place)
         if wrong is not None:
             raise CameraError(f"camera {name!r}: gstreamer:{place} {wrong}")
         if cv2.CAP_GSTREAMER not in cv2.videoio_registry.getBackends():

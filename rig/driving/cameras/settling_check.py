@@ -44,7 +44,7 @@ class Settling:
             raise ValueError(f"settling by {self.by} takes {self.by} to look at")
 
 
-def settling(text: str) -> Settling:
+def parse_settling(text: str) -> Settling:
     """Settling of "time:SECONDS", "images" or "limbs:METRES". Raises RigError for anything else."""
     by, _, amount = text.partition(":")
     try:
@@ -56,7 +56,7 @@ def settling(text: str) -> Settling:
     return Settling(by, value)
 
 
-def changed(a: np.ndarray, b: np.ndarray) -> float:
+def image_difference(a: np.ndarray, b: np.ndarray) -> float:
     """How much two images (height, width[, 3]) of a camera differ beyond noise, in what noise would come to at most: above 1 it moved."""
     difference = np.abs(_blocks(a) - _blocks(b))
     noise = min(float(np.median(difference)) / 0.6745, LARGEST_NOISE)
@@ -75,7 +75,7 @@ def _by_images(clock: Clock, images: Callable[[], list[np.ndarray]]) -> None:
     start, before, still = clock.now(), images(), 0
     while still < PAIRS:
         now = images()
-        most = max(changed(a, b) for a, b in zip(before, now))
+        most = max(image_difference(a, b) for a, b in zip(before, now))
         still, before = still + 1 if most <= 1 else 0, now
         if clock.now() - start > MOST and still < PAIRS:
             raise NotSettled(f"images still change after {MOST:g} s, {most:.1f} times what noise comes to: does the platform move, or the light?")

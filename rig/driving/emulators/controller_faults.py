@@ -40,7 +40,7 @@ class Order:
     rate: float | None
 
 
-def parse(text: str) -> tuple[Order, ...]:
+def parse_faults(text: str) -> tuple[Order, ...]:
     """Orders of `KIND` (once) or `KIND:RATE` (chance per move); KIND `all` shares the rate among all kinds. Raises RigError."""
     kind, _, rate = text.partition(":")
     try:

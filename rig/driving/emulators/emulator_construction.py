@@ -18,7 +18,7 @@ from rig.model.mechanism_kinds import hexapod_of, struts_of
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 
 
-def of(design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = None, speed: float = 1.0) -> Emulator:
+def emulator_of_design(design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = None, speed: float = 1.0) -> Emulator:
     """The Emulator of a design's controller.
 
     start : (n,) m, lengths at first, by default those after homing; speed : factor on the struts' speed. Raises RigError for a start

@@ -136,7 +136,7 @@ class LinuxCNC(Emulator):
             target = values / MM
         else:
             pose = RigidTransform.from_components(values[:3] / MM, Rotation.from_euler("xyz", values[3:], degrees=True))
-            target = mechanisms.of(self.hexapod).inverse(pose, self.hexapod) - self.machine.zero
+            target = mechanisms.kinematics_of(self.hexapod).inverse(pose, self.hexapod) - self.machine.zero
         low, high = self.limits.T
         if ((target < low - 1e-9) | (target > high + 1e-9)).any():
             self._errors.append("Linear move in MDI would exceed a joint's limit")

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.errors import ControllerFault, NoAnswer
-from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Segment, State, Verdict, ask
+from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Segment, State, Verdict, query
 
 MM = 1e3
 INCH = 25.4  # mm
@@ -61,7 +61,7 @@ class GrblHAL:
         self._homing = False
 
     def hello(self) -> Dialogue[str]:
-        report = _STATUS.search((yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None))[-1])
+        report = _STATUS.search((yield from query(b"?", lambda lines: _STATUS.search(lines[-1]) is not None))[-1])
         if report is not None and report[1].split(":")[0] in _DEAF:
             raise ControllerFault(f"the controller is held and takes nothing ({report[0]}): see why, then rig stop drops what is held")
         build = yield from _told(b"$I\n", patience=STANDS)
@@ -92,7 +92,7 @@ class GrblHAL:
 
     def state(self) -> Dialogue[State]:
         for _ in range(40):  # the work offset comes with every 30th report, at the latest
-            lines = yield from ask(b"?", lambda lines: self._read(lines[-1]) is not None)
+            lines = yield from query(b"?", lambda lines: self._read(lines[-1]) is not None)
             state = self._read(lines[-1])
             if state is not None and state.positions is not None:
                 return state
@@ -132,7 +132,7 @@ class GrblHAL:
         yield Exchange(b"!", lambda lines: False, 0.0)
         for _ in range(int(HOLD / 0.05) if word != "Home" else 0):
             try:
-                lines = yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *ASKED)
+                lines = yield from query(b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *ASKED)
             except NoAnswer:
                 break
             status = _STATUS.search(lines[-1])
@@ -216,7 +216,7 @@ def _told(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[
     locked : error:9 will do; patience : s for which it is asked again where the axes still move (error:8), as whoever came before told them
     """
     for _ in range(1 + int(patience / AGAIN)):
-        lines = yield from ask(data, lambda lines: _END.fullmatch(lines[-1].strip()) is not None)
+        lines = yield from query(data, lambda lines: _END.fullmatch(lines[-1].strip()) is not None)
         end = lines[-1].strip()
         if end != "error:8":
             break
@@ -228,7 +228,7 @@ def _told(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[
 
 def _modes() -> Dialogue[set[str]]:
     """The words of what it takes for granted: units, distances, feed."""
-    lines = yield from ask(b"$G\n", _after("[GC:"))
+    lines = yield from query(b"$G\n", _after("[GC:"))
     return {*next(line for line in lines if line.startswith("[GC:"))[4:].strip().rstrip("]").split()}
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.errors import ControllerFault, NoAnswer
-from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Lines, Segment, State, Verdict, ask
+from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Lines, Segment, State, Verdict, query
 
 CLIENT = "rig 1.0"
 UNITS = {"MM": 1e3, "INCH": 1 / 0.0254, "CM": 1e2}  # of a metre
@@ -135,7 +135,7 @@ class LinuxCNC:
 
     def _greet(self) -> Dialogue[str]:
         """The server's name and version; a greeting may be said again, and whatever was sent before has been dealt with then."""
-        lines = yield from ask(f"HELLO {self._password} {CLIENT}\r\n".encode(),
+        lines = yield from query(f"HELLO {self._password} {CLIENT}\r\n".encode(),
                                lambda lines: lines[-1].strip().startswith(("HELLO ACK", "HELLO NAK")))
         if lines[-1].strip().startswith("HELLO NAK"):
             raise ControllerFault("the controller refuses the greeting; is [controller] password right?")
@@ -145,7 +145,7 @@ class LinuxCNC:
         """What a question is answered with, without its word and in capitals where it is one word. Raises NoAnswer, ControllerFault."""
         whole = re.compile(rf"{word} (?:{pattern})", re.IGNORECASE)
         refused = f"GET {word} NAK"
-        lines = yield from ask(f"GET {word}\r\n".encode(), _either(lambda line: whole.fullmatch(line)
+        lines = yield from query(f"GET {word}\r\n".encode(), _either(lambda line: whole.fullmatch(line)
                                                                    or line.upper().startswith((refused, "GET NAK"))))
         answer = lines[-1].strip()
         if answer.upper().startswith((refused, "GET NAK")):

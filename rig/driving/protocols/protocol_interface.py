@@ -99,7 +99,7 @@ class Protocol(Interface):
         """What a line says that nobody asked for: "restarted", an alarm or an error in words, or "" for nothing."""
 
 
-def ask(data: bytes, complete: Callable[[Sequence[str]], bool], timeout: float | None = None, tries: int = TRIES) -> Dialogue[tuple[str, ...]]:
+def query(data: bytes, complete: Callable[[Sequence[str]], bool], timeout: float | None = None, tries: int = TRIES) -> Dialogue[tuple[str, ...]]:
     """The lines that answer a question which moves nothing, asked again where no answer comes. Raises NoAnswer with the question."""
     for _ in range(tries):
         lines = yield Exchange(data, complete, timeout)

@@ -6,8 +6,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, travel
-from rig.effects.framework.random_effects import Drawing, number
+from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.random_effects import Drawing, draw_number
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +34,14 @@ class AxisCoupling(Effect):
 
     def covariate(self, motion: Motion) -> Covariate:
         other = int(self.other) - 1
-        return travel(np.repeat(motion.stroke[:, [other]], len(motion.places), axis=1), motion, f"stroke of {motion.places[other]} from home")
+        return travel_covariate(
+            np.repeat(motion.stroke[:, [other]], len(motion.places), axis=1), motion, f"stroke of {motion.places[other]} from home"
+        )
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         others = [float(i + 1) for i, other in enumerate(drawing.motion.places) if other != place]
-        return cls(place, number(cls.parameters[0], drawing, rng), float(rng.choice(others)))
+        return cls(place, draw_number(cls.parameters[0], drawing, rng), float(rng.choice(others)))
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:

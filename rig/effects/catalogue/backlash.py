@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, travel
-from rig.effects.framework.play_operator import behind
+from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.play_operator import play_deviation
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Backlash(Effect):
         return self.gap
 
     def deviation(self, motion: Motion) -> np.ndarray:
-        return self.axes(motion.places) * behind(motion, self.gap / 2)
+        return self.axes(motion.places) * play_deviation(motion, self.gap / 2)
 
     def covariate(self, motion: Motion) -> Covariate:
-        return travel(motion.path.since_reversal, motion, "travel since the last reversal (negative: inward)")
+        return travel_covariate(motion.path.since_reversal, motion, "travel since the last reversal (negative: inward)")

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, temperature
+from rig.effects.framework.covariate import Covariate, temperature_covariate
 from rig.errors import RigError
 
 AMBIENT = "ambient_temperature_C"
@@ -41,7 +41,7 @@ class BaseExpansion(Effect):
         return np.linalg.norm(tips - base, axis=2) - moved
 
     def covariate(self, motion: Motion) -> Covariate:
-        return temperature(motion.channel(AMBIENT), "the room")
+        return temperature_covariate(motion.channel(AMBIENT), "the room")
 
     @classmethod
     def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, travel
+from rig.effects.framework.covariate import Covariate, travel_covariate
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,4 +28,4 @@ class ClockDrift(Effect):
         return t * (1 + self.rate)
 
     def covariate(self, motion: Motion) -> Covariate:
-        return travel(motion.path.speed * motion.t[:, None], motion, "speed times time")
+        return travel_covariate(motion.path.speed * motion.t[:, None], motion, "speed times time")

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.linalg import qr
 
 from rig.effects.framework.effect import Candidate, Context, Effect, Linear, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, load
-from rig.effects.framework.random_effects import Drawing, log_uniform, value
+from rig.effects.framework.covariate import Covariate, load_covariate
+from rig.effects.framework.random_effects import Drawing, log_uniform, draw_parameter
 from rig.effects.framework.place_names import kind_of
 from rig.errors import RigError
 
@@ -59,7 +59,7 @@ class Compliance(Effect):
     def covariate(self, motion: Motion) -> Covariate:
         if self.moments:
             return super(Compliance, self).covariate(motion)
-        return load(motion.loads(), motion, "{unit} (positive: the {axis} pushes)")
+        return load_covariate(motion.loads(), motion, "{unit} (positive: the {axis} pushes)")
 
     def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
         if self.moments:
@@ -98,7 +98,7 @@ class Compliance(Effect):
         links = drawing.motion.links().shape[2] // 4
         mass = LIGHTER ** np.arange(links) * log_uniform(rng, *HEAVIEST)
         moments = mass[:, None] * np.column_stack([np.ones(links), rng.uniform(-OFF_CENTRE, OFF_CENTRE, (links, 3))])
-        stiffness = value(cls.parameters_at(place)[0], drawing, rng)
+        stiffness = draw_parameter(cls.parameters_at(place)[0], drawing, rng)
         return cls(place, moments=tuple((moments / stiffness).ravel().tolist()))
 
     @classmethod

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Motion, Parameter
-from rig.effects.catalogue.servo_lag import lagging
+from rig.effects.catalogue.servo_lag import lagged_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,5 +25,5 @@ class Creep(Effect):
 
     def deviation(self, motion: Motion) -> np.ndarray:
         path = motion.path
-        late = motion.once(("late", self.time_constant), lambda: (path.lengths - lagging(path, self.time_constant))[path.at])
+        late = motion.once(("late", self.time_constant), lambda: (path.lengths - lagged_path(path, self.time_constant))[path.at])
         return -self.axes(motion.places) * self.fraction * late

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Parameter
-from rig.effects.framework.marker_displacement import moved
+from rig.effects.framework.marker_displacement import displace_markers
 from rig.model.pose import exp
 
 
@@ -27,4 +27,4 @@ class FaceMisplacement(Effect):
 
     def attach(self, markers: Any) -> Any:
         rows = np.array([self.at(f"marker {number}") for number in markers.id])
-        return replace(markers, T_body_marker=moved(markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])))
+        return replace(markers, T_body_marker=displace_markers(markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])))

@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, travel
-from rig.effects.framework.play_operator import behind
+from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.play_operator import play_deviation
 
 PLAYS = 8  # operators that stand for the continuum
 
@@ -32,8 +32,8 @@ class Hysteresis(Effect):
 
     def deviation(self, motion: Motion) -> np.ndarray:
         halves = self.range * (np.arange(PLAYS) + 0.5) / PLAYS
-        lag = motion.once(("loops", self.range), lambda: np.mean([behind(motion, half) for half in halves], axis=0))
+        lag = motion.once(("loops", self.range), lambda: np.mean([play_deviation(motion, half) for half in halves], axis=0))
         return self.axes(motion.places) * self.weight * lag
 
     def covariate(self, motion: Motion) -> Covariate:
-        return travel(motion.path.since_reversal, motion, "travel since the last reversal (negative: inward)")
+        return travel_covariate(motion.path.since_reversal, motion, "travel since the last reversal (negative: inward)")

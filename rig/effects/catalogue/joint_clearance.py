@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
 from rig.effects.catalogue.compliance import by_links, distinct
-from rig.effects.framework.covariate import Covariate, load
+from rig.effects.framework.covariate import Covariate, load_covariate
 from rig.errors import RigError
 
 NOTHING = 1e-9  # of the greatest load; less is rounding, and pushes to neither side
@@ -46,7 +46,7 @@ class JointClearance(Effect):
         return -self.axes(motion.places) * self.gap / 2 * side
 
     def covariate(self, motion: Motion) -> Covariate:
-        return load(self._load(motion), motion, "{unit} (positive: the {axis} pushes)" if self.moment < 0 else "of one kg or kg m")
+        return load_covariate(self._load(motion), motion, "{unit} (positive: the {axis} pushes)" if self.moment < 0 else "of one kg or kg m")
 
     def _load(self, motion: Motion) -> np.ndarray:
         return motion.loads() if self.moment < 0 else motion.links()[:, :, int(self.moment)]

@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.effects.framework.effect import Effect, Parameter
 from rig.effects.framework.random_effects import Drawing
-from rig.effects.framework.marker_displacement import moved
+from rig.effects.framework.marker_displacement import displace_markers
 from rig.model.pose import exp
 
 
@@ -44,6 +44,6 @@ class MarkerSwap(Effect):
         order, both = np.arange(len(markers.id)), min(len(a), len(b))  # a print of a cube that was put back turned has a row for each seat
         order[a[:both]], order[b[:both]] = b[:both], a[:both]
         spin = exp(np.r_[np.zeros(5), int(self.turn) * np.pi / 2])
-        poses = moved(markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin)
+        poses = displace_markers(markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin)
         return replace(markers, T_body_marker=poses, on_platform=markers.on_platform[order], target=[markers.target[k] for k in order],
                        stage=markers.stage[order])

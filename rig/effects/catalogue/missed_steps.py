@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, in_time
+from rig.effects.framework.covariate import Covariate, time_covariate
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,4 +31,4 @@ class MissedSteps(Effect):
         return self.axes(motion.places) * self.jump * (motion.t >= self.time)[:, None]
 
     def covariate(self, motion: Motion) -> Covariate:
-        return in_time(motion)
+        return time_covariate(motion)

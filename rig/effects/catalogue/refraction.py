@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.model.design import Camera
 from rig.effects.framework.effect import Candidate, Context, Effect, Parameter
-from rig.effects.framework.random_effects import Drawing, number
+from rig.effects.framework.random_effects import Drawing, draw_number
 
 INDEX = 1.5  # of the window's glass against air
 SQUARE, MOST = 0.5, np.radians(45)  # of drawn windows: share that is not tilted, greatest tilt of the others
@@ -67,7 +67,7 @@ class Refraction(Effect):
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
-        thickness = number(cls.parameters[0], drawing, rng)
+        thickness = draw_number(cls.parameters[0], drawing, rng)
         if rng.random() < SQUARE:
             return cls(place, thickness)
         tilt, toward = rng.uniform(0, MOST), rng.uniform(0, 2 * np.pi)

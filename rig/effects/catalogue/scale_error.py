@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, travel
+from rig.effects.framework.covariate import Covariate, travel_covariate
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,4 +30,4 @@ class ScaleError(Effect):
         return self.axes(motion.places) * self.scale * motion.stroke
 
     def covariate(self, motion: Motion) -> Covariate:
-        return travel(motion.stroke, motion, "stroke from home")
+        return travel_covariate(motion.stroke, motion, "stroke from home")

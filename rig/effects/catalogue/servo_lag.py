@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Motion, Parameter, Path
-from rig.effects.framework.covariate import Covariate, travel
+from rig.effects.framework.covariate import Covariate, travel_covariate
 from rig.compute.numba_kernels import njit
 
 AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot
@@ -31,18 +31,18 @@ class ServoLag(Effect):
         if self.time_constant <= 0:
             return path
         path = path.with_knots((path.t[:, None] + AFTER * self.time_constant).ravel())
-        return replace(path, lengths=np.where(self.axes(places) > 0, lagging(path, self.time_constant), path.lengths))
+        return replace(path, lengths=np.where(self.axes(places) > 0, lagged_path(path, self.time_constant), path.lengths))
 
     def covariate(self, motion: Motion) -> Covariate:
-        return travel(motion.path.speed, motion, "speed of the axis", "/s")
+        return travel_covariate(motion.path.speed, motion, "speed of the axis", "/s")
 
 
-def lagging(path: Path, time_constant: float) -> np.ndarray:
-    """(m, axes) m or rad: the `lag` of a path at its knots."""
-    return path.walked(lambda t, lengths: lag(t, lengths, time_constant))
+def lagged_path(path: Path, time_constant: float) -> np.ndarray:
+    """(m, axes) m or rad: the `first_order_lag` of a path at its knots."""
+    return path.walked(lambda t, lengths: first_order_lag(t, lengths, time_constant))
 
 
-def lag(t: np.ndarray, x: np.ndarray, time_constant: float) -> np.ndarray:
+def first_order_lag(t: np.ndarray, x: np.ndarray, time_constant: float) -> np.ndarray:
     """(m, axes) first-order lag of x (m, axes), linear between knots t (m,); it starts at rest, y = x. Exact at the knots."""
     return _lag(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(x, dtype=float), float(time_constant))
 

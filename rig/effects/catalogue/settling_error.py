@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, travel
+from rig.effects.framework.covariate import Covariate, travel_covariate
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,4 +26,4 @@ class SettlingError(Effect):
         return -self.axes(motion.places) * self.fraction * motion.once(("last step",), lambda: motion.path.last_step)
 
     def covariate(self, motion: Motion) -> Covariate:
-        return travel(motion.path.last_step, motion, "last step")
+        return travel_covariate(motion.path.last_step, motion, "last step")

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, temperature
+from rig.effects.framework.covariate import Covariate, temperature_covariate
 
 AMBIENT = "ambient_temperature_C"
 
@@ -41,7 +41,7 @@ class ThermalExpansion(Effect):
 
     def covariate(self, motion: Motion) -> Covariate:
         warm = [motion.channel(*_channels(place)) if self.at(place) else np.zeros(len(motion.t)) for place in motion.places]
-        return temperature(np.stack(warm, axis=1), f"the {motion.kind.AXIS}")
+        return temperature_covariate(np.stack(warm, axis=1), f"the {motion.kind.AXIS}")
 
     @classmethod
     def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, travel
+from rig.effects.framework.covariate import Covariate, travel_covariate
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class TimeOffset(Effect):
         return t + self.offset * (np.asarray(t) >= self.since)
 
     def covariate(self, motion: Motion) -> Covariate:
-        return travel(motion.path.speed, motion, "speed of the axis", "/s")
+        return travel_covariate(motion.path.speed, motion, "speed of the axis", "/s")
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:

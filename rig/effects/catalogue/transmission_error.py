@@ -7,9 +7,9 @@ import numpy as np
 import scipy
 
 from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, travel
+from rig.effects.framework.covariate import Covariate, travel_covariate
 from rig.effects.framework.random_effects import Drawing, log_uniform
-from rig.effects.framework.parameter_grid import step
+from rig.effects.framework.parameter_grid import derivative_step
 from rig.effects.framework.place_names import kind_of
 
 KNOTS = (5, 9, 14)  # of a strut's profile, or a slide's
@@ -55,7 +55,7 @@ class TransmissionError(Effect):
         return out
 
     def covariate(self, motion: Motion) -> Covariate:
-        return travel(motion.stroke, motion, "stroke from home")
+        return travel_covariate(motion.stroke, motion, "stroke from home")
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
@@ -76,7 +76,7 @@ class TransmissionError(Effect):
 
     @classmethod
     def _of(cls, place: str, node: dict, p: Parameter) -> Candidate:
-        return Candidate(cls, place, [node], [Linear(p.name, j, step(p)) for j in range(node[COUNT])], f"{node[COUNT]} knots")
+        return Candidate(cls, place, [node], [Linear(p.name, j, derivative_step(p)) for j in range(node[COUNT])], f"{node[COUNT]} knots")
 
     @classmethod
     def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:

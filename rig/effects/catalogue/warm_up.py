@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Motion, Parameter
-from rig.effects.framework.covariate import Covariate, in_time
+from rig.effects.framework.covariate import Covariate, time_covariate
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,4 +30,4 @@ class WarmUp(Effect):
         return self.axes(motion.places) * self.amplitude * (1 - np.exp(-elapsed / self.time_constant))[:, None]
 
     def covariate(self, motion: Motion) -> Covariate:
-        return in_time(motion)
+        return time_covariate(motion)

@@ -17,14 +17,14 @@ class Covariate:
     label: str
 
 
-def travel(values: np.ndarray, motion: Motion, what: str, per: str = "") -> Covariate:
+def travel_covariate(values: np.ndarray, motion: Motion, what: str, per: str = "") -> Covariate:
     """Covariate of values (n, axes) in the unit of the axes' travel (m or rad), times what `per` says."""
     scale = np.array([DRAWN[unit][0] for unit in motion.units])
     words = " or ".join(dict.fromkeys(DRAWN[unit][1] for unit in motion.units))
     return Covariate(values * scale, f"{what}, {words}{per}")
 
 
-def load(values: np.ndarray, motion: Motion, what: str) -> Covariate:
+def load_covariate(values: np.ndarray, motion: Motion, what: str) -> Covariate:
     """Covariate of what the axes bear, values (n, axes) N or N m. what : whose load it is, in words"""
     kind = motion.kind
     per = {"m": ("force", "N"), "rad": ("torque", "N m")}
@@ -32,11 +32,11 @@ def load(values: np.ndarray, motion: Motion, what: str) -> Covariate:
     return Covariate(values, f"{' or '.join(names)}, {what.format(unit=' or '.join(units), axis=kind.AXIS)}")
 
 
-def in_time(motion: Motion) -> Covariate:
+def time_covariate(motion: Motion) -> Covariate:
     """Time from the first exposure on."""
     return Covariate((motion.t - motion.t[0]) / 60, "time, min")
 
 
-def temperature(values: np.ndarray, of: str) -> Covariate:
+def temperature_covariate(values: np.ndarray, of: str) -> Covariate:
     """Temperatures (n,) or (n, axes) in degrees Celsius."""
     return Covariate(values, f"temperature of {of}, °C")

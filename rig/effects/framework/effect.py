@@ -16,11 +16,11 @@ from rig.model.design import Camera
 from rig.effects.framework.search_candidate import COUNT, QUADRATURE, Candidate, Linear
 from rig.effects.framework.recording_context import Context
 from rig.effects.framework.covariate import Covariate
-from rig.effects.framework.random_effects import Drawing, value
-from rig.effects.framework.parameter_grid import grid, step
+from rig.effects.framework.random_effects import Drawing, draw_parameter
+from rig.effects.framework.parameter_grid import parameter_grid, derivative_step
 from rig.effects.framework.machine_motion import SOON, Motion, Path
 from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.place_names import AXES, axis_word, kind_of, sits, takes_in
+from rig.effects.framework.place_names import AXES, axis_word, kind_of, axis_mask, includes_place
 from rig.errors import RigError
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
@@ -198,7 +198,7 @@ class Effect:
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         """Candidates at a place: by default every linear parameter a column, and a grid of what its roles leave to be searched."""
         parameters = [p.at(place) for p in cls.parameters]
-        grids = {p.name: grid(p, context.t) for p in parameters if p.role in ("size", "log", "even", "moment")}
+        grids = {p.name: parameter_grid(p, context.t) for p in parameters if p.role in ("size", "log", "even", "moment")}
         nodes = [dict(zip(grids, values)) for values in product(*grids.values())]
         return [Candidate(cls, place, nodes, cls.linear(place), extra=len(grids))]
 
@@ -206,8 +206,15 @@ class Effect:
     def linear(cls, place: str) -> list[Linear]:
         """The columns of the model at a place: its linear and inverse parameters, and the quadrature of a phase."""
         parameters = [p.at(place) for p in cls.parameters]
-        columns = [Linear(p.name, None if p.size == 1 else j, step(p)) for p in parameters if p.role in ("linear", "inverse") for j in range(p.size)]
-        return columns + [Linear(QUADRATURE, None, step(next(q for q in parameters if q.role == "linear"))) for p in parameters if p.role == "phase"]
+        columns = [
+            Linear(p.name, None if p.size == 1 else j, derivative_step(p))
+            for p in parameters
+            if p.role in ("linear", "inverse")
+            for j in range(p.size)
+        ]
+        return columns + [
+            Linear(QUADRATURE, None, derivative_step(next(q for q in parameters if q.role == "linear"))) for p in parameters if p.role == "phase"
+        ]
 
     @classmethod
     def composed(cls, candidate: Candidate, node: dict, coefficients: np.ndarray) -> "Effect":
@@ -248,7 +255,7 @@ class Effect:
             default = getattr(cls(place), p.name)
             if p.role == "choice" or p.size == 0 or (p.role == "moment" and np.isinf(default) and rng.random() >= SELDOM):
                 continue
-            values[p.name] = value(p, drawing, rng)
+            values[p.name] = draw_parameter(p, drawing, rng)
         return cls(place, **values)
 
     @classmethod
@@ -287,13 +294,13 @@ class Effect:
 
     def at(self, kind: str) -> bool:
         """Whether this effect sits at a place "kind name"; "rig", "cameras" and "markers" take in all of their kind."""
-        return takes_in(self.place, kind)
+        return includes_place(self.place, kind)
 
     def axes(self, places: tuple[str, ...]) -> np.ndarray:
         """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis that the machine does not have."""
         if kind_of(self.place) in AXES and self.place not in places:
             raise RigError(f"{self.name} sits at {self.place}, and the machine's axes are {places[0]} to {places[-1]}")
-        return sits(self.place, places).copy()
+        return axis_mask(self.place, places).copy()
 
 
 __all__ = ["AXES", "COUNT", "MOTION_STAGES", "QUADRATURE", "REFERENCE_TEMPERATURE", "SOON", "Candidate", "Context", "Covariate", "Effect", "Linear",

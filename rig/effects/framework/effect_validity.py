@@ -5,20 +5,20 @@ import re
 import numpy as np
 
 from rig.effects.framework.effect import AXES, Effect
-from rig.effects.framework.place_names import NUMBER, kind_of, staged
+from rig.effects.framework.place_names import NUMBER, kind_of, split_stage
 from rig.formats.checked_entries import NAME
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 
 MOST = 1000  # numbers of a parameter of any length
 
 
-def check(effect: Effect) -> Effect:
+def check_effect(effect: Effect) -> Effect:
     """The effect itself. Raises ValueError for a place it cannot sit at or a parameter out of bounds."""
     kind = kind_of(effect.place)
     if kind not in effect.places and not ("axis" in effect.places and kind in AXES):
         raise ValueError(f"{effect.name} cannot sit at {effect.place!r}; it takes {', '.join(effect.places)}")
     name = {**dict.fromkeys(AXES, NUMBER), "marker": f"0|{NUMBER}", "camera": NAME.pattern, "target": NAME.pattern}.get(kind)
-    if name is not None and not re.fullmatch(f"{kind} (?:{name})", staged(effect.place)[1]) or name is None and kind != effect.place:
+    if name is not None and not re.fullmatch(f"{kind} (?:{name})", split_stage(effect.place)[1]) or name is None and kind != effect.place:
         raise ValueError(f"{effect.name}: which {kind}? write for example '{kind} {'1' if kind in (*AXES, 'marker') else 'name'}'")
     for parameter in effect.parameters_at(effect.place):
         value = np.atleast_1d(np.asarray(getattr(effect, parameter.name), float))
@@ -26,7 +26,7 @@ def check(effect: Effect) -> Effect:
             raise ValueError(f"{effect.name}: {parameter.name} has {parameter.size or f'at most {MOST}'} numbers, got {value.size}")
         low, high = parameter.bounds
         if not ((value >= low).all() and (value <= high).all()):  # false for what is not a number, too
-            raise ValueError(f"{effect.name}: {parameter.name} must lie in {low:g} .. {high:g} {parameter.unit}, got {shown(value.tolist())}")
+            raise ValueError(f"{effect.name}: {parameter.name} must lie in {low:g} .. {high:g} {parameter.unit}, got {value_text(value.tolist())}")
     problem = effect.problem()
     if problem:
         raise ValueError(f"{effect.name}: {problem}")

@@ -82,11 +82,11 @@ def _changed(effect: Effect, name: str, value: float | tuple[float, ...]) -> Eff
 
 def coordinates_of(effects: tuple[Effect, ...]) -> list[Coordinate]:
     """[Coordinate] of what a fit may move of effects, in order."""
-    return [Coordinate(number, p.name, index, p.role, _step(p), p.bounds, loose(p, index))
+    return [Coordinate(number, p.name, index, p.role, _step(p), p.bounds, prior_precision(p, index))
             for number, effect in enumerate(effects) for p in effect.parameters_at(effect.place) for index in effect.fitted(p)]
 
 
-def kept_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
+def constrained_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
     """(k, c) sums of coordinates that effects ask to be kept."""
     rows = [[row.get((c.name, c.index), 0.0) * (c.effect == number) for c in coordinates]
             for number, effect in enumerate(effects) for row in effect.kept()]
@@ -99,7 +99,7 @@ def _step(p: Parameter) -> float:
     return {"inverse": 1e-3 / size, "log": 1e-3, "size": 1e-2 * size, "phase": 1e-3, "even": 1e-5, "frequency": 1e-8}.get(p.role, 1e-2 * size)
 
 
-def loose(p: Parameter, index: int | None) -> float:
+def prior_precision(p: Parameter, index: int | None) -> float:
     """1 / standard deviation that a parameter is given beforehand: vectors have directions that nothing sees, a number alone is free."""
     if index is None or p.role == "direction":
         return 0.0
@@ -108,5 +108,5 @@ def loose(p: Parameter, index: int | None) -> float:
 
 def priors_cost(effects: tuple[Effect, ...]) -> float:
     """What the priors on vectors cost."""
-    return float(sum(np.sum((np.asarray(getattr(e, p.name)) * loose(p, 0)) ** 2) for e in effects for p in e.parameters
+    return float(sum(np.sum((np.asarray(getattr(e, p.name)) * prior_precision(p, 0)) ** 2) for e in effects for p in e.parameters
                      if p.role == "linear" and isinstance(getattr(e, p.name), tuple) and len(getattr(e, p.name))))

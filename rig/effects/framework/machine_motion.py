@@ -136,17 +136,17 @@ class Motion:
     @property
     def kind(self) -> Kind[Any]:
         """The module of rig.model.mechanisms that moves the mechanism."""
-        return mechanisms.of(self.mechanism)
+        return mechanisms.kinematics_of(self.mechanism)
 
     @property
     def places(self) -> tuple[str, ...]:
         """The axes' places: "strut 1" .. or "joint 1" .., of an arm's slides "slide 1" .."""
-        return mechanisms.places(self.mechanism)
+        return mechanisms.axis_places(self.mechanism)
 
     @property
     def units(self) -> tuple[str, ...]:
         """Unit of each axis' travel, "m" or "rad"."""
-        return mechanisms.units(self.mechanism)
+        return mechanisms.axis_units(self.mechanism)
 
     @property
     def lengths(self) -> np.ndarray:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from rig.effects.framework.place_names import kind_of
-from rig.formats.number_rounding import quantity
+from rig.formats.number_rounding import quantity_text
 
 MOST_SHOWN = 3  # numbers of several
 
@@ -44,8 +44,11 @@ class Parameter:
         if not (abs(value) * FAR < most if inverse else abs(value) > FAR * most):
             return None
         end = "least" if inverse else "most"
-        return (f"{self.name.replace('_', ' ')} {quantity(value, self.unit)} is far beyond what rigs show, {quantity(most, self.unit)} at the {end}: "
-                "something else may hide behind it")
+        return (
+            f"{self.name.replace('_', ' ')} {quantity_text(value, self.unit)} is far beyond what rigs show, {quantity_text(most, self.unit)} at the "
+            f"{end}: "
+            "something else may hide behind it"
+        )
 
     def at(self, place: str) -> "Parameter":
         """The same as it is at a place: in rad in place of m at a joint."""
@@ -57,4 +60,4 @@ class Parameter:
         """Its name and a value, in a unit that people read."""
         numbers = value if isinstance(value, tuple) else (value,)
         more = f", the first {MOST_SHOWN} of {len(numbers)}" if len(numbers) > MOST_SHOWN else ""
-        return f"{self.name.replace('_', ' ')} {quantity(numbers[:MOST_SHOWN], self.unit)}{more}"
+        return f"{self.name.replace('_', ' ')} {quantity_text(numbers[:MOST_SHOWN], self.unit)}{more}"

@@ -9,7 +9,7 @@ SIZES = 16  # values of a "size" parameter over its usual range
 EDGE = 4  # frames at either end that a moment leaves
 
 
-def grid(p: Parameter, t: np.ndarray) -> list[float]:
+def parameter_grid(p: Parameter, t: np.ndarray) -> list[float]:
     """The values of a parameter of role "size", "log", "even" or "moment" to be tried; t : (n,) s, the exposures."""
     low, high = p.usual
     if p.role in ("size", "log"):
@@ -19,7 +19,7 @@ def grid(p: Parameter, t: np.ndarray) -> list[float]:
     return ((t[EDGE - 1 : -EDGE] + t[EDGE : len(t) - EDGE + 1]) / 2).tolist()
 
 
-def step(p: Parameter) -> float:
+def derivative_step(p: Parameter) -> float:
     """A small value of a parameter, for its derivative."""
     size = np.sqrt(p.usual[0] * p.usual[1]) if p.usual[0] > 0 else 1e-2 * max(map(abs, p.usual))
     return 1 / size if p.role == "inverse" else 0.1 * size

@@ -6,7 +6,7 @@ from rig.effects.framework.machine_motion import Motion
 from rig.compute.numba_kernels import njit
 
 
-def play(lengths: np.ndarray, half: float) -> np.ndarray:
+def play_operator(lengths: np.ndarray, half: float) -> np.ndarray:
     """(m, axes) where the output of a play of half width `half` stands after each knot of a path (m, axes), m or rad.
 
     The output starts in the middle of the gap and is dragged along at its ends. Between knots the input is monotonic, so the
@@ -15,10 +15,10 @@ def play(lengths: np.ndarray, half: float) -> np.ndarray:
     return _walk(np.ascontiguousarray(lengths, dtype=float), float(half))
 
 
-def behind(motion: Motion, half: float) -> np.ndarray:
+def play_deviation(motion: Motion, half: float) -> np.ndarray:
     """(n, axes) m or rad that a play of half width `half` adds to the command at the exposures."""
     path = motion.path
-    return motion.once(("behind", half), lambda: (path.walked(lambda _, lengths: play(lengths, half)) - path.lengths)[path.at])
+    return motion.once(("behind", half), lambda: (path.walked(lambda _, lengths: play_operator(lengths, half)) - path.lengths)[path.at])
 
 
 @njit(cache=True)

@@ -30,7 +30,7 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def value(p: Parameter, drawing: Drawing, rng: np.random.Generator) -> float | tuple[float, ...]:
+def draw_parameter(p: Parameter, drawing: Drawing, rng: np.random.Generator) -> float | tuple[float, ...]:
     """A parameter drawn over what rigs show."""
     low, high = p.usual
     if p.role == "moment":
@@ -43,9 +43,9 @@ def value(p: Parameter, drawing: Drawing, rng: np.random.Generator) -> float | t
     return tuple((size / np.sqrt(p.size) * rng.normal(size=p.size)).tolist())
 
 
-def number(p: Parameter, drawing: Drawing, rng: np.random.Generator) -> float:
+def draw_number(p: Parameter, drawing: Drawing, rng: np.random.Generator) -> float:
     """A parameter of one number drawn over what rigs show. Raises ValueError for one of several"""
-    drawn = value(p, drawing, rng)
+    drawn = draw_parameter(p, drawing, rng)
     if isinstance(drawn, tuple):
         raise ValueError(f"{p.name} has {len(drawn)} numbers")
     return float(drawn)

@@ -12,7 +12,7 @@ from rig.planning.layout import hexapod_layout
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_validity import check
+from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.random_effects import Drawing
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Parameter
@@ -52,22 +52,24 @@ class Way:
     motion: Motion
 
 
-def example(kind: type[Effect], place: str, factor: float = 1.0, of: Design | None = None, displaced: Callable = lambda effect, camera: 1.0) -> Way:
+def effect_example(
+    kind: type[Effect], place: str, factor: float = 1.0, of: Design | None = None, displaced: Callable = lambda effect, camera: 1.0
+) -> Way:
     """A Way with an effect of a kind at a place, `factor` times as large as the largest that rigs show.
 
     of : the Design with the cameras and targets that it may sit at, by default none; displaced : see Drawing. Raises RigError for an effect that
     cannot be shown on this rig
     """
-    base = rig()
+    base = sketch_hexapod()
     seen = base if of is None else replace(base, cameras=of.cameras, targets=of.targets)
     span = _span(kind, place)
     t = np.linspace(0.0, span, COUNT)
     commands, sensors = _commands(base, span), _sensors(span, tuple(camera.name for camera in seen.cameras))
-    motion = motion_simulation.motion(base, commands, t, (), sensors)
-    motion = replace(motion, T=motion_simulation.run(base, commands, t, (), sensors).T_base_platform)
+    motion = motion_simulation.motion_of_commands(base, commands, t, (), sensors)
+    motion = replace(motion, T=motion_simulation.run_machine(base, commands, t, (), sensors).T_base_platform)
     drawn = kind.drawn(place, Drawing(seen, t, motion, displaced), np.random.default_rng(SEED))
     values = {p.name: _size(p, span, getattr(drawn, p.name), factor) for p in kind.parameters_at(place)}
-    effect = check(replace(drawn, **values))
+    effect = check_effect(replace(drawn, **values))
     reason = effect.needs(motion)
     if reason:
         raise RigError(f"{effect.name} {reason}")
@@ -75,14 +77,14 @@ def example(kind: type[Effect], place: str, factor: float = 1.0, of: Design | No
 
 
 @cache
-def rig() -> Design:
+def sketch_hexapod() -> Design:
     """The hexapod of all sketches, with a payload that sits far out."""
-    design = design_file.design_of(design_file.entries_of(hexapod_layout.layout(RADIUS, cameras=1, cubes=1), Path("layout")))
+    design = design_file.design_of(design_file.entries_of(hexapod_layout.hexapod_layout(RADIUS, cameras=1, cubes=1), Path("layout")))
     platform = replace(design.platform, payload_centre_of_mass=np.array(PAYLOAD_AT))
     return replace(design, platform=platform, actuator=replace(design.actuator, screw_lead=LEAD))
 
 
-def said(effect: Effect) -> str:
+def effect_text(effect: Effect) -> str:
     """Where an effect sits, and its single numbers that are not what they are by default, in words."""
     default = {field.name: field.default for field in fields(effect)}
     shown = [(p, getattr(effect, p.name)) for p in effect.parameters_at(effect.place) if p.role not in ("moment", "phase")]
@@ -123,7 +125,9 @@ def _commands(design: Design, span: float) -> Commands:
     rungs = FAR * np.concatenate([[a, b] for a, b in zip(LADDER[:-1], LADDER[1:])] + [[LADDER[-1]]])
     swings = [FAR / 2 * np.sin(2 * np.pi * (i + 1) / 2 * t / span) for i in range(6)]
     swings[AXIS] = np.interp(t, knots, rungs)
-    return Commands(t, motion_simulation.motion(design, Commands(np.zeros(1), np.zeros((1, 6))), np.zeros(1)).home + np.stack(swings, axis=1))
+    return Commands(
+        t, motion_simulation.motion_of_commands(design, Commands(np.zeros(1), np.zeros((1, 6))), np.zeros(1)).home + np.stack(swings, axis=1)
+    )
 
 
 def _sensors(span: float, cameras: tuple[str, ...]) -> Sensors:

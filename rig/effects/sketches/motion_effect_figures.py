@@ -5,10 +5,10 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model import motion_simulation
 from rig.effects.framework.effect import Effect
-from rig.report.pages.plots import Series, panel
+from rig.report.pages.plots import Series, plot_panel
 from rig.report.pages.svg_elements import TEXT, WIDTH, svg, text
-from rig.model.pose import difference, exp
-from rig.effects.sketches.effect_example import AXIS, FAR, Sketch, Way, example, said
+from rig.model.pose import pose_difference, exp
+from rig.effects.sketches.effect_example import AXIS, FAR, Sketch, Way, effect_example, effect_text
 
 SHARE = 0.5  # of what is told, that errors are drawn as large as at the most
 HIGH = 120.0  # of a panel's drawing
@@ -23,28 +23,28 @@ TIMES = {1e-3: "ms", 1.0: "s", 60.0: "min", 3600.0: "h"}
 def drawn(kind: type[Effect], factor: float = 1.0) -> Sketch:
     """Sketch of an effect of a kind, `factor` times as large as the largest that rigs show. Raises RigError for one that a hexapod cannot have"""
     place = f"strut {AXIS + 1}" if "axis" in kind.places else kind.places[0]
-    way = example(kind, place, factor)
-    error = errors(way)
+    way = effect_example(kind, place, factor)
+    error = strut_errors(way)
     first = _displaced(way) if kind.stage == "structure" or kind.on_pose else _through_time(way, error)
-    return Sketch(said(way.effect), (first, _over_covariate(way, error)))
+    return Sketch(effect_text(way.effect), (first, _over_covariate(way, error)))
 
 
-def errors(way: Way) -> np.ndarray:
+def strut_errors(way: Way) -> np.ndarray:
     """(n,) m by which the strut that is looked at stands beyond its command, at the exposures of a Way."""
     T = way.motion.T
     assert T is not None
-    found = motion_simulation.effective(way.design, way.commands, way.t, T, [way.effect], way.sensors)
+    found = motion_simulation.effective_commands(way.design, way.commands, way.t, T, [way.effect], way.sensors)
     return found[:, AXIS] - way.motion.lengths[:, AXIS]
 
 
 def _through_time(way: Way, error: np.ndarray) -> str:
     """Where the strut is told to be, and where it is, its error enlarged."""
     told = way.motion.stroke[:, AXIS]
-    much = enlarged(np.abs(error).max(), SHARE * FAR)
+    much = enlargement(np.abs(error).max(), SHARE * FAR)
     scale, unit = unit_of(way.t[-1], TIMES)
     series = [Series(way.t / scale, told * 1e3, "told", "line", -1),
-              Series(way.t / scale, (told + much * error) * 1e3, done("done", much), "line", 1)]
-    return panel(f"Strut {AXIS + 1}", (f"time, {unit}", "stroke, mm"), series, high=HIGH)
+              Series(way.t / scale, (told + much * error) * 1e3, enlargement_text("done", much), "line", 1)]
+    return plot_panel(f"Strut {AXIS + 1}", (f"time, {unit}", "stroke, mm"), series, high=HIGH)
 
 
 def _over_covariate(way: Way, error: np.ndarray) -> str:
@@ -53,18 +53,20 @@ def _over_covariate(way: Way, error: np.ndarray) -> str:
     across = np.asarray(shown.values)
     scale, unit = unit_of(np.abs(error).max(), UNITS)
     values = across[:, AXIS] if across.ndim == 2 else across
-    return panel("What gives it away", (shown.label, f"error of strut {AXIS + 1}, {unit}"), [Series(values, error / scale, "", "dots", 1)], high=HIGH)
+    return plot_panel(
+        "What gives it away", (shown.label, f"error of strut {AXIS + 1}, {unit}"), [Series(values, error / scale, "", "dots", 1)], high=HIGH
+    )
 
 
 def _displaced(way: Way) -> str:
     """The platform where it should stand and where it does, at the exposure at which these lie farthest apart, enlarged."""
     T = way.motion.T
     assert T is not None
-    found = motion_simulation.run(way.design, way.commands, way.t, [way.effect], way.sensors).T_base_platform
-    shift = difference(T, found)
+    found = motion_simulation.run_machine(way.design, way.commands, way.t, [way.effect], way.sensors).T_base_platform
+    shift = pose_difference(T, found)
     far = np.linalg.norm(shift[:, :3], axis=1)
     at = int(np.argmax(far))
-    much = enlarged(float(far[at]), OUT)
+    much = enlargement(float(far[at]), OUT)
     pair = RigidTransform.concatenate([T[at], T[at] * exp(much * shift[at])])
     ends = way.motion.kind.ends(pair, way.motion.mechanism)
     assert ends is not None
@@ -73,12 +75,12 @@ def _displaced(way: Way) -> str:
     scale = SIZE / max(high - low)
     top, left = 2 * TEXT + 22.0, (WIDTH - scale * (high - low)[0]) / 2
     base, tips = ((points - low) * scale + [left, top] for points in (base, tips))
-    parts = [text(4, 14, "The platform", style="name"), text(4, 34, f"grey: told; {done('orange: done', much)}")]
+    parts = [text(4, 14, "The platform", style="name"), text(4, 34, f"grey: told; {enlargement_text('orange: done', much)}")]
     for k, style in enumerate(("line grey", "line c1")):
         struts = "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in zip(base[k].tolist(), tips[k].tolist()))
         parts.append(f'<path class="{style}" d="{struts}{_ring(tips[k])}"/>')
     parts.append(f'<path class="axis" d="{_ring(base[0])}"/>')
-    return svg(int(top + scale * (high - low)[1] + 12), f"the platform displaced, {said(way.effect)}", parts)
+    return svg(int(top + scale * (high - low)[1] + 12), f"the platform displaced, {effect_text(way.effect)}", parts)
 
 
 def _ring(points: np.ndarray) -> str:
@@ -92,7 +94,7 @@ def _seen(points: np.ndarray) -> np.ndarray:
     return np.stack([across, -z * np.cos(RAISED) - away * np.sin(RAISED)], axis=-1)
 
 
-def enlarged(size: float, to: float) -> float:
+def enlargement(size: float, to: float) -> float:
     """1, 2 or 5 times a power of ten, by which a size is drawn about as large as `to`; at least 1."""
     if size <= FLOOR:
         return 1.0
@@ -100,7 +102,7 @@ def enlarged(size: float, to: float) -> float:
     return max(1.0, float(next(k * power for k in (5, 2, 1) if k * power <= to / size)))
 
 
-def done(words: str, much: float) -> str:
+def enlargement_text(words: str, much: float) -> str:
     """Words about what is drawn with its error so many times as large, which they say."""
     times = f"{much:,.0f}".replace(",", " ")
     return words if much == 1 else f"{words}, error {times} times"

@@ -6,21 +6,21 @@ from typing import Any
 
 from rig.effects.framework.effect import AXES, Effect
 from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.place_names import of_any_axis
-from rig.formats.number_rounding import between
+from rig.effects.framework.place_names import axis_neutral_text
+from rig.formats.number_rounding import range_text
 
 HEADS = ("name", "stage", "sits at", "parameters, usual size", "exposed by", "what to do")
 SHARES = (0.14, 0.08, 0.1, 0.21, 0.24, 0.23)  # of the width, by column
 NARROWEST = 100  # characters, below which columns are no longer read
 
 
-def tree(effect: type[Effect]) -> dict[str, Any]:
+def effect_dict(effect: type[Effect]) -> dict[str, Any]:
     """One effect as a tree of plain values; a parameter's usual size and bounds are in its unit."""
     return {"name": effect.name, "stage": effect.stage, "places": list(effect.places), "model": _flat(effect.__doc__ or ""),
             "parameters": [_parameter(p) for p in effect.parameters], "exposed_by": _said(effect.experiment), "action": _said(effect.action)}
 
 
-def table(effects: Iterable[type[Effect]], width: int) -> str:
+def effect_table(effects: Iterable[type[Effect]], width: int) -> str:
     """Effects as a table, a row each, wrapped. width : characters of a line"""
     widths = [max(8, int(share * max(width, NARROWEST)) - 2) for share in SHARES]
     lines = _row(HEADS, widths)
@@ -30,11 +30,11 @@ def table(effects: Iterable[type[Effect]], width: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def whole(effect: type[Effect], width: int) -> str:
+def effect_description(effect: type[Effect], width: int) -> str:
     """All of one effect, for a terminal. width : characters of a line"""
     parts = [f"{effect.name}, stage {effect.stage}, sits at {', '.join(effect.places)}", _flat(effect.__doc__ or "")]
     for p in effect.parameters:
-        joint, ends = p.at(f"{AXES[1]} 1"), f", bounds {between(*p.bounds, p.unit)}" if p.bounds[0] > -float("inf") else ""
+        joint, ends = p.at(f"{AXES[1]} 1"), f", bounds {range_text(*p.bounds, p.unit)}" if p.bounds[0] > -float("inf") else ""
         parts.append(f"  {_written(p)}{ends}" + (f"; at a joint{_written(joint).removeprefix(p.name)}" if joint is not p else ""))
     first = f"--effect {effect.name}:PLACE:" + ",".join(f"{p.name}=.." for p in effect.parameters)
     parts += [f"Exposed by: {_said(effect.experiment)}", f"What to do: {_said(effect.action)}", f"To simulate it: rig simulate RIG.toml {first}"]
@@ -51,12 +51,12 @@ def _has_usual(p: Parameter) -> bool:
 
 
 def _size(p: Parameter) -> str:
-    return f"{p.name} {between(*p.usual, p.unit)}" if _has_usual(p) else p.name + (f" ({p.unit})" if p.unit else "")
+    return f"{p.name} {range_text(*p.usual, p.unit)}" if _has_usual(p) else p.name + (f" ({p.unit})" if p.unit else "")
 
 
 def _written(p: Parameter) -> str:
     """A parameter with the unit in which it is written, and its usual size."""
-    return p.name + (f", in {p.unit}" if p.unit else "") + (f": {between(*p.usual, p.unit)}" if _has_usual(p) else "")
+    return p.name + (f", in {p.unit}" if p.unit else "") + (f": {range_text(*p.usual, p.unit)}" if _has_usual(p) else "")
 
 
 def _row(cells: Iterable[str], widths: list[int]) -> list[str]:
@@ -66,7 +66,7 @@ def _row(cells: Iterable[str], widths: list[int]) -> list[str]:
 
 
 def _said(text: str) -> str:
-    return _flat(of_any_axis(text))
+    return _flat(axis_neutral_text(text))
 
 
 def _flat(text: str) -> str:

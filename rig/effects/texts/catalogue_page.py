@@ -7,8 +7,8 @@ import numpy as np
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import AXES, Effect
 from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.place_names import of_any_axis
-from rig.formats.number_rounding import between
+from rig.effects.framework.place_names import axis_neutral_text
+from rig.formats.number_rounding import range_text
 
 STAGES = {"command": "what the axes are told, and when", "struts": "what the axes do beyond their command",
           "structure": "what the frame and the platform do", "targets": "where markers sit", "view": "what a camera makes of it"}
@@ -29,7 +29,7 @@ as seen, near ones (large) and farther ones, a stroke at each marker's first cor
 """
 
 
-def page(effects: Iterable[type[Effect]] = ALL, sketches: Mapping[str, str] | None = None) -> str:
+def catalogue_markdown(effects: Iterable[type[Effect]] = ALL, sketches: Mapping[str, str] | None = None) -> str:
     """The catalogue in Markdown, stage by stage. sketches : {name: Markdown of the sketch}, where there are any"""
     found, drawn = list(effects), sketches or {}
     parts = [HEAD, SKETCHED if drawn else ""]
@@ -37,26 +37,26 @@ def page(effects: Iterable[type[Effect]] = ALL, sketches: Mapping[str, str] | No
         members = [effect for effect in found if effect.stage == stage]
         if members:
             parts.append(f"\n## {stage.capitalize()}: {meaning}\n")
-            parts += [entry(effect, drawn.get(effect.name, "")) for effect in members]
+            parts += [effect_markdown(effect, drawn.get(effect.name, "")) for effect in members]
     return "".join(parts)
 
 
-def entry(effect: type[Effect], sketch: str = "") -> str:
+def effect_markdown(effect: type[Effect], sketch: str = "") -> str:
     """One effect's part of the page. sketch : Markdown"""
-    rows = [row(p, effect) for p in effect.parameters]
+    rows = [parameter_markdown_row(p, effect) for p in effect.parameters]
     return (f"\n### {effect.name}\n\n{_prose(effect.__doc__ or '')}\n\n"
             f"Sits at: {', '.join(_place(kind) for kind in effect.places)}.\n\n" + (f"{sketch}\n\n" if sketch else "") +
             "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
-            f"Shown by: {of_any_axis(effect.experiment)}.\n\nWhat to do: {of_any_axis(effect.action)}\n")
+            f"Shown by: {axis_neutral_text(effect.experiment)}.\n\nWhat to do: {axis_neutral_text(effect.action)}\n")
 
 
-def row(p: Parameter, effect: type[Effect]) -> str:
+def parameter_markdown_row(p: Parameter, effect: type[Effect]) -> str:
     """One parameter as a row of the table."""
     name = p.name if p.size == 1 else f"{p.name} ({p.size or 'any'})"
     joint = p.at(f"{AXES[1]} 1")
-    turned = between(*joint.usual, joint.unit) if joint is not p and p.role != "choice" else ""
-    usual = "" if p.role in ("choice", "moment") else between(*p.usual, p.unit)
-    bounds = "" if np.isinf(p.bounds[0]) else between(*p.bounds, p.unit)
+    turned = range_text(*joint.usual, joint.unit) if joint is not p and p.role != "choice" else ""
+    usual = "" if p.role in ("choice", "moment") else range_text(*p.usual, p.unit)
+    bounds = "" if np.isinf(p.bounds[0]) else range_text(*p.bounds, p.unit)
     return f"| {name} | {p.unit} | {usual} | {bounds} | {turned} |"
 
 

@@ -10,18 +10,18 @@ from rig.model import mechanisms
 from rig.model.design import Chain, Design
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import AXES, Effect
-from rig.effects.framework.effect_validity import check
-from rig.effects.framework.place_names import spelt, staged
+from rig.effects.framework.effect_validity import check_effect
+from rig.effects.framework.place_names import parse_stage_place, split_stage
 from rig.formats.checked_entries import NAME, slip
 from rig.errors import RigError
-from rig.formats.number_parsing import number
-from rig.formats.input_files import shown
+from rig.formats.number_parsing import parse_number
+from rig.formats.input_files import value_text
 
 
 Kinds = Mapping[str, type[Effect]]  # effects by their names
 
 
-def parse(text: str, known: Kinds = BY_NAME) -> Effect:
+def parse_effect(text: str, known: Kinds = BY_NAME) -> Effect:
     """An effect from NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are parted by slashes. known : all that there are
 
     The place may leave out its kind where there is no doubt ("strut3", "3", "cam1", "P2"), or stand alone ("rig", "cameras").
@@ -36,25 +36,25 @@ def parse(text: str, known: Kinds = BY_NAME) -> Effect:
         key, equals, value = assignment.partition("=")
         key = key.strip()
         if not equals or key not in own:
-            raise RigError(f"effect {shown(text)}: {shown(assignment)} is no PARAMETER=VALUE; {name} has {', '.join(own)}")
+            raise RigError(f"effect {value_text(text)}: {value_text(assignment)} is no PARAMETER=VALUE; {name} has {', '.join(own)}")
         try:
-            numbers = tuple(number(part) for part in value.split("/"))
+            numbers = tuple(parse_number(part) for part in value.split("/"))
         except ValueError:
-            raise RigError(f"effect {shown(text)}: {shown(value)} is no number") from None
+            raise RigError(f"effect {value_text(text)}: {value_text(value)} is no number") from None
         values[key] = numbers if own[key].size != 1 else numbers[0]
         if own[key].size == 1 and len(numbers) > 1:
-            raise RigError(f"effect {shown(text)}: {key} is one number, got {shown(value)}")
+            raise RigError(f"effect {value_text(text)}: {key} is one number, got {value_text(value)}")
     try:
-        return check(kind(_place(place.strip(), kind), **values))
+        return check_effect(kind(_place(place.strip(), kind), **values))
     except (TypeError, ValueError) as error:
-        raise RigError(f"effect {shown(text)}: {error}") from None
+        raise RigError(f"effect {value_text(text)}: {error}") from None
 
 
 def _place(text: str, kind: type[Effect]) -> str:
     kinds = [*kind.places, *(AXES if "axis" in kind.places else ())]
     if text in kinds or any(re.fullmatch(rf"{place} \S+", text) for place in kinds):
         return text
-    of_stage = spelt(text, kind.places)
+    of_stage = parse_stage_place(text, kind.places)
     if of_stage is not None:
         return of_stage
     for place in (*AXES, "camera", "marker", "target"):
@@ -67,30 +67,32 @@ def _place(text: str, kind: type[Effect]) -> str:
     return text
 
 
-def to_dict(effect: Effect) -> dict:
+def effect_to_dict(effect: Effect) -> dict:
     """{"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
     return {"effect": effect.name, "place": effect.place,
             "parameters": {key: list(value) if isinstance(value, tuple) else value for key, value in effect.values().items()
                            if isinstance(value, tuple) or np.isfinite(value)}}  # what is infinite is its default
 
 
-def from_dict(tree: dict, known: Kinds = BY_NAME) -> Effect:
+def effect_from_dict(tree: dict, known: Kinds = BY_NAME) -> Effect:
     """The effect of such a dict, of those known. Raises RigError for one that is none."""
     if not isinstance(tree, dict) or not isinstance(tree.get("effect"), str) or not isinstance(tree.get("place"), str) \
             or not isinstance(tree.get("parameters"), dict):
-        raise RigError(f"{shown(tree)} is no effect: it takes effect, place and parameters")
+        raise RigError(f"{value_text(tree)} is no effect: it takes effect, place and parameters")
     kind = _named(tree["effect"], tree["effect"], known)
     own = {parameter.name for parameter in kind.parameters}
     values = {}
     for key, value in tree["parameters"].items():
         numbers = value if isinstance(value, list) else [value]
         if key not in own or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
-            raise RigError(f"{shown(tree)} is no effect: {shown(key)} = {shown(value)}; {kind.name} has {', '.join(sorted(own))}, numbers")
+            raise RigError(
+                f"{value_text(tree)} is no effect: {value_text(key)} = {value_text(value)}; {kind.name} has {', '.join(sorted(own))}, numbers"
+            )
         values[key] = tuple(value) if isinstance(value, list) else value
     try:
-        return check(kind(tree["place"], **values))
+        return check_effect(kind(tree["place"], **values))
     except (TypeError, ValueError, OverflowError) as error:
-        raise RigError(f"{shown(tree)} is no effect: {error}") from None
+        raise RigError(f"{value_text(tree)} is no effect: {error}") from None
 
 
 def _named(name: str, text: str, known: Kinds) -> type[Effect]:
@@ -98,11 +100,11 @@ def _named(name: str, text: str, known: Kinds) -> type[Effect]:
         near = slip(name, known)
         every = f"there are {', '.join(known)}; of your own, those in files that --effects names"
         told = f"is {near!r} meant? `rig effects` lists them" if near else every
-        raise RigError(f"effect {shown(text)}: there is no effect {shown(name)}; {told}")
+        raise RigError(f"effect {value_text(text)}: there is no effect {value_text(name)}; {told}")
     return known[name]
 
 
-def sized(effect: Effect) -> Effect:
+def require_size(effect: Effect) -> Effect:
     """The effect itself. Raises RigError for one whose parameters are all as where there is none."""
     if effect.parameters and effect == type(effect)(effect.place):
         p = effect.parameters_at(effect.place)[0]
@@ -112,47 +114,47 @@ def sized(effect: Effect) -> Effect:
     return effect
 
 
-def asked(text: str, design: Design, known: Kinds = BY_NAME) -> str:
+def require_known_effect(text: str, design: Design, known: Kinds = BY_NAME) -> str:
     """The text "EFFECT" or "EFFECT PLACE" itself, as a diagnosis is asked for it, of those known. Raises RigError for what can never be asked."""
     name, _, place = text.partition(" ")
     kind = _named(name, name, known)
     if not place:
         return text
     try:
-        placed(check(kind(place)), design)
+        require_place(check_effect(kind(place)), design)
     except ValueError as error:
-        raise RigError(f"{shown(text)}: {error}") from None
+        raise RigError(f"{value_text(text)}: {error}") from None
     return text
 
 
-def site(text: str, design: Design, known: Kinds = BY_NAME) -> tuple[str, str]:
+def parse_place(text: str, design: Design, known: Kinds = BY_NAME) -> tuple[str, str]:
     """(effect, place) of "EFFECT PLACE", of those known. Raises RigError for what no diagnosis can begin with."""
     name, _, place = text.partition(" ")
     kind = _named(name, text, known)
     if kind.discrete:
-        raise RigError(f"{shown(text)}: a {name} is looked for before all else and cannot be assumed; state it in rig.toml")
+        raise RigError(f"{value_text(text)}: a {name} is looked for before all else and cannot be assumed; state it in rig.toml")
     try:
-        effect = placed(check(kind(_place(place.strip(), kind))), design)
+        effect = require_place(check_effect(kind(_place(place.strip(), kind))), design)
     except ValueError as error:
-        raise RigError(f"{shown(text)}: {error}") from None
+        raise RigError(f"{value_text(text)}: {error}") from None
     return effect.name, effect.place
 
 
-def placed(effect: Effect, design: Design) -> Effect:
+def require_place(effect: Effect, design: Design) -> Effect:
     """The effect itself; at an arm's slide that is called a joint, at the slide. Raises RigError where a design has no such place."""
-    stage, own = staged(effect.place)
+    stage, own = split_stage(effect.place)
     kind, _, name = own.partition(" ")
-    places = mechanisms.places(design.mechanism)
+    places = mechanisms.axis_places(design.mechanism)
     if kind == "joint" and f"{stage}slide {name}" in places:
         try:
-            return check(replace(effect, place=f"{stage}slide {name}"))
+            return check_effect(replace(effect, place=f"{stage}slide {name}"))
         except ValueError as error:
             raise RigError(str(error)) from None
     if kind in AXES and isinstance(design.mechanism, Chain) and effect.place not in places:
         near = slip(effect.place, places)
         raise RigError(f"{effect.name} at {effect.place}: this rig has no such axis" + (f"; is {near!r} meant?" if near else "")
                        + f"; it has {', '.join(places)}")
-    axes = [staged(place)[1].split(" ") for place in places]
+    axes = [split_stage(place)[1].split(" ") for place in places]
     there = {**{word: [name for own, name in axes if own == word] for word in AXES}, "camera": [c.name for c in design.cameras],
              "target": [t.name for t in design.targets], "marker": [str(i) for t in design.targets for i in t.ids]}
     asked = [(kind, name)] if name and kind in there else []
@@ -162,6 +164,6 @@ def placed(effect: Effect, design: Design) -> Effect:
     for what, one in asked:
         if one not in there[what]:
             near = slip(one, there[what])
-            raise RigError(f"{effect.name} at {effect.place}: this rig has no {what} {shown(one)}"
+            raise RigError(f"{effect.name} at {effect.place}: this rig has no {what} {value_text(one)}"
                            + (f"; is {near!r} meant?" if near else "") + f"; it has {', '.join(there[what]) or 'none'}")
     return effect

@@ -22,7 +22,7 @@ import numpy as np
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import AXES, MOTION_STAGES, Context, Effect, Parameter
 from rig.effects.texts.catalogue_page import STAGES
-from rig.effects.framework.effect_validity import check
+from rig.effects.framework.effect_validity import check_effect
 from rig.errors import FileError, RigError
 
 KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers", "target")  # of place
@@ -42,7 +42,7 @@ class Plugin:
     kinds: tuple[type[Effect], ...]
 
 
-def load(path: Path) -> Plugin:
+def load_effect_file(path: Path) -> Plugin:
     """Plugin of a file. Raises FileError, with the line, for one that cannot be read or run, or whose effects are none."""
     try:
         raw = path.read_bytes()
@@ -54,7 +54,7 @@ def load(path: Path) -> Plugin:
     return Plugin(path, sha256(raw).hexdigest(), of_source(text, path))
 
 
-def catalogue(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
+def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
     """{name: class} of the whole catalogue and what files add to it. Raises FileError for a name that two files have."""
     out: dict[str, type[Effect]] = dict(BY_NAME)
     where: dict[str, Path] = {}
@@ -141,7 +141,7 @@ def _parameters_problem(kind: type[Effect]) -> str | None:
 def _default_problem(kind: type[Effect]) -> str | None:
     for place in kind.places:
         try:
-            check(kind(EXAMPLE.get(place, place)))
+            check_effect(kind(EXAMPLE.get(place, place)))
         except Exception as error:
             return f"cannot be made with its defaults at {place}: {error}"
     return None

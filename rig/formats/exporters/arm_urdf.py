@@ -13,7 +13,7 @@ from rig.model.design import Arm
 from rig.model.pose import pose
 
 
-def text(arm: Arm, name: str = "arm") -> str:
+def arm_urdf(arm: Arm, name: str = "arm") -> str:
     """URDF of an Arm: links base, link_1 .. link_n, platform; joints named as commands.csv heads its columns.
 
     An Arm that has a base (frame of poses to its own) or a tool (its last frame to the platform) carries them as fixed joints.

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable
 
 from rig.model.design import Arm, Hexapod
-from rig.model.pose import as_entry, vector
+from rig.model.pose import pose_entry_text, pose_to_vector
 
 HEXAPOD = ("strut", "base_x", "base_y", "base_z", "platform_x", "platform_y", "platform_z", "zero", "shortest", "longest")
 ARM = ("joint", "theta", "d", "a", "alpha", "beta", "lowest", "highest", "slides")
@@ -14,10 +14,10 @@ def as_json(mechanism: Hexapod | Arm) -> str:
     """JSON of a Hexapod or an Arm."""
     if mechanism.kind == "hexapod":
         tree = {name: getattr(mechanism, name).tolist() for name in ("base_joints", "platform_joints", "strut_zeros", "strut_range")}
-        tree["home"] = as_entry(mechanism.home)
+        tree["home"] = pose_entry_text(mechanism.home)
     else:
         tree = {"joints": mechanism.joints.tolist(), "limits": mechanism.limits.tolist(), "slides": mechanism.slides.tolist()}
-        tree |= {name: vector(getattr(mechanism, name)).tolist() for name in ("base", "tool") if hasattr(mechanism, name)}
+        tree |= {name: pose_to_vector(getattr(mechanism, name)).tolist() for name in ("base", "tool") if hasattr(mechanism, name)}
     return json.dumps({"schema": "geometry/1", "kind": mechanism.kind, "units": "m, rad", **tree}, indent=1) + "\n"
 
 

@@ -11,16 +11,16 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Hexapod
-from rig.formats.exporters.simulator_struts import Strut, struts
+from rig.formats.exporters.simulator_struts import Strut, simulator_struts
 from rig.formats.exporters.arm_urdf import rpy
 
 
-def text(hexapod: Hexapod, name: str = "hexapod") -> str:
+def hexapod_sdf(hexapod: Hexapod, name: str = "hexapod") -> str:
     """SDF of a Hexapod: links base, strut_N, strut_N_rod and platform, frames as the base's at home. Raises RigError where no cardan can be."""
     lines = ['<?xml version="1.0"?>', '<sdf version="1.9">', f"  <model name={quoteattr(name)}>", '    <link name="base"/>',
              f'    <link name="platform">{_pose(hexapod.home)}</link>',
              '    <joint name="ground" type="fixed"><parent>world</parent><child>base</child></joint>']
-    for n, strut in enumerate(struts(hexapod), 1):
+    for n, strut in enumerate(simulator_struts(hexapod), 1):
         lines += _strut(n, strut)
     return "\n".join([*lines, "  </model>", "</sdf>"]) + "\n"
 

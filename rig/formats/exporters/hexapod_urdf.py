@@ -11,16 +11,16 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.design import Hexapod
-from rig.formats.exporters.simulator_struts import struts
+from rig.formats.exporters.simulator_struts import simulator_struts
 from rig.formats.exporters.arm_urdf import origin
 
 HERE = RigidTransform.identity()
 TURN = np.pi  # rad, to either side: what a joint may do, of which a rig.toml says nothing
 
 
-def text(hexapod: Hexapod, name: str = "hexapod") -> str:
+def hexapod_urdf(hexapod: Hexapod, name: str = "hexapod") -> str:
     """URDF of a Hexapod: links base, strut_N, strut_N_rod, platform, and frames as links without a body. Raises RigError where no cardan can be."""
-    all_struts = struts(hexapod)
+    all_struts = simulator_struts(hexapod)
     links, joints = ["base", "ball_x", "ball_y", "platform"], []
     for n, strut in enumerate(all_struts, 1):
         links += [f"strut_{n}_cross", f"strut_{n}", f"strut_{n}_rod", f"strut_{n}_tip", f"platform_joint_{n}"]

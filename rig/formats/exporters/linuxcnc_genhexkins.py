@@ -17,7 +17,7 @@ CONVERGED = 1e-12  # m; what its iteration may leave of a strut
 STEEPEST = np.pi / 2 - 0.05  # rad; genhexkins takes the arc sine of a joint's twist, so a quarter turn is the end
 
 
-def text(hexapod: Hexapod, units: str = "mm", lead: float | None = None, gain: float = 0.0) -> str:
+def genhexkins_settings(hexapod: Hexapod, units: str = "mm", lead: float | None = None, gain: float = 0.0) -> str:
     """HAL settings of a Hexapod.
 
     units : of the machine, "mm" or "m"; lead : m per revolution of the screws; gain : share of a cardan's twist that turns the nut

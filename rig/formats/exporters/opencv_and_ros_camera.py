@@ -13,7 +13,7 @@ from rig.errors import RigError
 ROS = {5: "plumb_bob", 8: "rational_polynomial"}  # models, by their terms
 
 
-def camera_info(camera: Camera) -> str:
+def ros_camera_info(camera: Camera) -> str:
     """YAML of a Camera as camera_info_manager reads it. Raises RigError for a lens that ROS has no model of."""
     terms = np.append(camera.distortion, 0.0) if len(camera.distortion) == 4 else camera.distortion
     if len(terms) not in ROS:
@@ -26,7 +26,7 @@ def camera_info(camera: Camera) -> str:
     return "\n".join(parts) + "\n"
 
 
-def opencv(camera: Camera) -> str:
+def opencv_camera_yaml(camera: Camera) -> str:
     """YAML of a Camera as cv2.FileStorage reads it, named as OpenCV's own calibration sample names it."""
     parts = ["%YAML:1.0", "---", f"image_width: {camera.width}", f"image_height: {camera.height}", f'camera_name: "{camera.name}"',
              *_block("camera_matrix", camera.matrix, " !!opencv-matrix"),

@@ -21,7 +21,7 @@ LARGEST = 1 << 28  # bytes of an image
 BLACK, GREY = (20, 20, 20), (150, 150, 150)
 
 
-def library() -> Any:
+def import_rerun() -> Any:
     """The module rerun. Raises MissingLibrary that says how to install it."""
     try:
         import rerun
@@ -30,7 +30,7 @@ def library() -> Any:
     return rerun
 
 
-def write(recording: Recording, out: Path, rr: Any) -> int:
+def write_rerun(recording: Recording, out: Path, rr: Any) -> int:
     """Write all that a recording holds into an .rrd file; the number of images that the viewer cannot decode and that were left out.
 
     rr : the module rerun

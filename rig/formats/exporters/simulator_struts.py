@@ -32,7 +32,7 @@ class Strut:
         return self.T_base_cross * RigidTransform.from_rotation(Rotation.from_rotvec([0, self.tilt, 0]))
 
 
-def struts(hexapod: Hexapod) -> list[Strut]:
+def simulator_struts(hexapod: Hexapod) -> list[Strut]:
     """The Struts of a Hexapod. Raises RigError for a base joint on the z axis, or a strut along its cardan's first axis: no cardan is there."""
     found = []
     ends = hexapod.home.apply(hexapod.platform_joints)

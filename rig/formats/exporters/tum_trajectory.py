@@ -8,14 +8,14 @@ from pathlib import Path
 
 from rig.formats import csv_table
 from rig.errors import RigError
-from rig.formats.parquet_table import content
+from rig.formats.parquet_table import parquet_bytes
 from rig.recording.recording_folder import Recording
 
 TABLES = ("commands", "frames", "sensors", "corners", "poses")
 WHOLE, TEXT = ("frame", "marker", "corner"), ("camera", "image")  # columns; all others are numbers
 
 
-def tum(recording: Recording) -> str:
+def tum_trajectory(recording: Recording) -> str:
     """TUM's text of a recording's poses, in order of time. Raises RigError where it has none."""
     poses = recording.poses
     if poses is None or not len(poses.frame):
@@ -30,13 +30,13 @@ def tum(recording: Recording) -> str:
     return "\n".join(lines) + "\n"
 
 
-def parquet(folder: Path) -> dict[str, bytes]:
+def parquet_tables(folder: Path) -> dict[str, bytes]:
     """{name: Parquet file} of the tables in a recording's folder; frames, markers and corners whole numbers, names text, all else doubles.
 
     Raises MissingLibrary without pyarrow, FileError for a table that cannot be read
     """
     found = [name for name in TABLES if (folder / f"{name}.csv").is_file()]
-    return {name: content(_columns(csv_table.read(folder / f"{name}.csv", ()))) for name in found}
+    return {name: parquet_bytes(_columns(csv_table.read(folder / f"{name}.csv", ()))) for name in found}
 
 
 def _columns(rows: csv_table.Table) -> dict[str, list]:

@@ -5,6 +5,6 @@ from collections.abc import Iterable
 from rig.errors import RigError
 
 
-def ambiguous(what: str, readings: Iterable[tuple[str, str]]) -> RigError:
+def ambiguity_error(what: str, readings: Iterable[tuple[str, str]]) -> RigError:
     """The error about `what`. readings : (what it would mean, "key=value" that decides for it)"""
     return RigError("\n".join([f"{what}:", *(f"  {reading}: --set '{setting}'" for reading, setting in readings)]))

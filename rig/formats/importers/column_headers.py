@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from rig.errors import FileError, RigError
 from rig.formats.importers.csv_dialect import Cells
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.column_units import split
-from rig.formats.input_files import shown
+from rig.formats.importers.column_units import split_header
+from rig.formats.input_files import value_text
 
 TIME = ("t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "uhrzeit", "elapsed", "elapsedtime", "epoch",
         "datetime", "utc", "unixtime", "clock")
@@ -18,17 +18,17 @@ LIMB = ("l", "leg", "strut", "length", "actuator", "act", "axis", "limb", "bein"
 JOINT = ("q", "joint", "j", "theta", "axis", "a", "angle")
 
 
-def words(header: str) -> str:
+def normalised_header(header: str) -> str:
     """A header's name without its unit, capitals and punctuation: what is compared."""
-    return re.sub(r"[^a-z0-9]+", "", split(header)[0].lower())
+    return re.sub(r"[^a-z0-9]+", "", split_header(header)[0].lower())
 
 
-def axes(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """{axis: what its header may be called} of axes l1.. or q1.."""
     return {name: tuple(f"{word}{name[1:]}" for word in (LIMB if name[0] == "l" else JOINT)) for name in names}
 
 
-def find(cells: Cells, section: str, known: dict[str, tuple[str, ...]], required: Iterable[str]) -> dict[str, int]:
+def find_columns(cells: Cells, section: str, known: dict[str, tuple[str, ...]], required: Iterable[str]) -> dict[str, int]:
     """{our name: index of the column} of those that are there.
 
     known : {our name: what a header may be called}; required : that must be there. Raises RigError for what is missing or there twice
@@ -38,11 +38,11 @@ def find(cells: Cells, section: str, known: dict[str, tuple[str, ...]], required
     for ours, names in known.items():
         if ours in stated:
             if stated[ours] not in cells.header:
-                raise FileError(cells.path, f"has no column {shown(stated[ours])}; its header is {', '.join(cells.header)}")
+                raise FileError(cells.path, f"has no column {value_text(stated[ours])}; its header is {', '.join(cells.header)}")
             found[ours] = cells.header.index(stated[ours])
             continue
         exact = [k for k, header in enumerate(cells.header) if header == ours]
-        alike = exact or [k for k, header in enumerate(cells.header) if words(header) in names and header not in stated.values()]
+        alike = exact or [k for k, header in enumerate(cells.header) if normalised_header(header) in names and header not in stated.values()]
         if len(alike) > 1:
             raise RigError("\n".join([f"{cells.path}: several columns can be {ours}:", *(f"  {cells.header[k]}: --set '{section}.columns.{ours}="
                                      f"{cells.header[k]}'" for k in alike)]))
@@ -55,6 +55,6 @@ def find(cells: Cells, section: str, known: dict[str, tuple[str, ...]], required
     return found
 
 
-def kept(table: ForeignTable, cells: Cells, found: dict[str, int]) -> tuple[tuple[str, str], ...]:
+def recipe_columns(table: ForeignTable, cells: Cells, found: dict[str, int]) -> tuple[tuple[str, str], ...]:
     """The columns as a recipe keeps them."""
     return tuple((ours, cells.header[at]) for ours, at in found.items())

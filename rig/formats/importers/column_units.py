@@ -20,18 +20,18 @@ MOST_BEYOND = 0.1  # of its range that a command may lie beyond it
 LEAST_TRAVEL = 0.02  # of its range that a strut moves in a recording
 
 
-def split(header: str) -> tuple[str, str | None]:
+def split_header(header: str) -> tuple[str, str | None]:
     """(name, unit or None) of a header as `L1 [mm]`, `t (s)`, `l1_mm`, `x/m`."""
     found = BRACKETS.match(header)
     if found and found[1]:
-        return found[1].strip(), unit(found[2])
+        return found[1].strip(), parse_unit(found[2])
     found = TAIL.match(header)
-    if found and unit(found[2]) is not None and not (len(found[2]) == 1 and found[2].upper() == found[2] and "temp" not in header.lower()):
-        return found[1].rstrip("_/ "), unit(found[2])
+    if found and parse_unit(found[2]) is not None and not (len(found[2]) == 1 and found[2].upper() == found[2] and "temp" not in header.lower()):
+        return found[1].rstrip("_/ "), parse_unit(found[2])
     return header, None
 
 
-def unit(word: str) -> str | None:
+def parse_unit(word: str) -> str | None:
     """The unit that a word means, or None."""
     word = word.strip()
     if word in (*ALL, *TIMES, *OTHER):
@@ -39,25 +39,27 @@ def unit(word: str) -> str | None:
     return SAME.get(word.lower()) or (word.lower() if word.lower() in (*ALL, *TIMES) else None)
 
 
-def fits(values: np.ndarray, ranges: np.ndarray) -> bool:
+def fits_ranges(values: np.ndarray, ranges: np.ndarray) -> bool:
     """Whether values (n, axes) lie within ranges (axes, 2), or a tenth of these beyond."""
     low, high = np.asarray(ranges).T
     slack = MOST_BEYOND * (high - low)
     return bool(((values >= low - slack) & (values <= high + slack)).all())
 
 
-def lengths(values: np.ndarray, ranges: np.ndarray, home: np.ndarray, units: Sequence[str], relative: Sequence[str]) -> list[tuple[str, str]]:
+def likely_length_units(
+    values: np.ndarray, ranges: np.ndarray, home: np.ndarray, units: Sequence[str], relative: Sequence[str]
+) -> list[tuple[str, str]]:
     """(unit, "zero" or "home") of all ways that bring lengths (n, axes) into their ranges (axes, 2) m. home : (axes,) m"""
-    return [(u, r) for u in units for r in relative if fits(values / LENGTHS[u] + (home if r == "home" else 0.0), ranges)]
+    return [(u, r) for u in units for r in relative if fits_ranges(values / LENGTHS[u] + (home if r == "home" else 0.0), ranges)]
 
 
-def likely(values: np.ndarray, ranges: np.ndarray, unit: str, relative: str) -> bool:
+def is_likely_unit(values: np.ndarray, ranges: np.ndarray, unit: str, relative: str) -> bool:
     """Whether lengths (n, axes), read so, move by a share of their ranges (axes, 2) m that a recording has; from home they lie about zero."""
     travel = np.ptp(values)
     about_zero = values.min() <= MOST_BEYOND * travel and values.max() >= -MOST_BEYOND * travel
     return bool(travel / LENGTHS[unit] >= LEAST_TRAVEL * np.ptp(ranges, axis=1).max() and (relative == "zero" or about_zero))
 
 
-def angles(values: np.ndarray, limits: np.ndarray, units: Sequence[str]) -> list[str]:
+def likely_angle_units(values: np.ndarray, limits: np.ndarray, units: Sequence[str]) -> list[str]:
     """Units in which angles (n, axes) lie within their limits (axes, 2) rad."""
-    return [u for u in units if fits(values / ANGLES[u], limits)]
+    return [u for u in units if fits_ranges(values / ANGLES[u], limits)]

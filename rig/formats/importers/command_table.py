@@ -10,8 +10,8 @@ from rig.model import mechanisms
 from rig.model.design import Arm, Design
 from rig.errors import FileError, RigError
 from rig.formats.importers import column_headers, timestamps, column_units
-from rig.formats.importers.ambiguous_input import ambiguous
-from rig.formats.importers.csv_dialect import Cells, read
+from rig.formats.importers.ambiguous_input import ambiguity_error
+from rig.formats.importers.csv_dialect import Cells, read_foreign_table
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.model.mechanism_kinds import arm_of, struts_of
 from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL
@@ -28,21 +28,25 @@ class Commanded:
     said: tuple[str, ...]
 
 
-def commands(table: ForeignTable, design: Design) -> Commanded:
+def read_commands(table: ForeignTable, design: Design) -> Commanded:
     """Commanded of a table. Raises RigError for what cannot be used and for what reads well in two ways."""
     axes = design.mechanism.axes
     if not axes:
         raise RigError(f'{table.file}: nothing can be commanded of a mechanism of kind "{design.mechanism.kind}"')
-    cells = read(table, "commands")
-    found = column_headers.find(cells, "commands", {"t": column_headers.TIME, "frame": column_headers.FRAME, **column_headers.axes(axes)}, axes)
+    cells = read_foreign_table(table, "commands")
+    found = column_headers.find_columns(
+        cells, "commands", {"t": column_headers.TIME, "frame": column_headers.FRAME, **column_headers.axis_header_names(axes)}, axes
+    )
     values, table, told = _values(
-        cells, [found[name] for name in axes], replace(cells.table, columns=column_headers.kept(table, cells, found)), design
+        cells, [found[name] for name in axes], replace(cells.table, columns=column_headers.recipe_columns(table, cells, found)), design
     )
     frame = None if "frame" not in found else np.array(cells.numbers(found["frame"]))
     t, said = None, (*cells.said, *told)
     if "t" in found:
         stated = table.time_unit or _time_unit(cells.header[found["t"]])
-        read_times = timestamps.read(cells.column(found["t"]), "commands", table.file.name, stated, table.zone, table.shift, _pace(values, design))
+        read_times = timestamps.read_times(
+            cells.column(found["t"]), "commands", table.file.name, stated, table.zone, table.shift, _pace(values, design)
+        )
         t, said = read_times.seconds, (*said, *read_times.said)
         table = replace(table, time_unit=read_times.unit, zone=read_times.zone)
     return _once(Commanded(t, values, frame, table, said), cells)
@@ -66,7 +70,7 @@ def _once(commanded: Commanded, cells: Cells) -> Commanded:
 
 
 def _time_unit(header: str) -> str | None:
-    stated = column_units.split(header)[1]
+    stated = column_units.split_header(header)[1]
     return stated if stated in column_units.TIMES else None
 
 
@@ -74,8 +78,8 @@ def _values(cells: Cells, at: list[int], table: ForeignTable, design: Design) ->
     """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
     values = np.array([cells.numbers(k) for k in at]).T
     if isinstance(design.mechanism, Arm) and design.mechanism.slides.any():
-        return _sliding(values, [column_units.split(cells.header[k])[1] for k in at], table, design.mechanism)
-    stated = {table.unit or column_units.split(cells.header[k])[1] for k in at}
+        return _sliding(values, [column_units.split_header(cells.header[k])[1] for k in at], table, design.mechanism)
+    stated = {table.unit or column_units.split_header(cells.header[k])[1] for k in at}
     if len(stated) > 1:
         raise RigError(f"{table.file}: its columns are in different units ({', '.join(sorted(str(u or 'none stated') for u in stated))}); "
                        "bring them to one unit, or state it: --set commands.unit=mm")
@@ -92,7 +96,7 @@ def _values(cells: Cells, at: list[int], table: ForeignTable, design: Design) ->
             raise RigError(f"{table.file}: lengths are in steps; how many make a millimetre? --set commands.steps_per_mm=N")
         values = values / table.steps_per_mm
     m = struts_of(design.mechanism)
-    home = mechanisms.of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
+    home = mechanisms.kinematics_of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
     return _lengths(values, unit, table, m.strut_range, home)
 
 
@@ -104,17 +108,17 @@ def _sliding(values: np.ndarray, stated: list[str | None], table: ForeignTable, 
         if unit is not None and unit not in known:
             raise RigError(f"{table.file}: {unit} is no unit of {arm.axes[i]}, which {'slides' if slide else 'turns'}; there are {', '.join(known)}")
         q[:, i] /= known[unit or si]
-    if table.unit is not None or not column_units.fits(q, arm.limits):
+    if table.unit is not None or not column_units.fits_ranges(q, arm.limits):
         raise RigError(f"{table.file}: joints that turn and joints that slide have no unit in common: state each column's in its header, as in "
                        "q1 [deg] and q3 [mm]; unstated they are rad and m, and have to lie within the limits of rig.toml")
     return q, table, ()
 
 
 def _angles(values: np.ndarray, unit: str | None, table: ForeignTable, limits: np.ndarray) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
-    fit = column_units.angles(values, limits, ("rad", "deg") if unit is None else (unit,))
+    fit = column_units.likely_angle_units(values, limits, ("rad", "deg") if unit is None else (unit,))
     said = f"angles run from {values.min():.6g} to {values.max():.6g}"
     if unit is None and len(fit) > 1:
-        raise ambiguous(f"{table.file}: the unit of its angles is not stated, {said}, and both lie within the limits of rig.toml",
+        raise ambiguity_error(f"{table.file}: the unit of its angles is not stated, {said}, and both lie within the limits of rig.toml",
                         [(f"up to {np.degrees(np.abs(values).max() / column_units.ANGLES[u]):.4g} degrees", f"commands.unit={u}") for u in fit])
     if unit is None and not fit:
         raise RigError(f"{table.file}: {said}, which is beyond the limits in rig.toml in radians and in degrees; --set commands.unit=deg states one")
@@ -125,16 +129,16 @@ def _angles(values: np.ndarray, unit: str | None, table: ForeignTable, limits: n
 def _lengths(values: np.ndarray, unit: str | None, table: ForeignTable, ranges: np.ndarray,
              home: np.ndarray) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     asked = ("mm",) if unit == "steps" else tuple(column_units.LENGTHS) if unit is None else (unit,)
-    fit = column_units.lengths(values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,))
-    better = [(u, r) for u, r in fit if column_units.likely(values, ranges, u, r)]
+    fit = column_units.likely_length_units(values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,))
+    better = [(u, r) for u, r in fit if column_units.is_likely_unit(values, ranges, u, r)]
     fit = better if len(better) == 1 else fit
     said = (f"{table.file}: lengths run from {values.min():.6g} to {values.max():.6g}{' mm' if unit == 'steps' else ''}, "
             f"and rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m")
     names = {"zero": "joint to joint", "home": "from home"}
     if len(fit) > 1 and {u for u, _ in fit} - {fit[0][0]}:
-        raise ambiguous(f"{said}: they fit in several units", [(f"{u}, {names[r]}", f"commands.unit={u}") for u, r in fit])
+        raise ambiguity_error(f"{said}: they fit in several units", [(f"{u}, {names[r]}", f"commands.unit={u}") for u, r in fit])
     if len(fit) > 1:
-        raise ambiguous(f"{said}: they fit both ways", [(names[r], f"commands.relative={r}") for _, r in fit])
+        raise ambiguity_error(f"{said}: they fit both ways", [(names[r], f"commands.relative={r}") for _, r in fit])
     if not fit and (unit is None or table.relative is None):
         raise RigError(f"{said}: they fit in no unit, neither joint to joint nor from home; look at strut_range and home, or state both: "
                        "--set commands.unit=mm --set commands.relative=zero")

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from rig.formats.checked_entries import LARGEST_NUMBER
 from rig.errors import FileError
-from rig.formats.importers.ambiguous_input import ambiguous
-from rig.formats.importers.headerless_tables import clocked, headed
+from rig.formats.importers.ambiguous_input import ambiguity_error
+from rig.formats.importers.headerless_tables import add_time_column, lines_with_header
 from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
-from rig.formats.input_files import read_bytes, shown
-from rig.formats.parquet_table import cells, is_parquet
+from rig.formats.input_files import read_bytes, value_text
+from rig.formats.parquet_table import read_cells, is_parquet
 
 LARGEST = 1 << 27  # bytes
 COMMENTS = ("#", "%", "//")
@@ -48,27 +48,27 @@ class Cells:
 
     def _number(self, cell: str, line: int, at: int) -> float:
         if len(cell) > LONGEST or not NUMBER["point"].fullmatch(cell) or abs(float(cell)) > LARGEST_NUMBER:
-            raise FileError(self.path, f"column {shown(self.header[at])} is no number that can be meant: {shown(cell)}", line, at + 1, cell)
+            raise FileError(self.path, f"column {value_text(self.header[at])} is no number that can be meant: {value_text(cell)}", line, at + 1, cell)
         return float(cell)
 
 
-def read(table: ForeignTable, name: str) -> Cells:
+def read_foreign_table(table: ForeignTable, name: str) -> Cells:
     """Cells of a table. name : of its section in a recipe, as settings call it
 
     Raises FileError for what is no table, RigError for one that reads well in two ways
     """
     if is_parquet(table.file):
-        header, rows = clocked(table, *cells(table.file))
+        header, rows = add_time_column(table, *read_cells(table.file))
         return Cells(table.file, header, rows, list(range(1, len(rows) + 1)), table, ())
     content, words = _decoded(table.file)
-    with_header = headed(table, name, _lines(table.file, content, table.header is None))
+    with_header = lines_with_header(table, name, _lines(table.file, content, table.header is None))
     lines, table, words = with_header.lines, with_header.table, (*words, *with_header.said)
     fits = _fitting(table, lines)
     if not fits:
         whole = _fitting(table, lines[:-1]) if len(lines) > 2 else []
         if whole:
             raise FileError(table.file, f"its last line is not like the {len(whole[0].rows)} before it, of {len(whole[0].header)} cells each: the "
-                            f"file is cut off; mend the line or take it out: {shown(lines[-1][1])}", lines[-1][0])
+                            f"file is cut off; mend the line or take it out: {value_text(lines[-1][1])}", lines[-1][0])
         _no_names(table, name, lines)
         raise FileError(table.file, "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or spaces, with "
                         "decimal points or commas; its separator and decimal can be stated: "
@@ -80,11 +80,11 @@ def read(table: ForeignTable, name: str) -> Cells:
             key = "decimal" if one.table.separator == first.table.separator else "separator"
             return f"{name}.{key}={getattr(one.table, key)}"
 
-        raise ambiguous(f"{table.file}: line {first.lines[0]} can be read in {len(others) + 1} ways", [
+        raise ambiguity_error(f"{table.file}: line {first.lines[0]} can be read in {len(others) + 1} ways", [
             (f"{one.table.separator}s between, decimal {one.table.decimal}s: {', '.join(one.rows[0][:4])}", setting(one))
             for one in (first, *others)])
     _no_groups(table, first, lines, name)
-    header, rows = clocked(table, first.header, first.rows)
+    header, rows = add_time_column(table, first.header, first.rows)
     return Cells(first.path, header, rows, first.lines, first.table, (*words, *first.said))
 
 
@@ -205,6 +205,6 @@ def _no_groups(table: ForeignTable, found: Cells, lines: list[tuple[int, str]], 
     separator = found.table.separator or "comma"
     cells = [cell for _, line in lines[1:] for cell in _split(line, separator) if "," in cell and NUMBER["comma"].fullmatch(cell)]
     if cells and all(GROUPED.fullmatch(cell) for cell in cells):
-        raise ambiguous(f"{table.file}: {cells[0]} can be read in two ways",
+        raise ambiguity_error(f"{table.file}: {cells[0]} can be read in two ways",
                         [(f"{cells[0].replace(',', '.')}, a decimal comma", f"{name}.decimal=comma"),
                          (f"{cells[0].replace(',', '')}, thousands parted (take the commas out of the file)", f"{name}.decimal=point")])

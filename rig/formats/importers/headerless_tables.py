@@ -23,7 +23,7 @@ class Headed:
     said: tuple[str, ...] = ()
 
 
-def headed(table: ForeignTable, name: str, lines: list[tuple[int, str]]) -> Headed:
+def lines_with_header(table: ForeignTable, name: str, lines: list[tuple[int, str]]) -> Headed:
     """Lines with a header: as stated, TUM's where eight figures stand in a table of poses, or as they are. name : of the table's section
 
     Raises FileError where samples were lost and nothing tells when
@@ -34,26 +34,26 @@ def headed(table: ForeignTable, name: str, lines: list[tuple[int, str]]) -> Head
     if table.header is None:
         return Headed(lines, table)
     lost = [number for number, text in lines if text == LOST]
-    if lost and not sampled(table.header.replace(",", " ").split()):
+    if lost and not sample_column(table.header.replace(",", " ").split()):
         raise FileError(table.file, "samples were lost here and nothing tells how many: log with halsampler -t, and name the first column sample",
                         lost[0])
     said = (f"{table.file.name}: samples were lost {len(lost)} times, first at line {lost[0]}",) if lost else ()
     return Headed([(0, table.header), *(line for line in lines if line[1] != LOST)], table, said)
 
 
-def sampled(header: list[str]) -> str | None:
+def sample_column(header: list[str]) -> str | None:
     """The column that counts samples, or None."""
     return next((word for word in header if re.sub(r"[^a-z]", "", word.lower()) in SAMPLE), None)
 
 
-def clocked(table: ForeignTable, header: tuple[str, ...], rows: list[list[str]]) -> tuple[tuple[str, ...], list[list[str]]]:
+def add_time_column(table: ForeignTable, header: tuple[str, ...], rows: list[list[str]]) -> tuple[tuple[str, ...], list[list[str]]]:
     """(header, rows) with a column of times, where a period is stated: its rows, or the samples that they count, are so far apart.
 
     Raises FileError for samples that are no whole numbers
     """
     if table.period is None:
         return header, rows
-    count, by = sampled(list(header)), Decimal(repr(table.period))
+    count, by = sample_column(list(header)), Decimal(repr(table.period))
     numbers = [str(k) for k in range(len(rows))] if count is None else [row[header.index(count)] for row in rows]
     for number in numbers:
         if not re.fullmatch(r"\d{1,15}", number):

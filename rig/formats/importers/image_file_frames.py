@@ -13,9 +13,9 @@ import numpy as np
 from rig.model.design import Design
 from rig.errors import FileError, RigError
 from rig.formats.importers import timestamps as times
-from rig.formats.importers.ambiguous_input import ambiguous
+from rig.formats.importers.ambiguous_input import ambiguity_error
 from rig.formats.importers.import_recipe import Images
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 
 KINDS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")
 MOST = 1_000_000  # images
@@ -55,12 +55,12 @@ class Exposed:
         return self.t
 
 
-def pictures(images: Images, design: Design) -> list[Picture]:
+def list_pictures(images: Images, design: Design) -> list[Picture]:
     """Pictures of the folders, in the order of their names. Raises RigError where names do not tell camera and frame or time."""
     cameras = {c.name.lower(): c.name for c in design.cameras}
     for theirs, ours in images.cameras:
         if ours.lower() not in cameras:
-            raise RigError(f"images.cameras: rig.toml has no camera {shown(ours)}; it has {', '.join(cameras.values()) or 'none'}")
+            raise RigError(f"images.cameras: rig.toml has no camera {value_text(ours)}; it has {', '.join(cameras.values()) or 'none'}")
         cameras[theirs.lower()] = cameras[ours.lower()]
     found = []
     for folder in images.folders:
@@ -69,11 +69,11 @@ def pictures(images: Images, design: Design) -> list[Picture]:
         files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in KINDS and path.is_file())
         if not files:
             raise FileError(folder, f"holds no images ({', '.join(kind[1:] for kind in KINDS)})")
-        found += of_folder(files[:MOST], folder, cameras, images.names, [c.name for c in design.cameras])
+        found += pictures_of_folder(files[:MOST], folder, cameras, images.names, [c.name for c in design.cameras])
     return found
 
 
-def of_folder(files: list[Path], folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> list[Picture]:
+def pictures_of_folder(files: list[Path], folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> list[Picture]:
     """Pictures of a folder's files. cameras : {word in lower case: camera}; names : how names are built, None for as they come
     ours : names of the cameras of rig.toml
 
@@ -123,11 +123,11 @@ def _by_pattern(path: Path, name: str, names: str) -> dict[str, str]:
     for part, expression in PARTS.items():
         wanted = wanted.replace(re.escape(f"{{{part}}}"), expression, 1)
     if r"\{" in wanted or not set(re.findall(r"\?P<(\w+)>", wanted)) & {"frame", "time"}:
-        raise RigError(f"images.names = {shown(names)}: a pattern has {{frame}} or {{time}}, {{camera}} where folders do not say it, and * for "
+        raise RigError(f"images.names = {value_text(names)}: a pattern has {{frame}} or {{time}}, {{camera}} where folders do not say it, and * for "
                        "anything")
     found = re.fullmatch(wanted, name if "/" in names else name.rsplit("/", 1)[-1])
     if found is None:
-        raise FileError(path, f"its name is not as images.names = {shown(names)} has it")
+        raise FileError(path, f"its name is not as images.names = {value_text(names)} has it")
     return found.groupdict()
 
 
@@ -139,7 +139,7 @@ def _figures(path: Path, stem: str) -> tuple[int | None, str | None]:
     if stamp is None and len(figures) == 1 and "." in figures[0]:
         return None, figures[0]
     if len(figures) > 1:
-        raise ambiguous(f"{path}: which figure of its name is the frame's number?",
+        raise ambiguity_error(f"{path}: which figure of its name is the frame's number?",
                         [(f"{figure}{tail}", f"images.names={_pattern(stem, k, part)}") for part, tail in (("{frame}", ""), ("{time}", ", a time"))
                          for k, figure in enumerate(FIGURE.findall(stem))])
     if stamp is None and not figures:
@@ -157,7 +157,7 @@ def _pattern(stem: str, k: int, part: str) -> str:
     return FIGURE.sub(lambda found: part if next(count) == k else "*", stem).replace(CAMERA, "{camera}")
 
 
-def exposed(found: list[Picture], images: Images, plausible: Callable[[np.ndarray], bool]) -> Exposed:
+def group_exposures(found: list[Picture], images: Images, plausible: Callable[[np.ndarray], bool]) -> Exposed:
     """Exposed of Pictures: by number where names have one, else grouped by time. plausible : whether times (n,) s from the first can be so.
 
     Raises FileError for names that are not built alike.
@@ -172,7 +172,7 @@ def exposed(found: list[Picture], images: Images, plausible: Callable[[np.ndarra
     t = None
     if all(timed):
         stamps = [p.stamp.replace("_", "T") for p in found if p.stamp is not None]
-        read = times.read(stamps, "images", "names of images", images.time_unit, images.zone, images.shift, lambda t: plausible(np.sort(t)))
+        read = times.read_times(stamps, "images", "names of images", images.time_unit, images.zone, images.shift, lambda t: plausible(np.sort(t)))
         t, said, images = read.seconds, read.said, replace(images, time_unit=read.unit, zone=read.zone)
     numbers = [p.frame for p in found if p.frame is not None]
     if len(numbers) < len(found):
@@ -235,6 +235,6 @@ def _tolerance(found: list[Picture], t: list[Decimal], order: list[int], images:
     between = gaps[(gaps > within) & (gaps < 0.5 * min(apart, default=np.inf))] if len(own) > 1 else gaps[:0]
     if len(between):
         far = float(between.max())
-        raise ambiguous(f"names of images: exposures of different cameras are {between.min():.3g} to {far:.3g} s apart: are they of one frame?",
+        raise ambiguity_error(f"names of images: exposures of different cameras are {between.min():.3g} to {far:.3g} s apart: are they of one frame?",
                         [("yes", f"images.tolerance={far * 1.01:.3g}"), ("no", f"images.tolerance={within:.3g}")])
     return within, ()

@@ -9,9 +9,9 @@ from typing import Any
 
 from rig.formats.checked_entries import Entries
 from rig.errors import FileError, RigError
-from rig.formats.number_parsing import number
-from rig.formats.input_files import read_text, shown
-from rig.formats.toml_positions import positions
+from rig.formats.number_parsing import parse_number
+from rig.formats.input_files import read_text, value_text
+from rig.formats.toml_positions import value_positions
 
 SCHEMA = "import/1"
 LARGEST = 1 << 20  # bytes
@@ -107,7 +107,7 @@ def load(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
     content = read_text(path, LARGEST)
     try:
         tree = tomllib.loads(content)
-        places = positions(content)
+        places = value_positions(content)
     except (ValueError, RecursionError) as error:
         raise FileError(path, f"not valid TOML: {str(error) or 'nested too deep'}") from None
     root = Entries(tree, (), path, places)
@@ -116,7 +116,7 @@ def load(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
     return _recipe(root, path.parent)
 
 
-def stated(rig: Path | None, folders: list[Path], tables: dict[str, Path | None], settings: tuple[str, ...],
+def recipe_of_arguments(rig: Path | None, folders: list[Path], tables: dict[str, Path | None], settings: tuple[str, ...],
            cameras: Sequence[Path] = (), bags: Sequence[Path] = ()) -> Recipe:
     """Recipe of what a command line states. tables : {one of TABLES: file or None}; cameras, bags : files of them. Raises RigError."""
     tree: dict = {} if rig is None else {"rig": str(rig)}
@@ -136,18 +136,18 @@ def _set(tree: dict, settings: tuple[str, ...]) -> None:
         key, equals, value = setting.partition("=")
         *above, last = key.strip().split(".", 2)
         if not equals or not above or not last:
-            raise RigError(f"--set takes KEY=VALUE with a key as commands.unit, not {shown(setting)}")
+            raise RigError(f"--set takes KEY=VALUE with a key as commands.unit, not {value_text(setting)}")
         inner = tree
         for part in above:
             inner = inner.setdefault(part, {})
             if not isinstance(inner, dict):
-                raise RigError(f"--set {shown(setting)}: {part} is no table")
+                raise RigError(f"--set {value_text(setting)}: {part} is no table")
         inner[last] = value
         if last in NUMBERS:
             try:
-                inner[last] = number(value)
+                inner[last] = parse_number(value)
             except ValueError:
-                raise RigError(f"--set {key} takes a number, not {shown(value)}") from None
+                raise RigError(f"--set {key} takes a number, not {value_text(value)}") from None
 
 
 def _recipe(root: Entries, folder: Path) -> Recipe:
@@ -155,7 +155,7 @@ def _recipe(root: Entries, folder: Path) -> Recipe:
     root.refuse_misspelt(("schema", "said", *known))
     for key in root.tree:
         if key not in ("schema", "said", *known):
-            root.fail(f"unknown key {shown(key)}; there are {', '.join(known)}", key)
+            root.fail(f"unknown key {value_text(key)}; there are {', '.join(known)}", key)
     bag = _bag(root.table("bag"), folder) if "bag" in root.tree else None
     stated: dict[str, Any] = {name: _foreign_table(root.table(name), folder, bag) for name in TABLES if name in root.tree}
     stated["cameras"] = _cameras(root.table("cameras"), folder) if "cameras" in root.tree else None

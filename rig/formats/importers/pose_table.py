@@ -11,8 +11,8 @@ from rig.model.design import Design, Hexapod
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.errors import RigError
 from rig.formats.importers import column_headers, timestamps, column_units
-from rig.formats.importers.ambiguous_input import ambiguous
-from rig.formats.importers.csv_dialect import Cells, read
+from rig.formats.importers.ambiguous_input import ambiguity_error
+from rig.formats.importers.csv_dialect import Cells, read_foreign_table
 from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.model.mechanisms import arm, hexapod
 
@@ -45,25 +45,25 @@ class Posed:
 Asked = Callable[[list[Decimal] | None, np.ndarray | None, int], np.ndarray | None]
 
 
-def poses(table: ForeignTable, design: Design, commanded: Asked, plausible: Callable[[np.ndarray], bool]) -> Posed:
+def read_poses(table: ForeignTable, design: Design, commanded: Asked, plausible: Callable[[np.ndarray], bool]) -> Posed:
     """Posed of a table. Raises RigError for what reads well in two ways.
 
     commanded : of n rows' (times, frame numbers, n) what was commanded, (n, 6) m, or None where that is not known
     plausible : whether times (n,) s from the first can be so
     """
-    cells = read(table, "poses")
-    found = column_headers.find(
+    cells = read_foreign_table(table, "poses")
+    found = column_headers.find_columns(
         cells,
         "poses",
         {"t": column_headers.TIME, "frame": column_headers.FRAME, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED},
         ("x", "y", "z"),
     )
-    table = replace(cells.table, columns=column_headers.kept(table, cells, found))
+    table = replace(cells.table, columns=column_headers.recipe_columns(table, cells, found))
     p, table, said = _positions(cells, found, table, design)
     t = None
     if "t" in found:
-        stated = column_units.split(cells.header[found["t"]])[1]
-        read_times = timestamps.read(
+        stated = column_units.split_header(cells.header[found["t"]])[1]
+        read_times = timestamps.read_times(
             cells.column(found["t"]),
             "poses",
             table.file.name,
@@ -82,7 +82,7 @@ def poses(table: ForeignTable, design: Design, commanded: Asked, plausible: Call
 
 def _positions(cells: Cells, found: dict[str, int], table: ForeignTable, design: Design) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     values = np.array([cells.numbers(found[name]) for name in "xyz"]).T
-    stated = {table.unit or column_units.split(cells.header[found[name]])[1] for name in "xyz"}
+    stated = {table.unit or column_units.split_header(cells.header[found[name]])[1] for name in "xyz"}
     unit = stated.pop()
     if stated or (unit is not None and unit not in column_units.LENGTHS):
         raise RigError(f"{table.file}: x, y, z must be in one unit of {', '.join(column_units.LENGTHS)}; --set poses.unit=mm states it")
@@ -91,7 +91,7 @@ def _positions(cells: Cells, found: dict[str, int], table: ForeignTable, design:
         size, far = _size(design), float(np.median(np.linalg.norm(values, axis=1)))
         fit = [u for u in ("m", "mm") if REACH[0] * size <= far / column_units.LENGTHS[u] <= REACH[1] * size]
         if len(fit) != 1:
-            raise ambiguous(f"{table.file}: the unit of its positions is not stated, and they lie {far:.6g} from the origin in the middle",
+            raise ambiguity_error(f"{table.file}: the unit of its positions is not stated, and they lie {far:.6g} from the origin in the middle",
                             [(u, f"poses.unit={u}") for u in ("m", "mm")])
         unit, said = fit[0], (f"{table.file.name}: positions are in {fit[0]}, as the rig measures some {size:.2g} m",)
     p = values / column_units.LENGTHS[unit]
@@ -103,7 +103,7 @@ def _positions(cells: Cells, found: dict[str, int], table: ForeignTable, design:
 def _size(design: Design) -> float:
     m = design.mechanism
     if m.kind == "arm":
-        return arm.span(m)
+        return arm.reach(m)
     return float(m.strut_range.max()) if m.kind in ("hexapod", "planar2") else 0.5
 
 
@@ -117,7 +117,7 @@ def _rotations(cells: Cells, found: dict[str, int], table: ForeignTable, design:
     if group in (QUATERNION, NUMBERED):
         ways = _quaternions(values, names, group is QUATERNION, table)
     else:
-        ways = _angles(values, names, {column_units.split(cells.header[found[name]])[1] for name in names}, group is EULERS, table)
+        ways = _angles(values, names, {column_units.split_header(cells.header[found[name]])[1] for name in names}, group is EULERS, table)
     if not ways:
         raise RigError(f"{table.file}: {', '.join(names)} are no rotations as stated; --set poses.rotation= takes rotvec, quaternion-wxyz, "
                        "quaternion-xyzw, or an order of Euler angles as zyx (fixed axes) or ZYX (moving axes)")
@@ -180,6 +180,6 @@ def _by_commands(ways: list[tuple], table: ForeignTable, design: Design, p: np.n
         rotation, unit, R = distinct[0]
         return R, replace(table, rotation=rotation, rotation_unit=unit), (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
     units_too = [f"' --set 'poses.rotation_unit={way[1]}" if way[1] and not table.rotation_unit else "" for way in distinct]
-    raise ambiguous(f"{table.file}: its rotations can be read in {len(distinct)} ways, and nothing here decides (the first pose turned by)",
+    raise ambiguity_error(f"{table.file}: its rotations can be read in {len(distinct)} ways, and nothing here decides (the first pose turned by)",
                     [(f"{_name(way[0], way[1])} ({np.degrees(way[2][0].magnitude()):.4g} degrees)", f"poses.rotation={way[0]}{unit}")
                      for way, unit in zip(distinct, units_too)])

@@ -14,14 +14,14 @@ from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.recording.image_file_check import check_image
 from rig.formats.importers import column_headers, image_file_frames, timestamps, column_units
-from rig.formats.importers.camera_calibrations import onto
+from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
 from rig.formats.importers.clock_consistency import require_one_clock, seconds_from
-from rig.formats.importers.command_table import Commanded, commands
-from rig.formats.importers.csv_dialect import read
+from rig.formats.importers.command_table import Commanded, read_commands
+from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.image_file_frames import Exposed
-from rig.formats.importers.pose_table import Posed, poses
+from rig.formats.importers.pose_table import Posed, read_poses
 from rig.formats.importers.import_recipe import Recipe, ForeignTable
-from rig.formats.importers.sensor_table import Logged, sensors
+from rig.formats.importers.sensor_table import Logged, read_sensors
 from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.time_origin import DIGITS
 from rig.formats.input_files import read_bytes, read_text
@@ -53,7 +53,7 @@ def with_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
     design = design_file.load(recipe.rig)
     if recipe.cameras is None:
         return design, None, ()
-    text, said = onto(recipe.cameras, read_text(recipe.rig, design_file.LARGEST), design.cameras)
+    text, said = rig_toml_with_cameras(recipe.cameras, read_text(recipe.rig, design_file.LARGEST), design.cameras)
     return design_file.design_of(design_file.entries_of(text, recipe.rig)), text, said
 
 
@@ -76,20 +76,22 @@ def assemble(recipe: Recipe, skip_unreadable: bool = False) -> Imported:
         of_cameras = (*of_cameras, *recipe.bag.said)
     if recipe.images is None and recipe.poses is None:
         raise RigError("there is nothing that was seen: give folders of images, or --poses FILE.csv")
-    commanded = commands(recipe.commands, design) if recipe.commands else None
+    commanded = read_commands(recipe.commands, design) if recipe.commands else None
     like = _like(commanded.t if commanded else None)
-    exposed = image_file_frames.exposed(image_file_frames.pictures(recipe.images, design), recipe.images, like) if recipe.images else None
+    exposed = (
+        image_file_frames.group_exposures(image_file_frames.list_pictures(recipe.images, design), recipe.images, like) if recipe.images else None
+    )
     if exposed is not None:
         exposed, recipe = _timed(exposed, commanded, recipe, like)
         exposed = _usable(exposed, design, skip_unreadable)
     posed = None
     if recipe.poses is not None:
-        posed = poses(recipe.poses, design, partial(_commanded, exposed, commanded), like)
+        posed = read_poses(recipe.poses, design, partial(_commanded, exposed, commanded), like)
         exposed, posed = _placed(exposed, posed, commanded)
     if exposed is None:
         raise RigError("there is nothing that was seen")
     commanded = _clocked(exposed, commanded)
-    logged = sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
+    logged = read_sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
     require_one_clock(exposed, commanded)
     recipe = replace(recipe, images=exposed.images if recipe.images else None, commands=commanded.table if commanded else None,
                      poses=posed.table if posed else None, sensors=logged.table if logged else None)
@@ -134,8 +136,8 @@ def _timed(exposed: Exposed, commanded: Commanded | None, recipe: Recipe, like: 
 
 def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like) -> tuple[Exposed, Recipe]:
     """The exposures with the times that a table gives frames or images."""
-    cells = read(table, "frames")
-    found = column_headers.find(
+    cells = read_foreign_table(table, "frames")
+    found = column_headers.find_columns(
         cells,
         "frames",
         {"t": column_headers.TIME, "frame": column_headers.FRAME, "image": column_headers.IMAGE, "camera": column_headers.CAMERA},
@@ -145,14 +147,14 @@ def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like)
         raise RigError(f"{cells.path}: no column names the frame or the image; --set 'frames.columns.frame=HEADER' states which")
     if "image" not in found and any(Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])):
         found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
-    unit = column_units.split(cells.header[found["t"]])[1]
+    unit = column_units.split_header(cells.header[found["t"]])[1]
     of_images = recipe.images
     if table.shift and of_images is not None and of_images.shift:
         raise RigError(f"--set frames.shift={table.shift:g} and images.shift={of_images.shift:g} both move the times of {table.file.name}; state one")
     shift = table.shift or (of_images.shift if of_images is not None else 0.0)
-    t = timestamps.read(cells.column(found["t"]), "frames", table.file.name, table.time_unit or (unit if unit in column_units.TIMES else None),
+    t = timestamps.read_times(cells.column(found["t"]), "frames", table.file.name, table.time_unit or (unit if unit in column_units.TIMES else None),
                    table.zone or (of_images.zone if of_images is not None else None), shift, like)
-    resolved = replace(cells.table, columns=column_headers.kept(table, cells, found), time_unit=t.unit, zone=t.zone)
+    resolved = replace(cells.table, columns=column_headers.recipe_columns(table, cells, found), time_unit=t.unit, zone=t.zone)
     if "image" in found:
         parts = 1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2  # of a path, that tell images apart
         at = {"/".join(Path(cell).parts[-parts:]): s for cell, s in zip(cells.column(found["image"]), t.seconds)}

@@ -15,10 +15,10 @@ from rig.model.design import Design
 from rig.formats.checked_entries import name_problem
 from rig.errors import FileError, MissingLibrary, RigError
 from rig.formats.output_files import write_bytes
-from rig.formats.importers.ambiguous_input import ambiguous
-from rig.formats.importers.ros_image_messages import encoded
+from rig.formats.importers.ambiguous_input import ambiguity_error
+from rig.formats.importers.ros_image_messages import encode_image_message
 from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINTS = ("sensor_msgs/msg/JointState",)
@@ -91,7 +91,7 @@ def _opened(files: tuple[Path, ...]) -> Iterator[Any]:
     except AnyReaderError as error:
         raise FileError(files[0], f"is no bag that can be read: {error}") from None
     except Exception as error:  # a damaged file makes the reader fail in ways of its own, none of them the user's concern
-        raise FileError(files[0], f"is no bag that can be read, or it is damaged: {type(error).__name__}: {shown(str(error))}") from error
+        raise FileError(files[0], f"is no bag that can be read, or it is damaged: {type(error).__name__}: {value_text(str(error))}") from error
 
 
 def _messages(files: tuple[Path, ...], topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
@@ -109,7 +109,7 @@ def _resolved(bag: Bag, kinds: dict[str, str], design: Design, recipe: Recipe) -
     """The Bag with all its topics, those that are not stated by their types. Raises RigError for what is not there or could be several."""
     for part, topic in _parts(bag):
         if topic not in kinds:
-            raise FileError(bag.files[0], f"has no topic {shown(topic)} for {part}; it has {', '.join(sorted(kinds)) or 'none'}")
+            raise FileError(bag.files[0], f"has no topic {value_text(topic)} for {part}; it has {', '.join(sorted(kinds)) or 'none'}")
     for stated, taken in ((bag.cameras, IMAGES), (bag.sensors, TEMPERATURES), *(((pair,), JOINTS if pair[0] == "commands" else POSES)
                                                                               for pair in bag.topics)):
         for name, topic in stated:
@@ -122,7 +122,7 @@ def _resolved(bag: Bag, kinds: dict[str, str], design: Design, recipe: Recipe) -
             continue
         topics = sorted(topic for topic, kind in kinds.items() if kind in taken)
         if len(topics) > 1:
-            raise ambiguous(f"{bag.files[0]}: several topics can be {part}", [(kinds[topic], f"bag.topics.{part}={topic}") for topic in topics])
+            raise ambiguity_error(f"{bag.files[0]}: several topics can be {part}", [(kinds[topic], f"bag.topics.{part}={topic}") for topic in topics])
         if topics:
             found[part] = topics[0]
     cameras = bag.cameras or (() if recipe.images and recipe.images.folders else _cameras(bag, kinds, design))
@@ -140,7 +140,7 @@ def _cameras(bag: Bag, kinds: dict[str, str], design: Design) -> list[tuple[str,
         found = [(names[0], topics[0])]
     twice = next((name for name, _ in found if sum(other == name for other, _ in found) > 1), None)
     if twice:
-        raise ambiguous(f"{bag.files[0]}: several topics can be camera {twice}",
+        raise ambiguity_error(f"{bag.files[0]}: several topics can be camera {twice}",
                         [(kinds[topic], f"bag.cameras.{twice}={topic}") for name, topic in found if name == twice])
     if topics and not found:
         raise RigError(f"{bag.files[0]}: of which cameras are {', '.join(topics)}? rig.toml has {', '.join(names) or 'none'}; "
@@ -160,7 +160,7 @@ def _stamp(topic: Topic, message: Any, received: int, file: Path) -> None:
 
 def _image(folder: Path, topic: Topic, message: Any, file: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    suffix, content = encoded(message, topic.kind.endswith("CompressedImage"), f"{file}: topic {topic.name}, message {len(topic.t)}")
+    suffix, content = encode_image_message(message, topic.kind.endswith("CompressedImage"), f"{file}: topic {topic.name}, message {len(topic.t)}")
     place = folder / f"{topic.t[-1]:020d}{suffix}"
     if place.exists():
         raise FileError(file, f"topic {topic.name} has two images of {topic.t[-1]} ns")
@@ -173,8 +173,11 @@ def _row(topic: Topic, message: Any, file: Path) -> None:
         names = tuple(message.name) or tuple(f"l{i + 1}" for i in range(len(message.position)))
         topic.header = topic.header or names
         if set(names) != set(topic.header) or len(names) != len(message.position):
-            raise FileError(file, f"topic {topic.name}, message {len(topic.t)}: {len(message.position)} positions of {shown(', '.join(names))}; the "
-                            f"first message has those of {shown(', '.join(topic.header))}")
+            raise FileError(
+                file,
+                f"topic {topic.name}, message {len(topic.t)}: {len(message.position)} positions of {value_text(', '.join(names))}; the "
+                f"first message has those of {value_text(', '.join(topic.header))}",
+            )
         at = dict(zip(names, message.position))
         topic.rows.append([float(at[name]) for name in topic.header])
     elif topic.kind in TEMPERATURES:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.recording.image_file_check import JPEG, PNG
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 
 CHANNELS = {"mono8": 1, "8UC1": 1, "mono16": 1, "16UC1": 1, "bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4,
             "bayer_rggb8": 1, "bayer_bggr8": 1, "bayer_gbrg8": 1, "bayer_grbg8": 1}
@@ -19,19 +19,19 @@ CONVERTED = {"rgb8": "COLOR_RGB2BGR", "bgra8": "COLOR_BGRA2BGR", "rgba8": "COLOR
              "bayer_grbg8": "COLOR_BayerGB2GRAY"}
 
 
-def encoded(message: Any, compressed: bool, place: str) -> tuple[str, bytes]:
+def encode_image_message(message: Any, compressed: bool, place: str) -> tuple[str, bytes]:
     """(suffix, content of a file) of a message. place : of it, for complaints. Raises RigError for what is not taken, and for half an image."""
     if compressed:
         whole = bytes(message.data)
         suffix = next((suffix for mark, suffix in ((PNG, ".png"), (JPEG, ".jpg")) if whole.startswith(mark)), None)
         if suffix is None:
-            raise RigError(f"{place}: a compressed image of format {shown(message.format)}; JPEG and PNG are taken")
+            raise RigError(f"{place}: a compressed image of format {value_text(message.format)}; JPEG and PNG are taken")
         return suffix, whole
     import cv2
 
     channels, deep = CHANNELS.get(message.encoding), "16" in message.encoding
     if channels is None:
-        raise RigError(f"{place}: an image of encoding {shown(message.encoding)}; {', '.join(CHANNELS)} are taken")
+        raise RigError(f"{place}: an image of encoding {value_text(message.encoding)}; {', '.join(CHANNELS)} are taken")
     wide = message.width * channels * (2 if deep else 1)
     data = np.frombuffer(bytes(message.data), np.uint8)
     if message.step < wide or len(data) < message.step * message.height or not message.height or not wide:

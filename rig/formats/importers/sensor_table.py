@@ -11,7 +11,7 @@ import numpy as np
 from rig.formats.checked_entries import name_problem
 from rig.errors import RigError
 from rig.formats.importers import column_headers, timestamps, column_units
-from rig.formats.importers.csv_dialect import read
+from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.import_recipe import ForeignTable
 
 def _over(per: float, values: np.ndarray) -> np.ndarray:
@@ -34,13 +34,13 @@ class Logged:
     said: tuple[str, ...]
 
 
-def sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -> Logged:
+def read_sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -> Logged:
     """Logged of a table. plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used"""
-    cells = read(table, "sensors")
+    cells = read_foreign_table(table, "sensors")
     stated = {header: ours for ours, header in table.columns if ours != "t"}
-    found = column_headers.find(cells, "sensors", {"t": column_headers.TIME}, ("t",))
-    unit = column_units.split(cells.header[found["t"]])[1]
-    read_times = timestamps.read(
+    found = column_headers.find_columns(cells, "sensors", {"t": column_headers.TIME}, ("t",))
+    unit = column_units.split_header(cells.header[found["t"]])[1]
+    read_times = timestamps.read_times(
         cells.column(found["t"]),
         "sensors",
         table.file.name,
@@ -54,7 +54,7 @@ def sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -> Log
     for at, header in enumerate(cells.header):
         if at == found["t"]:
             continue
-        unit = column_units.split(header)[1]
+        unit = column_units.split_header(header)[1]
         name = stated.get(header) or _name(header, unit)
         if name_problem(name):
             raise RigError(f"{table.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
@@ -72,7 +72,7 @@ def sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -> Log
 
 def _name(header: str, unit: str | None) -> str:
     """A channel's name out of a header: words joined, its unit as a recording has it behind it."""
-    bare = column_units.split(header)[0] if unit else header
+    bare = column_units.split_header(header)[0] if unit else header
     name = re.sub(r"[^A-Za-z0-9.-]+", "_", bare).strip("_.-")
     if unit in SI:
         known = re.fullmatch(r"(?i)(ambient|strut_?[1-6]|camera_.+)_temp(erature)?", name)

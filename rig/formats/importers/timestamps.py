@@ -9,10 +9,10 @@ from decimal import Decimal
 import numpy as np
 
 from rig.errors import RigError
-from rig.formats.importers.ambiguous_input import ambiguous
+from rig.formats.importers.ambiguous_input import ambiguity_error
 from rig.formats.importers.column_units import TIMES
 from rig.recording.time_origin import DIGITS
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 
 ISO = re.compile(r"(\d{4}-?\d\d-?\d\d[T _]\d\d:?\d\d(?::?\d\d)?)([.,]\d{1,18})?\s*(Z|z|[+-]\d\d:?\d\d)?")
 ZONE = re.compile(r"([+-])(\d\d):?(\d\d)|Z|UTC")
@@ -35,7 +35,7 @@ class Times:
         return np.array([float(DIGITS.subtract(t, self.seconds[0])) for t in self.seconds])
 
 
-def read(cells: list[str], name: str, what: str, unit: str | None, zone: str | None, shift: float,
+def read_times(cells: list[str], name: str, what: str, unit: str | None, zone: str | None, shift: float,
          plausible: Callable[[np.ndarray], bool] = lambda t: True) -> Times:
     """Times of texts. name : of the section, as settings call it; what : is read, in words; unit : stated, or None; shift : s added
 
@@ -48,7 +48,7 @@ def read(cells: list[str], name: str, what: str, unit: str | None, zone: str | N
         return _iso(cells, name, what, zone, by, () if unit else (f"{what}: times are ISO 8601",))
     if not numeric:
         bad = next(cell for cell in cells if not re.fullmatch(r"[+-]?\d{1,30}(\.\d{0,30})?([eE][+-]?\d{1,2})?", cell))
-        raise RigError(f"{what}: {shown(bad)} is no time in {NAMES[unit or 's']}")
+        raise RigError(f"{what}: {value_text(bad)} is no time in {NAMES[unit or 's']}")
     values = [Decimal(cell) for cell in cells]
     found, said = _unit(values, name, what, plausible) if unit is None else (unit, ())
     return Times([DIGITS.add(DIGITS.divide(value, TIMES[found]), by) for value in values], found, None, said)
@@ -63,7 +63,7 @@ def _unit(values: list[Decimal], name: str, what: str, plausible: Callable[[np.n
     span = abs(t[-1])
     if len(fit) == 1 and span:
         return fit[0], (f"{what}: times are {NAMES[fit[0]]}, as in others speeds or spans could not be",)
-    raise ambiguous(f"{what}: the unit of its times is not stated, and they run from {values[0]} to {values[-1]}",
+    raise ambiguity_error(f"{what}: the unit of its times is not stated, and they run from {values[0]} to {values[-1]}",
                     [(f"{span / TIMES[unit]:.4g} s in all", f"{name}.time_unit={unit}") for unit in fit or TIMES])
 
 
@@ -72,7 +72,7 @@ def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, 
     found = [one for one in read if one is not None]
     if len(found) < len(cells):
         bad = next(cell for cell, one in zip(cells, read) if one is None)
-        raise RigError(f"{what}: {shown(bad)} is no time: times are numbers, or ISO 8601 as 2026-01-31T12:00:00.25Z")
+        raise RigError(f"{what}: {value_text(bad)} is no time: times are numbers, or ISO 8601 as 2026-01-31T12:00:00.25Z")
     zones = {one[3] is None for one in found}
     if len(zones) > 1:
         raise RigError(f"{what}: some times state a time zone and some do not")
@@ -88,14 +88,14 @@ def _seconds(found: re.Match, zone: str | None, what: str) -> Decimal:
         at = at.replace(tzinfo=_zone(found[3] or zone or "UTC"))
         whole = at - EPOCH
     except (ValueError, OverflowError) as error:
-        raise RigError(f"{what}: {shown(found[0])} is no time: {error}") from None
+        raise RigError(f"{what}: {value_text(found[0])} is no time: {error}") from None
     return Decimal(whole.days * 86400 + whole.seconds) + Decimal((found[2] or ".0").replace(",", "."))
 
 
 def _zone(word: str) -> timezone:
     found = ZONE.fullmatch(word.upper())
     if found is None:
-        raise RigError(f"a time zone is +01:00, -05:00 or UTC, not {shown(word)}")
+        raise RigError(f"a time zone is +01:00, -05:00 or UTC, not {value_text(word)}")
     if found[1] is None:
         return UTC
     away = timedelta(hours=int(found[2]), minutes=int(found[3]))

@@ -10,7 +10,7 @@ from os import PathLike
 from pathlib import Path
 
 from rig.errors import FileError
-from rig.formats.printable_text import visible
+from rig.formats.printable_text import escape_unprintable
 
 STANDARD_OUTPUT = Path("/dev/stdout")  # what `-` stands for
 PART = ".rig-{}.part"  # name of a temporary; its length does not depend on the file's
@@ -34,7 +34,7 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
     done; what stood there then stands there still and no temporary is left.
     """
     try:
-        there = status(path)
+        there = path_status(path)
         own = _own_stream(there)
         if there is not None and stat.S_ISDIR(there.st_mode):
             raise FileError(path, "is a folder, not a file to write")
@@ -53,7 +53,7 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
         raise FileError(path, f"cannot be written: {error.strerror or error}") from None
 
 
-def status(path: str | PathLike[str]) -> os.stat_result | None:
+def path_status(path: str | PathLike[str]) -> os.stat_result | None:
     """What stands at a path, links followed, or None for nothing (or a link to nothing). Raises OSError for what cannot be asked."""
     try:
         return os.stat(path)
@@ -61,10 +61,10 @@ def status(path: str | PathLike[str]) -> os.stat_result | None:
         return None
 
 
-def is_straight(path: str | PathLike[str]) -> bool:
+def is_written_directly(path: str | PathLike[str]) -> bool:
     """Whether a path is written straight to, being no regular file and no folder, or this process's own standard output or error."""
     try:
-        there = status(path)
+        there = path_status(path)
     except OSError:
         return False
     return there is not None and (_own_stream(there) is not None or not (stat.S_ISREG(there.st_mode) or stat.S_ISDIR(there.st_mode)))
@@ -108,7 +108,7 @@ def _replace(place: Path, data: bytes, there: os.stat_result | None) -> None:
         except BaseException:
             os.unlink(part, dir_fd=folder)
             raise
-        sync(folder)
+        sync_folder(folder)
     finally:
         os.close(folder)
 
@@ -120,7 +120,7 @@ def _alike(descriptor: int, there: os.stat_result) -> None:
     os.fchmod(descriptor, stat.S_IMODE(there.st_mode))
 
 
-def sync(folder: int) -> None:
+def sync_folder(folder: int) -> None:
     """Have an open folder's entries on the disk, where its file system can do that for folders."""
     try:
         os.fsync(folder)
@@ -132,7 +132,7 @@ def sync(folder: int) -> None:
 def _all(descriptor: int, data: bytes) -> None:
     """Write all of data; to a terminal, what of it would do more than be shown is escaped."""
     if os.isatty(descriptor):
-        data = visible(data.decode("utf-8", "surrogateescape")).encode("utf-8")
+        data = escape_unprintable(data.decode("utf-8", "surrogateescape")).encode("utf-8")
     rest = memoryview(data)
     while len(rest):
         rest = rest[os.write(descriptor, rest) :]

@@ -7,9 +7,9 @@ from typing import Any
 
 from rig.formats import remote_folders
 from rig.errors import FileError, RigError
-from rig.formats.output_files.folder_manifest import MANIFEST, Made, Origin, is_recorded, load
-from rig.formats.output_files.staged_folder import GROWING, Staged, folder_lock, sweep
-from rig.formats.output_files.atomic_file import is_straight, status, write_text
+from rig.formats.output_files.folder_manifest import MANIFEST, FolderManifest, Origin, is_recording_table, load_manifest
+from rig.formats.output_files.staged_folder import GROWING, Staged, folder_lock, remove_stale_files
+from rig.formats.output_files.atomic_file import is_written_directly, path_status, write_text
 
 
 class Outputs:
@@ -37,7 +37,7 @@ class Outputs:
                 self.finish()
             for folder in [folder for folder, _ in self._growing]:
                 if kind is None:
-                    write_text(folder / MANIFEST, Made(self._origin(True), load(folder).files).text())
+                    write_text(folder / MANIFEST, FolderManifest(self._origin(True), load_manifest(folder).files).text())
                     self.pages += folder.glob("*.html")
         finally:
             if isinstance(error, FileError):
@@ -92,7 +92,7 @@ class Outputs:
         or that was changed since (unless forced), and where it cannot be written
         """
         _here(path)
-        if is_straight(path):
+        if is_written_directly(path):
             if not os.access(path, os.W_OK):
                 raise FileError(path, "cannot be written: Permission denied")
             return path
@@ -103,7 +103,7 @@ class Outputs:
         place = Path(os.path.realpath(path))
         if not place.parent.is_dir() and place.parent not in self._staged:
             raise RigError(f"{path.parent} is no folder; make it first")
-        if is_recorded(place.name) and any(place.parent == Path(os.path.realpath(given)) for given in self.inputs):
+        if is_recording_table(place.name) and any(place.parent == Path(os.path.realpath(given)) for given in self.inputs):
             raise RigError(f"{path} is a file of the recording, which stays as it was; name another")
         staged = self._beside(place.parent, path)
         if place.exists() and not self.force and not own and not staged.known.untouched(place.parent, place.name, self.command):
@@ -136,10 +136,10 @@ class Outputs:
         except OSError as error:
             raise RigError(f"{path} cannot be made: {error.strerror}") from None
         self.in_use = True
-        sweep(path)
+        remove_stale_files(path)
         (path / GROWING).mkdir(exist_ok=True)
         self._growing.append((path, folder_lock(path / GROWING, wait=False)))
-        write_text(path / MANIFEST, Made(self._origin(False), load(path).files).text())
+        write_text(path / MANIFEST, FolderManifest(self._origin(False), load_manifest(path).files).text())
         return path
 
     def _beside(self, place: Path, path: Path) -> Staged:
@@ -156,15 +156,15 @@ class Outputs:
         return Origin(self.command, self.arguments, done, self.data)
 
     def _no_input(self, path: Path, what: str) -> None:
-        there = status(path)
+        there = path_status(path)
         for given in self.inputs:
-            other = status(given)
+            other = path_status(given)
             if os.path.realpath(path) == os.path.realpath(given) or (there and other and os.path.samestat(there, other)):
                 raise RigError(f"{path} is {what}; it stays as it was, name another place to write to")
 
     def _own(self, path: Path, going_on: bool = False) -> None:
         """Raise RigError where a folder holds what this command did not make or somebody changed since."""
-        known = load(path)
+        known = load_manifest(path)
         inside = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith(".rig-")) if path.is_dir() else []
         if known.origin is None or known.origin.command != self.command:
             if inside:
@@ -176,7 +176,7 @@ class Outputs:
         mine = {name: entry for name, entry in known.files.items() if entry.command == self.command}
         changed = [name for name in mine if (path / name).exists() and not known.untouched(path, name, self.command)]
         roots = {name.split("/")[0] for name in mine}
-        changed += [name for name in inside if is_recorded(name) and name not in roots and name not in known.files]
+        changed += [name for name in inside if is_recording_table(name) and name not in roots and name not in known.files]
         if changed:
             raise FileError(path / changed[0], f"was changed or added since `rig {self.command}` wrote the folder"
                             f"{f', and {len(changed) - 1} more' if len(changed) > 1 else ''}; name another folder, or write over it with --force")

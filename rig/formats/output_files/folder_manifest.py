@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rig.formats import remote_folders
 from rig.errors import FileError
-from rig.formats.schema_version import require
+from rig.formats.schema_version import require_schema
 
 MANIFEST = ".rig-made.json"
 SCHEMA = "made/1"
@@ -16,7 +16,7 @@ RECORDED = ("rig.toml", "commands.csv", "frames.csv", "sensors.csv", "corners.cs
             "diagnosis.json", "images")  # what a folder is read from, so that what is left of one mixes with another
 
 
-def is_recorded(name: str) -> bool:
+def is_recording_table(name: str) -> bool:
     """Whether a folder is read from a file of that name."""
     return any(fnmatchcase(name, pattern) for pattern in RECORDED)
 
@@ -42,7 +42,7 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class FolderManifest:
     """What is known of a folder. origin : of the folder as a whole, or None; files : {path in the folder, with /: Entry}."""
 
     origin: Origin | None = None
@@ -51,7 +51,7 @@ class Made:
     def untouched(self, folder: Path, name: str, command: str) -> bool:
         """Whether a file is as a command left it."""
         entry = self.files.get(name)
-        return entry is not None and entry.command == command and digest(folder / name) in entry.sha256
+        return entry is not None and entry.command == command and file_digest(folder / name) in entry.sha256
 
     def text(self) -> str:
         """The manifest's text, a line for each file."""
@@ -62,33 +62,33 @@ class Made:
         return f'{{"schema": "{SCHEMA}",\n "origin": {origin},\n "files": {{\n' + ",\n".join(rows) + "\n}}\n"
 
 
-def load(folder: Path) -> Made:
-    """Made of a folder; of one without a manifest nothing is known. Raises FileError for a manifest that is none."""
+def load_manifest(folder: Path) -> FolderManifest:
+    """FolderManifest of a folder; of one without a manifest nothing is known. Raises FileError for a manifest that is none."""
     path = folder / MANIFEST
     try:
         tree = json.loads((remote_folders.read(path) if remote_folders.is_remote(path) else path.read_bytes()).decode("utf-8"))
-        require(path, "manifest of what was made in its folder", tree["schema"], (SCHEMA,))
+        require_schema(path, "manifest of what was made in its folder", tree["schema"], (SCHEMA,))
         origin = tree["origin"] and Origin(str(tree["origin"]["command"]), tuple(map(str, tree["origin"]["arguments"])),
                                            tree["origin"]["complete"] is True, tuple(map(str, tree["origin"]["data"])))
         for name in tree["files"]:
             if not name or name.startswith("/") or "\0" in name or {"", ".", ".."} & set(name.split("/")):
                 raise FileError(path, f"names {name!r}, which is no file of its folder")
-        return Made(origin, {name: Entry(str(entry["command"]), tuple(map(str, entry["sha256"]))) for name, entry in tree["files"].items()})
+        return FolderManifest(origin, {name: Entry(str(entry["command"]), tuple(map(str, entry["sha256"]))) for name, entry in tree["files"].items()})
     except (FileNotFoundError, NotADirectoryError):
-        return Made()
+        return FolderManifest()
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileError(path,
                         f"is no manifest of what was made in its folder ({type(error).__name__}: {error}); where it is nobody's, delete it") from None
 
 
-def complete(folder: Path) -> None:
+def require_complete(folder: Path) -> None:
     """Raise FileError for a folder that a command was interrupted in making. A folder that nobody has marked is taken as it is."""
-    origin = load(Path(folder)).origin
+    origin = load_manifest(Path(folder)).origin
     if origin is not None and not origin.complete:
         raise FileError(folder, f"is not complete: `rig {origin.command}` was ended while it wrote it; run that again")
 
 
-def digest(path: Path) -> str:
+def file_digest(path: Path) -> str:
     """sha256 of a file, in hexadecimal digits; of what is no file that can be read, an empty text."""
     whole = sha256()
     try:

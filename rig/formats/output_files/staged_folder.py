@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rig.errors import FileError, RigError
-from rig.formats.output_files.folder_manifest import MANIFEST, Entry, Made, Origin, digest, is_recorded, load
-from rig.formats.output_files.atomic_file import status, sync, write_text
+from rig.formats.output_files.folder_manifest import MANIFEST, Entry, FolderManifest, Origin, file_digest, is_recording_table, load_manifest
+from rig.formats.output_files.atomic_file import path_status, sync_folder, write_text
 
 NEW = ".rig-new-"
 GROWING = f"{NEW}growing"  # stands in a folder, locked, while a command writes there in place
@@ -36,7 +36,7 @@ def folder_lock(folder: Path, wait: bool) -> int:
 
 
 class Staged:
-    """place : the folder, links resolved; folder : within it, where files wait; known : Made as it was when this began
+    """place : the folder, links resolved; folder : within it, where files wait; known : FolderManifest as it was when this began
     whole : whether the command makes all of the folder; allowed : names that may be written over without having been made by it"""
 
     def __init__(self, place: Path, command: str) -> None:
@@ -45,10 +45,10 @@ class Staged:
         self.fresh, self.marked = _missing(place), False
         try:
             place.mkdir(parents=True, exist_ok=True)
-            self.known = load(place)
+            self.known = load_manifest(place)
             lock = folder_lock(place, wait=True)
             try:
-                sweep(place)
+                remove_stale_files(place)
                 self.folder = place / f"{NEW}{secrets.token_hex(6)}"
                 self.folder.mkdir()
                 self.lock = folder_lock(self.folder, wait=True)
@@ -63,7 +63,7 @@ class Staged:
         if (self.place / GROWING).exists():
             os.close(folder_lock(self.place / GROWING, wait=False))
         if self.known.origin is None and not any(entry != self.folder for entry in self.place.iterdir()):
-            write_text(self.place / MANIFEST, Made(origin).text())
+            write_text(self.place / MANIFEST, FolderManifest(origin).text())
             self.marked = True
 
     def commit(self, origin: Origin, inputs: list[Path], force: bool) -> None:
@@ -71,20 +71,20 @@ class Staged:
         that would write over what it did not make (unless forced) or over an input; FileError where the disk refuses."""
         lock = folder_lock(self.place, wait=True)
         try:
-            known = load(self.place)
+            known = load_manifest(self.place)
             new = sorted(str(path.relative_to(self.folder)) for path in self.folder.rglob("*") if not path.is_dir())
             if not new and not self.whole:
                 return
             stale = self._stale(known, new)
             self._refuse(known, new, stale, inputs, force)
-            entries = {name: Entry(self.command, (digest(self.folder / name),)) for name in new}
+            entries = {name: Entry(self.command, (file_digest(self.folder / name),)) for name in new}
             kept = {name: entry for name, entry in known.files.items()
                     if name not in stale and name not in entries and os.path.lexists(self.place / name)}
             old = {name: known.files[name] for name in known.files if name not in kept}
             both = {name: Entry(self.command, (*(old[name].sha256 if name in old else ()), *entry.sha256)) for name, entry in entries.items()}
             whole = origin if self.whole else known.origin
-            before = Made(replace(origin, complete=False) if self.whole else known.origin, kept | old | both)
-            for name, made in (("before", before), ("after", Made(whole, kept | entries))):
+            before = FolderManifest(replace(origin, complete=False) if self.whole else known.origin, kept | old | both)
+            for name, made in (("before", before), ("after", FolderManifest(whole, kept | entries))):
                 write_text(self.folder / f"{NEW}{name}", made.text())  # here, so that a full disk refuses it before anything is moved
             self._move(new, stale)
         except OSError as error:
@@ -100,25 +100,25 @@ class Staged:
             (self.place / MANIFEST).unlink()
         self._unmake()
 
-    def _stale(self, known: Made, new: list[str]) -> list[str]:
+    def _stale(self, known: FolderManifest, new: list[str]) -> list[str]:
         """Files in the way of the new ones: what the command left before, and what would be read together with them."""
         if not self.whole:
             return []
         stale = [name for name, entry in known.files.items() if entry.command == self.command and name not in new]
         for folder in {Path(name).parent for name in new} | {Path(".")}:
             place = self.place / folder
-            for name in filter(is_recorded, os.listdir(place) if "images" not in folder.parts and place.is_dir() else ()):
+            for name in filter(is_recording_table, os.listdir(place) if "images" not in folder.parts and place.is_dir() else ()):
                 stale += [str(path.relative_to(self.place)) for path in _files(place / name)]
         return sorted({name for name in stale if name not in new and os.path.lexists(self.place / name)})
 
-    def _refuse(self, known: Made, new: list[str], stale: list[str], inputs: list[Path], force: bool) -> None:
-        given = [found for found in map(status, inputs) if found]
+    def _refuse(self, known: FolderManifest, new: list[str], stale: list[str], inputs: list[Path], force: bool) -> None:
+        given = [found for found in map(path_status, inputs) if found]
         inner = [real for real in (Path(os.path.realpath(path)) for path in inputs) if self.place in real.parents]
         for name in (*new, *stale):
             path = self.place / name
             if not Path(os.path.realpath(path.parent)).is_relative_to(self.place):
                 raise FileError(path, "lies behind a link that leads out of the folder; name another place to write to")
-            there = status(path)
+            there = path_status(path)
             if there is None:
                 continue
             if any(os.path.samestat(there, other) for other in given) or any(real in (path, *path.parents) for real in inner):
@@ -150,7 +150,7 @@ class Staged:
                 folder.rmdir()
 
 
-def sweep(place: Path) -> None:
+def remove_stale_files(place: Path) -> None:
     """Take away what commands that were killed had staged in a folder."""
     for left in place.glob(f"{NEW}*"):
         try:
@@ -164,7 +164,7 @@ def sweep(place: Path) -> None:
 def _sync(folder: Path) -> None:
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        sync(descriptor)
+        sync_folder(descriptor)
     finally:
         os.close(descriptor)
 

@@ -47,10 +47,10 @@ def load(path: Path | str) -> tuple[Design, ArmDynamics]:
     design = design_file.design_of(root)
     if not isinstance(design.mechanism, Arm):
         raise RigError(f"{path} has a mechanism of kind {design.mechanism.kind!r}; forces at the hand are for arms")
-    return design, stated(root.table("dynamics", optional=True), len(design.mechanism.axes))
+    return design, dynamics_of_table(root.table("dynamics", optional=True), len(design.mechanism.axes))
 
 
-def stated(table: Entries, n: int) -> ArmDynamics:
+def dynamics_of_table(table: Entries, n: int) -> ArmDynamics:
     """ArmDynamics of the table [dynamics] of an arm of n joints. Raises FileError with line and column for figures that cannot be"""
     table.refuse_misspelt(design_file.DYNAMICS)
     each = {name: table.each(name, n, None, above=0, most=STRONGEST) for name in design_file.DYNAMICS if name not in ("links", "friction")}

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from rig.formats.checked_entries import LARGEST_RIG, Entries, slip
-from rig.formats.input_files import shown
+from rig.formats.input_files import value_text
 
 KINDS = {"revolute": False, "prismatic": True}
 
@@ -83,7 +83,7 @@ def _slides(table: Entries, i: int, row: list) -> bool:
         return False
     if word not in KINDS:
         near = slip(word, KINDS)
-        table.fail(f"{table.name('joints')}[{i + 1}] is of a joint {shown(word)}{f'; is {near!r} meant?' if near else ''}; there are "
+        table.fail(f"{table.name('joints')}[{i + 1}] is of a joint {value_text(word)}{f'; is {near!r} meant?' if near else ''}; there are "
                    f"{', '.join(map(repr, KINDS))}", "joints", i, 0, value=word)
     return KINDS[word]
 

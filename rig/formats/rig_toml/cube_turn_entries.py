@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from rig.model.cube_quarter_turns import cube_named, permitted
+from rig.model.cube_quarter_turns import cube_named, parse_permission
 from rig.model.design import PERMITTED, TURN, Permission, Target
 from rig.formats.checked_entries import Entries
 
 
-def permission(table: Entries, targets: tuple[Target, ...]) -> Permission:
+def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permission:
     """What an owner allows experiments, cubes by their names. Raises FileError for what is none of it."""
     table.refuse_misspelt(("may",))
     may = table.get("may", [])
@@ -16,14 +16,14 @@ def permission(table: Entries, targets: tuple[Target, ...]) -> Permission:
         table.fail(f"{table.name('may')} must list what experiments may do, of {', '.join(words)}, not {may!r}", "may", value=may)
     out = []
     for i, word in enumerate(may):
-        allowed, problem = permitted(word, targets)
+        allowed, problem = parse_permission(word, targets)
         if problem:
             table.fail(f"{table.name('may')}[{i + 1}]: {problem}", "may", i, value=word)
         out.append(allowed)
     return Permission(tuple(out))
 
 
-def turned(table: Entries, targets: tuple[Target, ...]) -> tuple[Target, ...]:
+def turned_targets(table: Entries, targets: tuple[Target, ...]) -> tuple[Target, ...]:
     """The targets, each cube that was taken off and put back with its quarter turns. Raises FileError for one that there is not."""
     out, places = list(targets), {}
     for key in table.tree:

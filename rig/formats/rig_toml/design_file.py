@@ -18,9 +18,9 @@ from rig.errors import FileError
 from rig.formats.rig_toml.instrument_entries import instrument
 from rig.model.mechanism_kinds import bodies_of
 from rig.formats.input_files import read_text
-from rig.model.pose import vector
-from rig.model.hexapod_singularity import singular
-from rig.formats.toml_positions import positions
+from rig.model.pose import pose_to_vector
+from rig.model.hexapod_singularity import singularity_text
+from rig.formats.toml_positions import value_positions
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -44,7 +44,7 @@ def entries_of(text: str, path: Path) -> Entries:
     """The whole table of a rig.toml's text. path : of the file, as complaints name it. Raises FileError where it is no TOML."""
     try:
         tree = tomllib.loads(text)
-        places = positions(text)
+        places = value_positions(text)
     except tomllib.TOMLDecodeError as error:
         where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         line, column = map(int, where.groups()) if where else (len(text.splitlines()), None)
@@ -67,7 +67,7 @@ def design_of(root: Entries) -> Design:
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = camera_entries.cameras(root.tables("camera")), _targets(root.tables("target"), bodies_of(mechanism))
-    targets = cube_turn_entries.turned(root.table("turned", optional=True), targets)
+    targets = cube_turn_entries.turned_targets(root.table("turned", optional=True), targets)
     camera_entries.check_in_hand(root, cameras, targets, mechanism)
     camera_entries.check_of_stages(root, cameras, targets)
     return Design(
@@ -78,7 +78,7 @@ def design_of(root: Entries) -> Design:
         insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
         controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
-        experiment=cube_turn_entries.permission(root.table("experiment", optional=True), targets))
+        experiment=cube_turn_entries.experiment_permission(root.table("experiment", optional=True), targets))
 
 
 def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Chain | Free:
@@ -113,8 +113,8 @@ def _stage(table: Entries) -> Hexapod | Planar2 | Arm:
     for i, (length, (low, high)) in enumerate(zip(lengths, hexapod.strut_range)):
         if not low <= length <= high:
             table.fail(f"{table.name('home')} needs strut {i + 1} at {length:.6f} m, outside its strut_range {low:g} .. {high:g} m", "home")
-    if singular(hexapod):
-        table.fail(f"{table.name('home')} {singular(hexapod)}", "home")
+    if singularity_text(hexapod):
+        table.fail(f"{table.name('home')} {singularity_text(hexapod)}", "home")
     return hexapod
 
 
@@ -260,7 +260,7 @@ def with_cameras(text: str, cameras: Iterable[Camera]) -> str:
         table = tables[camera.name]
         table["matrix"] = np.round(camera.matrix, 6).tolist()
         table["distortion"] = np.round(camera.distortion, 9).tolist()
-        position, rotvec = np.split(np.round(vector(camera.pose), 10), 2)
+        position, rotvec = np.split(np.round(pose_to_vector(camera.pose), 10), 2)
         entry = tomlkit.inline_table()
         entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
         table["pose"] = entry
@@ -269,7 +269,7 @@ def with_cameras(text: str, cameras: Iterable[Camera]) -> str:
 
 def camera_block(camera: Camera, placed: bool = False) -> str:
     """Text of a [[camera]] table as rig.toml takes it. placed : whether its pose is known; else it is a place to fill in"""
-    place = np.round(vector(camera.pose), 10) if placed else np.zeros(6)
+    place = np.round(pose_to_vector(camera.pose), 10) if placed else np.zeros(6)
     remark = "" if placed else "   # camera in base: put in where it stands"
     matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
     return (f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
@@ -291,7 +291,7 @@ def with_places(text: str, places: dict[str, tuple[Marker, ...]]) -> str:
             table.pop(key, None)
         rows = tomlkit.aot()
         for marker in places[table["name"]]:
-            position, rotvec = np.split(np.round(vector(marker.pose), 10), 2)
+            position, rotvec = np.split(np.round(pose_to_vector(marker.pose), 10), 2)
             row, entry = tomlkit.table(), tomlkit.inline_table()
             entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
             row.update({"id": int(marker.id), "side": float(marker.side), "margin": float(np.round(marker.margin, 9)), "pose": entry})

@@ -31,7 +31,7 @@ def frames(q: np.ndarray, arm: Arm) -> np.ndarray:
         raise ValueError(f"expected finite joint angles (..., {len(arm.joints)}) {'rad or m' if arm.slides.any() else 'rad'}, got shape {q.shape}")
     out = np.empty((*q.shape[:-1], len(arm.joints) + 2, 4, 4))
     out[..., 0, :, :] = arm.base.as_matrix()
-    links = link(turned(q, arm), arm.rows.T)
+    links = link_transform(joint_rotations(q, arm), arm.rows.T)
     if arm.slides.any():
         links[..., 2, 3] += np.where(arm.slides, q, 0.0)
     for i in range(q.shape[-1]):
@@ -40,12 +40,12 @@ def frames(q: np.ndarray, arm: Arm) -> np.ndarray:
     return out
 
 
-def turned(q: np.ndarray, arm: Arm) -> np.ndarray:
+def joint_rotations(q: np.ndarray, arm: Arm) -> np.ndarray:
     """(..., n) rad by which joint values q (..., n) turn the joints: a slide's not at all."""
     return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
 
 
-def link(q: np.ndarray, row: np.ndarray) -> np.ndarray:
+def link_transform(q: np.ndarray, row: np.ndarray) -> np.ndarray:
     """(..., 4, 4) transforms A of links: q (...,) rad, row = theta, d, a, alpha, beta, figures or arrays that broadcast with q."""
     theta, d, a, alpha, beta = row
     ct, st = np.cos(q + theta), np.sin(q + theta)
@@ -72,10 +72,10 @@ def jacobian(q: np.ndarray, arm: Arm, axes: str = "platform") -> np.ndarray:
     """
     if axes not in ("platform", "base"):
         raise ValueError(f"axes must be 'platform' or 'base', not {axes!r}")
-    return geometric(frames(q, arm), axes, arm.slides)
+    return geometric_jacobian(frames(q, arm), axes, arm.slides)
 
 
-def geometric(matrices: np.ndarray, axes: str = "platform", slides: np.ndarray | None = None) -> np.ndarray:
+def geometric_jacobian(matrices: np.ndarray, axes: str = "platform", slides: np.ndarray | None = None) -> np.ndarray:
     """(..., 6, n) Jacobian of frames (..., n + 2, 4, 4) as `frames` gives them; slides : (n,) bool, none by default."""
     z, o = matrices[..., :-2, :3, 2], matrices[..., :-2, :3, 3]
     J = np.concatenate([np.cross(z, matrices[..., -1:, :3, 3] - o), z], axis=-1)
@@ -103,7 +103,7 @@ def home(arm: Arm) -> np.ndarray:
     return np.zeros(len(arm.joints))
 
 
-def span(arm: Arm) -> float:
+def reach(arm: Arm) -> float:
     """m, how far links and slides reach at the most."""
     return float(np.abs(arm.joints[:, 1:3]).sum() + np.abs(arm.limits[arm.slides]).max(axis=1).sum())
 
@@ -135,7 +135,7 @@ def grown(T: RigidTransform, q: np.ndarray, arm: Arm, share: np.ndarray) -> tupl
     """(deviation (m, n) rad or m, sway (m, 6)) of links whose offsets d and lengths a have grown by shares (m, n): the hand moves, no joint
     does. A slide's scale is its travel with it."""
     chain, rows = frames(q, arm), arm.rows
-    before, turn = chain[:, : len(rows), :3], (turned(q, arm) + rows[:, 0])[..., None]
+    before, turn = chain[:, : len(rows), :3], (joint_rotations(q, arm) + rows[:, 0])[..., None]
     along = np.cos(turn) * before[..., 0] + np.sin(turn) * before[..., 1]  # the common normal
     offset = rows[:, 1] + np.where(arm.slides, q, 0.0)
     moved = np.einsum("mn,mni->mi", share, offset[..., None] * before[..., 2] + rows[:, 2, None] * along)
@@ -183,7 +183,7 @@ def solve(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = 
         if not len(todo):
             break
         q, error = _descend(trying[todo], target[todo], arm)
-        q = wrapped(q, arm, guess[todo])
+        q = nearest_turn(q, arm, guess[todo])
         out = (np.abs(limits(q, arm)) > 0).any(axis=1)
         solved, had = error <= GOOD, left[todo] <= GOOD
         better = np.where(solved & had, outside[todo] & ~out, np.where(solved | had, solved, error < left[todo]))
@@ -192,13 +192,13 @@ def solve(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = 
     return best.reshape(*shape, n), left.reshape(shape)
 
 
-def wrapped(q: np.ndarray, arm: Arm, near: np.ndarray) -> np.ndarray:
+def nearest_turn(q: np.ndarray, arm: Arm, near: np.ndarray) -> np.ndarray:
     """Angles (..., n) shifted by whole turns to the nearest of near (..., n) that the limits allow; slides stay."""
     low, high = arm.limits.T
     if arm.slides.any():
         out, turning = np.array(q, float), ~arm.slides
         only = replace(arm, joints=arm.joints[turning], limits=arm.limits[turning], slides=np.zeros(int(turning.sum()), bool))
-        out[..., turning] = wrapped(out[..., turning], only, np.broadcast_to(near, out.shape)[..., turning])
+        out[..., turning] = nearest_turn(out[..., turning], only, np.broadcast_to(near, out.shape)[..., turning])
         return out
     turn = 2 * np.pi
     q = q - turn * np.round((q - near) / turn)
@@ -207,7 +207,7 @@ def wrapped(q: np.ndarray, arm: Arm, near: np.ndarray) -> np.ndarray:
     return np.where(q > high, q - turn * np.round((q - near) / turn), q)
 
 
-def apart(q: np.ndarray, other: np.ndarray, arm: Arm) -> np.ndarray:
+def joint_difference(q: np.ndarray, other: np.ndarray, arm: Arm) -> np.ndarray:
     """(..., n) rad, of slides m, by which joint values q (..., n) differ from other ones, whole turns aside."""
     away = np.asarray(q, float) - other
     return away - np.where(arm.slides, 0.0, 2 * np.pi * np.round(away / (2 * np.pi)))
@@ -226,7 +226,7 @@ def _descend(q: np.ndarray, target: np.ndarray, arm: Arm) -> tuple[np.ndarray, n
         if not rest.any():
             break
         going, chain, e = going[rest], chain[rest], e[rest]
-        J = geometric(chain, slides=arm.slides)
+        J = geometric_jacobian(chain, slides=arm.slides)
         damping = 0.5 * (e**2).sum(axis=1) + 1e-15  # vanishes with the error's square, so the end is Newton's
         if J.shape[-1] <= 6:
             step = np.linalg.solve(np.swapaxes(J, 1, 2) @ J + damping[:, None, None] * np.eye(J.shape[-1]),

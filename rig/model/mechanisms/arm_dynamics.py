@@ -27,7 +27,7 @@ class Links:
                              f"{np.shape(self.inertia)}")
 
 
-def torques(q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: Links, gravity: np.ndarray) -> np.ndarray:
+def joint_torques(q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: Links, gravity: np.ndarray) -> np.ndarray:
     """(..., n) Nm, of slides N, that the joints bear for weight and motion alone: nothing touches the hand.
 
     q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the axes of poses

@@ -22,20 +22,20 @@ class Solutions(NamedTuple):
     missed: tuple[float, float]
 
 
-def solutions(T_base_platform: RigidTransform, arm: Arm, starts: int = STARTS) -> Solutions:
+def inverse_solutions(T_base_platform: RigidTransform, arm: Arm, starts: int = STARTS) -> Solutions:
     """Solutions of one pose () of an Arm, those within the limits first; of a redundant arm some of the many that there are."""
     n, (low, high) = len(arm.joints), arm.limits.T
     begin = np.random.default_rng(0).uniform(low, high, (starts, n))
     many = RigidTransform.from_matrix(np.tile(T_base_platform.as_matrix(), (starts, 1, 1)))
     if n < deficient_arm.WHOLE:
-        count = deficient_arm.directions(arm)
-        q, rest, settled = deficient_arm.nearest(many, arm, begin, count)
+        count = deficient_arm.reachable_directions(arm)
+        q, rest, settled = deficient_arm.nearest_configuration(many, arm, begin, count)
         place, turn = np.linalg.norm(rest[:, :3], axis=1), np.linalg.norm(rest[:, 3:], axis=1)
         good = settled & (place <= (mechanism.GOOD if count.position == 3 else FAR)) & (turn <= FAR)
     else:
         q, left = mechanism.solve(many, arm, begin, starts=0)
         rest, place, turn, good = np.zeros((starts, 6)), left, left, left <= mechanism.GOOD
-    q = mechanism.wrapped(q, arm, np.zeros(q.shape))
+    q = mechanism.nearest_turn(q, arm, np.zeros(q.shape))
     order = np.argsort(np.abs(mechanism.limits(q, arm)).max(axis=1) > 0, kind="stable")
     kept = _once(q, [int(k) for k in order if good[k]], arm)
     nearest = int(np.argmin(np.maximum(place, turn)))
@@ -46,6 +46,6 @@ def _once(q: np.ndarray, order: list[int], arm: Arm) -> list[int]:
     """Of indices into q (m, n) in an order those that are apart, whole turns aside."""
     kept: list[int] = []
     for k in order:
-        if all(np.abs(mechanism.apart(q[k], q[other], arm)).max() >= SAME for other in kept):
+        if all(np.abs(mechanism.joint_difference(q[k], q[other], arm)).max() >= SAME for other in kept):
             kept.append(k)
     return kept

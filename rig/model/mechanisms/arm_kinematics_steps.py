@@ -36,7 +36,7 @@ class Step(NamedTuple):
     points: np.ndarray
 
 
-def hand(arm: Arm) -> np.ndarray:
+def hand_points(arm: Arm) -> np.ndarray:
     """(3, 3) m, points A, B, C of an Arm's hand at zero, in its global frame."""
     F = global_frame(arm)
     a = F.inv().apply(mechanism.forward(np.zeros(len(arm.joints)), arm).translation)
@@ -47,11 +47,11 @@ def forward(q: np.ndarray, arm: Arm) -> list[Step]:
     """Steps of joint values q (n,) rad or m of any Arm: its points at zero, then after each joint, the last first."""
     to_global = global_frame(arm).inv()
     chain = (to_global * RigidTransform.from_matrix(mechanism.frames(np.zeros(len(q)), arm))).as_matrix()
-    abc = hand(arm)
+    abc = hand_points(arm)
     steps = [Step(0, 0.0, np.zeros((2, 3)), tuple("ABC"), abc)]
     for i in range(len(q) - 1, -1, -1):
         o, u = chain[i, :3, 3], chain[i, :3, 2]
-        abc = abc + q[i] * u if arm.slides[i] else turned(abc, o, u, q[i])
+        abc = abc + q[i] * u if arm.slides[i] else rotate_points(abc, o, u, q[i])
         steps.append(Step(i + 1, float(q[i]), np.array([o, u]), tuple("ABC"), abc))
     return steps
 
@@ -68,23 +68,23 @@ def inverse(T_base_platform: RigidTransform, six: SixR, q: np.ndarray) -> list[S
         way.back(1, angle(six.points[2] - six.points[1], way.extra["E"] - six.points[1], six.axes[1]))
         way.back(2, angle(six.key - six.points[2], way.abc[0] - six.points[2], six.axes[2]))
         fifth = way.fifth(six.axes[3])
-        way.back(3, way.about(3, spun(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5])))
+        way.back(3, way.about(3, rotate_vectors(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5])))
     else:
         fifth = way.fifth(six.axes[1])
-        turn = way.about(None, spun(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5]))
+        turn = way.about(None, rotate_vectors(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5]))
         last = six.key - six.points[3]
-        way.extra["D"] = way.abc[0] - spun(last, six.axes[1], turn)
+        way.extra["D"] = way.abc[0] - rotate_vectors(last, six.axes[1], turn)
         way.elbow(way.extra["D"])
         way.back(1, angle(six.points[2] - six.points[1], way.extra["E"] - six.points[1], six.axes[1]))
         way.back(2, angle(six.points[3] - six.points[2], way.extra["D"] - six.points[2], six.axes[2]))
-        way.back(3, way.about(3, spun(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5])))
+        way.back(3, way.about(3, rotate_vectors(six.axes[5], six.axes[4], fifth), way.carried(six.axes[5])))
     way.back(4, angle(six.axes[5], way.carried(six.axes[5]), six.axes[4]))
     mark = np.cross(six.axes[5], six.axes[4])
     way.back(5, angle(mark, way.carried(mark), six.axes[5]))
     return way.steps
 
 
-def returned(T_base_platform: RigidTransform, arm: Arm, q: np.ndarray) -> list[Step]:
+def inverse_steps_of_solution(T_base_platform: RigidTransform, arm: Arm, q: np.ndarray) -> list[Step]:
     """Steps by which the points of a pose () are returned by a solution q (n,) rad or m that was found otherwise, joint 1 to n, of any Arm.
 
     The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.
@@ -92,11 +92,11 @@ def returned(T_base_platform: RigidTransform, arm: Arm, q: np.ndarray) -> list[S
     frame = global_frame(arm)
     chain = (frame.inv() * RigidTransform.from_matrix(mechanism.frames(np.zeros(len(q)), arm))).as_matrix()
     moved = frame.inv() * T_base_platform * mechanism.forward(np.zeros(len(q)), arm).inv() * frame  # the hand since zero, in the global frame
-    abc = moved.apply(hand(arm))
+    abc = moved.apply(hand_points(arm))
     steps = [Step(0, 0.0, np.zeros((2, 3)), tuple("ABC"), abc)]
     for i, value in enumerate(q):
         o, u = chain[i, :3, 3], chain[i, :3, 2]
-        abc = abc - value * u if arm.slides[i] else turned(abc, o, u, -value)
+        abc = abc - value * u if arm.slides[i] else rotate_points(abc, o, u, -value)
         steps.append(Step(i + 1, float(value), np.array([o, u]), tuple("ABC"), abc))
     return steps
 
@@ -121,8 +121,8 @@ class _Way:
     def back(self, i: int, value: float) -> None:
         """Turn all points back about axis i (from 0) by an angle (rad) that was read, and note the step."""
         o, u = self.six.points[i], self.six.axes[i]
-        self.abc = turned(self.abc, o, u, -value)
-        self.extra = {name: turned(point, o, u, -value) for name, point in self.extra.items()}
+        self.abc = rotate_points(self.abc, o, u, -value)
+        self.extra = {name: rotate_points(point, o, u, -value) for name, point in self.extra.items()}
         self.steps.append(Step(i + 1, value, np.array([o, u]), **self.seen()))
         self.extra = {name: point for name, point in self.extra.items() if i < {"E": 1, "D": 2}[name]}  # later joints leave it where it is
 
@@ -149,14 +149,14 @@ class _Way:
         o, u = self.six.points[1:3], self.six.axes[1]
         far = self.six.key if self.six.kind == "spherical" else self.six.points[3]
         arm, fore, d = (v - (u @ v) * u for v in (o[1] - o[0], far - o[1], point - o[0]))
-        there = [o[0] + spun(o[1] - o[0], u, self.q[1])]  # where joint 2 is free
+        there = [o[0] + rotate_vectors(o[1] - o[0], u, self.q[1])]  # where joint 2 is free
         reach = np.linalg.norm(d)
         if reach > FREE:
             x = (arm @ arm - fore @ fore + reach**2) / (2 * reach)
             h = np.sqrt(max(arm @ arm - x * x, 0.0))
             foot, side = o[0] + u * (u @ (o[1] - o[0])) + x * d / reach, np.cross(u, d / reach)
             there = [foot + h * side, foot - h * side]
-        self.extra["E"] = min(there, key=lambda e: abs(wrapped(angle(arm, e - o[0], u) - self.q[1])))
+        self.extra["E"] = min(there, key=lambda e: abs(wrap_angle(angle(arm, e - o[0], u) - self.q[1])))
         self.steps[-1] = self.steps[-1]._replace(**self.seen())
 
     def about(self, i: int | None, start: np.ndarray, end: np.ndarray) -> float:
@@ -171,7 +171,7 @@ class _Way:
         if r < FREE:
             return float(self.q[i])
         middle, half = np.arctan2(b, a), np.arctan2(np.sqrt(max(r - c, 0.0) * max(r + c, 0.0)), c)
-        return float(min((wrapped(middle + half), wrapped(middle - half)), key=lambda t: abs(wrapped(t - self.q[i]))))
+        return float(min((wrap_angle(middle + half), wrap_angle(middle - half)), key=lambda t: abs(wrap_angle(t - self.q[i]))))
 
 
 def angle(a: np.ndarray, b: np.ndarray, u: np.ndarray) -> float:
@@ -180,16 +180,16 @@ def angle(a: np.ndarray, b: np.ndarray, u: np.ndarray) -> float:
     return float(np.arctan2(u @ np.cross(a, b), a @ b))
 
 
-def spun(v: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+def rotate_vectors(v: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
     """Vectors v (..., 3) turned about the unit vector u (3,) by t rad, right-handed."""
     return Rotation.from_rotvec(t * u).apply(v)
 
 
-def turned(points: np.ndarray, o: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+def rotate_points(points: np.ndarray, o: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
     """Points (..., 3) m turned about the axis through o (3,) m along u (3,) by t rad."""
-    return o + spun(points - o, u, t)
+    return o + rotate_vectors(points - o, u, t)
 
 
-def wrapped(t: float) -> float:
+def wrap_angle(t: float) -> float:
     """An angle (rad) brought to -pi .. pi."""
     return float(t - 2 * np.pi * np.round(t / (2 * np.pi)))

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Stage
 from rig.errors import NotConverged, Unreachable
 from rig.model.mechanisms import arm, hexapod, two_strut_plane
-from rig.model.pose import difference, skew
+from rig.model.pose import pose_difference, skew
 
 AXIS, UNIT = "axis", "m"
 KINDS: dict[str, ModuleType] = {"hexapod": hexapod, "planar2": two_strut_plane, "arm": arm}
@@ -35,25 +35,25 @@ def stages(values: np.ndarray, chain: Chain) -> Iterator[tuple[Stage, np.ndarray
         at += len(stage.axes)
 
 
-def each(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
+def stage_transforms(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
     """[T (...)] of every stage's platform in its own base. Raises what a stage's own forward kinematics raises."""
     return [KINDS[stage.kind].forward(own, stage) for stage, own in stages(values, chain)]
 
 
-def standing(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
+def stage_poses(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
     """[T_base_stage (...)] where every stage's platform stands in the chain's base, the last the chain's own. Raises what a stage's own raises."""
     out: list[RigidTransform] = []
-    for T in each(values, chain):
+    for T in stage_transforms(values, chain):
         out.append(out[-1] * T if out else T)
     return out
 
 
 def forward(values: np.ndarray, chain: Chain, guess: RigidTransform | None = None) -> RigidTransform:
     """T_base_platform (...) of commanded values (..., axes of all) m or rad. guess : unused; raises what a stage's own raises."""
-    return standing(values, chain)[-1]
+    return stage_poses(values, chain)[-1]
 
 
-def beyond(parts: list[RigidTransform]) -> list[np.ndarray]:
+def tangent_maps(parts: list[RigidTransform]) -> list[np.ndarray]:
     """[(..., 6, 6)] of every stage: change of the whole chain's tangent with that of its own platform, both on the right."""
     after, out = np.broadcast_to(np.eye(4), parts[0].as_matrix().shape), []
     for T in reversed(parts):
@@ -68,8 +68,8 @@ def beyond(parts: list[RigidTransform]) -> list[np.ndarray]:
 
 def jacobian(values: np.ndarray, chain: Chain) -> np.ndarray:
     """(..., 6, axes of all) change of the pose's tangent on the right (m, rad) with the commanded values (m or rad)."""
-    parts = each(values, chain)
-    columns = [back @ _stage_jacobian(own, T, stage) for (stage, own), T, back in zip(stages(values, chain), parts, beyond(parts))]
+    parts = stage_transforms(values, chain)
+    columns = [back @ _stage_jacobian(own, T, stage) for (stage, own), T, back in zip(stages(values, chain), parts, tangent_maps(parts))]
     return np.concatenate(columns, axis=-1)
 
 
@@ -116,7 +116,7 @@ def _misses(x: np.ndarray, target: RigidTransform, going: np.ndarray, chain: Cha
     """(those of the poses (k,) at whose values all stages close, (m, 6) what they miss their targets by)."""
     while len(going):
         try:
-            return going, difference(forward(x[going], chain), target[going])
+            return going, pose_difference(forward(x[going], chain), target[going])
         except NotConverged as error:
             going = np.delete(going, error.index)
     return going, np.zeros((0, 6))
@@ -149,8 +149,8 @@ def links(T: RigidTransform, values: np.ndarray, chain: Chain, gravity: np.ndarr
 
 def grown(T: RigidTransform, values: np.ndarray, chain: Chain, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(deviation (n, axes of all), sway (n, 6)) of stages whose axes' members have grown by shares (n, axes of all) of their length."""
-    parts, at, deviations, sway = each(values, chain), 0, [], np.zeros((len(share), 6))
-    for (stage, own), part, back in zip(stages(values, chain), parts, beyond(parts)):
+    parts, at, deviations, sway = stage_transforms(values, chain), 0, [], np.zeros((len(share), 6))
+    for (stage, own), part, back in zip(stages(values, chain), parts, tangent_maps(parts)):
         longer, moved = KINDS[stage.kind].grown(part, own, stage, share[:, at : at + len(stage.axes)])
         deviations.append(longer)
         sway = sway + (back @ moved[..., None])[..., 0]

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 WHOLE = 6  # joints that reach all directions
 NONE = 1e-7  # of the greatest singular value; less is no direction
@@ -32,7 +32,7 @@ class Directions(NamedTuple):
     rotation: int
 
 
-def directions(arm: Arm) -> Directions:
+def reachable_directions(arm: Arm) -> Directions:
     """Directions of an Arm, at configurations in general."""
     low, high = arm.limits.T
     J = mechanism.jacobian(np.random.default_rng(0).uniform(low, high, (SAMPLES, len(low))), arm)
@@ -40,7 +40,7 @@ def directions(arm: Arm) -> Directions:
     return Directions(place, int(np.linalg.matrix_rank(J, rtol=NONE).max()) - place)
 
 
-def nearest(T_base_platform: RigidTransform, arm: Arm, start: np.ndarray, count: Directions,
+def nearest_configuration(T_base_platform: RigidTransform, arm: Arm, start: np.ndarray, count: Directions,
             effective: Callable[[np.ndarray], np.ndarray] | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(q (m, n) rad or m, rest (m, 6) m and rad, settled (m,) bool): joint values from a start (m, n) at which the hand is nearest to poses (m,).
 
@@ -54,10 +54,10 @@ def nearest(T_base_platform: RigidTransform, arm: Arm, start: np.ndarray, count:
         if not going.any():
             break
         J = mechanism.jacobian(effective(q), arm)
-        step = _step(J, difference(mechanism.forward(effective(q), arm), T_base_platform), count)
+        step = _step(J, pose_difference(mechanism.forward(effective(q), arm), T_base_platform), count)
         size = np.where(going, np.abs(step).max(axis=1), size)
         q = q + np.where(going[:, None], step, 0.0) / np.maximum(1.0, size / STEP)[:, None]
-    return q, difference(mechanism.forward(effective(q), arm), T_base_platform), size < SETTLED
+    return q, pose_difference(mechanism.forward(effective(q), arm), T_base_platform), size < SETTLED
 
 
 def _step(J: np.ndarray, error: np.ndarray, count: Directions) -> np.ndarray:

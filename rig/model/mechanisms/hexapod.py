@@ -27,7 +27,7 @@ def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     """
     matrix = np.ascontiguousarray(T_base_platform.as_matrix())
     flat, out = matrix.reshape(-1, 4, 4), np.empty((matrix.size // 16, 6))
-    hexapod_kernels.in_parallel(
+    hexapod_kernels.run_in_threads(
         lambda part: hexapod_kernels.lengths(flat[part], hexapod.base_joints, hexapod.platform_joints, hexapod.strut_zeros, out[part]), len(flat)
     )
     return out.reshape(*matrix.shape[:-2], 6)
@@ -127,7 +127,7 @@ def _side_by_side(lengths: np.ndarray, start: np.ndarray, hexapod: Hexapod, out:
         begin = (q, t) if len(q) == 1 else (q[part], t[part])
         hexapod_kernels.poses(lengths[part], struts, begin, TOLERANCE, *(one[part] for one in out))
 
-    hexapod_kernels.in_parallel(solve, len(lengths))
+    hexapod_kernels.run_in_threads(solve, len(lengths))
 
 
 @lru_cache(64)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.compute.numba_kernels import njit
-from rig.compute.worker_processes import cores
+from rig.compute.worker_processes import worker_count
 
 WIDTH = 8  # lanes: doubles of a 512-bit register, two registers of 256 bits
 EACH = 8192  # poses for each thread, below which it is not worth starting any
@@ -29,9 +29,9 @@ class Struts(NamedTuple):
     turn: float
 
 
-def in_parallel(kernel: Callable[[slice], None], count: int, each: int = EACH) -> None:
+def run_in_threads(kernel: Callable[[slice], None], count: int, each: int = EACH) -> None:
     """kernel(slice) over `count` things in stretches side by side on all cores (OMP_NUM_THREADS at most); what it runs must let go of the lock."""
-    threads = min(cores(), count // each)
+    threads = min(worker_count(), count // each)
     if threads < 2:
         kernel(slice(0, count))
         return

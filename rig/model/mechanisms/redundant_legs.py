@@ -54,7 +54,7 @@ class Closures:
     share: np.ndarray
 
 
-def legs(parts: list[tuple[str, Hexapod | MeasuringLimbs, np.ndarray, np.ndarray]], home: RigidTransform) -> Legs:
+def combine_legs(parts: list[tuple[str, Hexapod | MeasuringLimbs, np.ndarray, np.ndarray]], home: RigidTransform) -> Legs:
     """Legs of sets of n: (letter of their names, geometry, sigma (n,) m, covariance (7 n, 7 n) m^2 of its base joints, platform joints and zeros).
 
     home : T_base_platform, about which they are looked for
@@ -71,7 +71,7 @@ def legs(parts: list[tuple[str, Hexapod | MeasuringLimbs, np.ndarray, np.ndarray
                 scipy.linalg.block_diag(*blocks))
 
 
-def rows(of: Legs, T: RigidTransform) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def leg_length_jacobians(of: Legs, T: RigidTransform) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(read (n, k) m, Jacobian (n, k, 6) of these with the tangent on the right, to_base (n, k, 3) their slope with a base joint) at poses (n,)."""
     matrix = T.as_matrix()
     R, place = matrix[:, :3, :3], matrix[:, :3, 3]
@@ -82,9 +82,9 @@ def rows(of: Legs, T: RigidTransform) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return length - of.zeros, np.concatenate([own, np.cross(of.platform, own)], axis=2), -unit
 
 
-def slopes(of: Legs, T: RigidTransform) -> np.ndarray:
+def leg_parameter_jacobians(of: Legs, T: RigidTransform) -> np.ndarray:
     """(n, k, 7 k) of what k legs read at poses (n,) with their base joints, platform joints and zeros, leg by leg, m/m."""
-    own = _slope(rows(of, T)[2], T)
+    own = _slope(leg_length_jacobians(of, T)[2], T)
     return (np.eye(own.shape[1])[:, :, None] * own[:, :, None]).reshape(*own.shape[:2], -1)
 
 
@@ -97,7 +97,7 @@ def best_six(of: Legs, T: RigidTransform) -> np.ndarray:
     """(6,) indices of the legs that tell poses (n,) best: of all sixes the one whose worst-told direction, at the worst pose, is told best, each leg
     counting by its reading's error and rotations by the platform's size. Raises RigError where none of them holds the platform"""
     size = float(np.linalg.norm(of.platform - of.platform.mean(axis=0), axis=1).mean())
-    J = rows(of, T[np.unique(np.linspace(0, len(T) - 1, min(len(T), LOOKED_AT)).round().astype(int))])[1]
+    J = leg_length_jacobians(of, T[np.unique(np.linspace(0, len(T) - 1, min(len(T), LOOKED_AT)).round().astype(int))])[1]
     J = J / np.repeat([1.0, size], 3) / of.sigma[:, None]
     sets = np.array(list(combinations(range(len(of.names)), SIX)))
     values = np.linalg.svd(J[:, sets], compute_uv=False)  # (poses, sets, 6)
@@ -107,12 +107,12 @@ def best_six(of: Legs, T: RigidTransform) -> np.ndarray:
     return sets[int(least.argmax())]
 
 
-def closures(of: Legs, read: np.ndarray, chosen: np.ndarray) -> Closures:
+def leg_closures(of: Legs, read: np.ndarray, chosen: np.ndarray) -> Closures:
     """Closures of lengths read (n, k) m, poses by the legs chosen (6,). Raises NotConverged where these close on no pose, RigError for a choice
     that leaves the platform loose"""
     checks = np.setdiff1d(np.arange(len(of.names)), chosen)
     T = mechanism.forward(read[:, chosen], of.six(chosen))
-    told, J, to_base = rows(of, T)
+    told, J, to_base = leg_length_jacobians(of, T)
     values = np.linalg.svd(J[:, chosen], compute_uv=False)
     if (values[:, -1] < SINGULAR * values[:, 0]).any():
         raise RigError(f"{', '.join(of.names[i] for i in chosen)} leave the platform loose at pose {int((values[:, -1] / values[:, 0]).argmin())}")

@@ -65,7 +65,7 @@ class Branches:
         return f"singular: {', '.join(names)}" if names else "regular"
 
 
-def six(arm: Arm) -> SixR:
+def six_joint_arm(arm: Arm) -> SixR:
     """SixR of an Arm. Raises RigError, with what misses by how much, for one that has no closed form here."""
     if len(arm.joints) != 6:
         raise RigError(f"the closed form is for six joints, not {len(arm.joints)}")
@@ -154,14 +154,14 @@ def inverse(T_base_platform: RigidTransform, six: SixR, near: np.ndarray | None 
                     gap.reshape(shape))
 
 
-def nearest(T_base_platform: RigidTransform, six: SixR, guess: np.ndarray) -> np.ndarray:
+def nearest_solution(T_base_platform: RigidTransform, six: SixR, guess: np.ndarray) -> np.ndarray:
     """(..., 6) rad, of all branches and whole turns the solution within the limits that is nearest to guess (..., 6) or (6,) rad.
 
     Raises Unreachable with the index of poses out of reach, or whose solutions all leave the limits
     """
     found = inverse(T_base_platform, six)
     guess = np.broadcast_to(guess, found.q.shape[:-2] + (6,))
-    q = mechanism.wrapped(found.q, six.arm, guess[..., None, :])
+    q = mechanism.nearest_turn(found.q, six.arm, guess[..., None, :])
     allowed = found.there & (mechanism.limits(q, six.arm) == 0).all(axis=-1)
     far = np.where(allowed, np.abs(q - guess[..., None, :]).max(axis=-1), np.inf)
     failed = np.flatnonzero(np.isinf(far.min(axis=-1)))

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.planning.layout import shipped_arms
 from rig.model.design import Arm
 from rig.model.mechanism_kinds import arm_of
-from rig.planning.layout.layout_elements import FACES, Ring, camera, camera_lines, checked, cube_lines, looking, rings
+from rig.planning.layout.layout_elements import FACES, Ring, camera, camera_lines, check_layout, cube_lines, camera_pose, cube_ring_lines
 from rig.model.mechanisms import arm as mechanism
 from rig.planning.configuration_sets import low_discrepancy
 
@@ -19,16 +19,16 @@ SLIDES = 0.15  # of a slide's stroke either way
 WIDE = 0.75  # rad to either side that a camera in the hand sees
 
 
-def layout(name: str, carried: str, cameras: int, size: tuple[int, int], cubes: int, dictionary: str) -> str:
+def arm_layout(name: str, carried: str, cameras: int, size: tuple[int, int], cubes: int, dictionary: str) -> str:
     """Text of a rig.toml of a shipped arm.
 
     carried : "cubes" or "hand", for cameras in the hand; cameras : how many; size : px of the images; cubes : how many in the hand and on the
     base, or three times as many before the hand
     Raises RigError for a name that there is not, a dictionary with too few identities, or figures that make no rig
     """
-    text = shipped_arms.design(name).replace(shipped_arms.INSTRUMENT, "")
-    arm = _posed(arm_of(shipped_arms.load(name).mechanism), TURNS[carried])
-    checked(1.0, cameras, cubes if carried == "cubes" else -(-3 * cubes // 2), dictionary)
+    text = shipped_arms.shipped_arm_rig_toml(name).replace(shipped_arms.INSTRUMENT, "")
+    arm = _posed(arm_of(shipped_arms.load_shipped_arm(name).mechanism), TURNS[carried])
+    check_layout(1.0, cameras, cubes if carried == "cubes" else -(-3 * cubes // 2), dictionary)
     lines = [_narrowed(text, arm).rstrip(), ""]
     T = mechanism.forward(low_discrepancy(arm.limits, 64, 1.0), arm)
     middle = T.translation.mean(axis=0)
@@ -63,7 +63,7 @@ def _narrowed(text: str, arm: Arm) -> str:
 def _cubes_in_hand(middle: np.ndarray, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str) -> list[str]:
     edge_platform, edge_base = (share * reach * (2 / np.sqrt(max(cubes, 4))) for share in (0.24, 0.3))
     low = middle - [0, 0, 0.8 * reach - edge_base / 2]
-    return camera_lines(middle, reach, cameras, *size) + rings(
+    return camera_lines(middle, reach, cameras, *size) + cube_ring_lines(
         cubes, dictionary, Ring(np.array([0, 0, edge_platform / 2]), 0.22 * reach, edge_platform, 0.35), Ring(low, reach, edge_base, 0.35))
 
 
@@ -76,7 +76,7 @@ def _cameras_in_hand(T: RigidTransform, reach: float, cameras: int, size: tuple[
         lines += camera(f"cam{i}", at, WIDE, size, "hand")
     ahead = T.rotation.apply([0, 0, 1.0])
     far = 1.6 * reach
-    field = looking(T.translation + far * ahead, ahead).rotation
+    field = camera_pose(T.translation + far * ahead, ahead).rotation
     wide = int(np.ceil(np.sqrt(cubes * 4 / 3)))
     facing = field * Rotation.from_rotvec([np.pi, 0, 0])  # z back to the hand
     for i in range(cubes):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.planning.layout.layout_elements import Ring, camera_lines, checked, rings, row, rows
+from rig.planning.layout.layout_elements import Ring, camera_lines, check_layout, cube_ring_lines, toml_row, toml_rows
 
 JOINT_PAIRS = (0.244, 0.733)  # rad, half the angle between the two joints of a pair on the base and on the platform
 LIMB_PAIRS = (0.35, 0.62)  # rad, the same of measuring limbs beside the struts
@@ -11,7 +11,7 @@ HEIGHT_SHARE = 1.5  # home height over the base's radius
 STROKE_SHARE = 0.33  # of the base's radius
 
 
-def layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 1024, cubes: int = 4, dictionary: str = "DICT_5X5_100",
+def hexapod_layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 1024, cubes: int = 4, dictionary: str = "DICT_5X5_100",
            name: str = "hexapod", limbs: int = 0) -> str:
     """Text of a rig.toml.
 
@@ -20,27 +20,27 @@ def layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 102
     cubes : how many on the base and as many on the platform, each face with an identity of its own
     Raises RigError where the dictionary has too few identities or the figures make no rig.
     """
-    checked(radius, cameras, cubes, dictionary)
+    check_layout(radius, cameras, cubes, dictionary)
     base = _joints(radius, JOINT_PAIRS[0], 0.0)
     platform = _joints(radius * PLATFORM_SHARE, JOINT_PAIRS[1], 0.0)
     home = np.array([0, 0, HEIGHT_SHARE * radius])
     length = np.linalg.norm(platform + home - base, axis=1)
     half = STROKE_SHARE * radius / 2
     lines = ['schema = "rig/1"', f'name = "{name}"', "", "[environment]", "gravity = [0.0, 0.0, -9.80665]   # m/s^2, base frame", "",
-             "[mechanism]", 'kind = "hexapod"', f"base_joints = {rows(base)}   # m, base frame, strut 1..6",
-             f"platform_joints = {rows(platform)}   # m, platform frame",
-             f"strut_range = {rows(np.stack([length - half, length + half], axis=1))}   # m, joint centre to joint centre",
-             f"home = {{ position = {row(home)}, rotvec = [0.0, 0.0, 0.0] }}   # platform in base", "",
+             "[mechanism]", 'kind = "hexapod"', f"base_joints = {toml_rows(base)}   # m, base frame, strut 1..6",
+             f"platform_joints = {toml_rows(platform)}   # m, platform frame",
+             f"strut_range = {toml_rows(np.stack([length - half, length + half], axis=1))}   # m, joint centre to joint centre",
+             f"home = {{ position = {toml_row(home)}, rotvec = [0.0, 0.0, 0.0] }}   # platform in base", "",
              "[actuator]", "screw_lead = 0.004   # m per revolution", 'joints = "cardan-cardan"', f"max_speed = {0.17 * radius:.4g}   # m/s", "",
              "[platform]", f"mass = {450 * radius**3:.4g}   # kg", f"centre_of_mass = [0.0, 0.0, {0.07 * radius:.4g}]   # m, platform frame",
              f"payload_centre_of_mass = [0.0, 0.0, {0.4 * radius:.4g}]"]
     if limbs:
-        lines += ["", "[insitu]", f"base_joints = {rows(_limb_joints(radius * 1.1, LIMB_PAIRS[0], limbs))}   # m, base frame, limb 1..{limbs}",
-                  f"platform_joints = {rows(_limb_joints(radius * PLATFORM_SHARE * 0.9, LIMB_PAIRS[1], limbs))}   # m, platform frame",
+        lines += ["", "[insitu]", f"base_joints = {toml_rows(_limb_joints(radius * 1.1, LIMB_PAIRS[0], limbs))}   # m, base frame, limb 1..{limbs}",
+                  f"platform_joints = {toml_rows(_limb_joints(radius * PLATFORM_SHARE * 0.9, LIMB_PAIRS[1], limbs))}   # m, platform frame",
                   f"length_sigma = 1e-6   # m, of one reading (sensors.csv, m1..m{limbs})"]
     lines += camera_lines(np.array([0, 0, 0.45 * home[2]]), radius, cameras, width, height)
     edge_platform, edge_base = 0.62 * radius / np.sqrt(cubes), 0.7 * radius / np.sqrt(cubes)
-    lines += rings(cubes, dictionary, Ring(np.array([0, 0, edge_platform / 2]), 0.45 * radius, edge_platform, 0.35),
+    lines += cube_ring_lines(cubes, dictionary, Ring(np.array([0, 0, edge_platform / 2]), 0.45 * radius, edge_platform, 0.35),
                    Ring(np.array([0, 0, edge_base / 2]), 1.25 * radius, edge_base, 0.9))
     return "\n".join(lines) + "\n"
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.design import DICTIONARIES
 from rig.errors import RigError
-from rig.model.pose import vector
+from rig.model.pose import pose_to_vector
 
 FACES = ("+x", "-x", "+y", "-y", "+z")
 MARKER_SHARE = 0.8  # of a cube's edge
@@ -26,7 +26,7 @@ class Ring(NamedTuple):
     turn: float
 
 
-def checked(radius: float, cameras: int, cubes: int, dictionary: str) -> None:
+def check_layout(radius: float, cameras: int, cubes: int, dictionary: str) -> None:
     """Raise RigError for figures that make no rig, or a dictionary with too few identities for two bodies with so many cubes."""
     if not 0.01 <= radius <= 20:
         raise RigError(f"a radius of {radius:g} m makes no rig; expected 0.01 .. 20 m")
@@ -43,11 +43,11 @@ def camera_lines(middle: np.ndarray, reach: float, count: int, width: int, heigh
     for i in range(count):
         around = 0.35 + 2 * np.pi * i / count
         eye = middle + distance * np.array([np.cos(ELEVATION) * np.cos(around), np.cos(ELEVATION) * np.sin(around), np.sin(ELEVATION)])
-        lines += camera(f"cam{i}", looking(eye, (middle - eye) / distance), np.arcsin(FILLED / DISTANCE_SHARE), (width, height))
+        lines += camera(f"cam{i}", camera_pose(eye, (middle - eye) / distance), np.arcsin(FILLED / DISTANCE_SHARE), (width, height))
     return lines
 
 
-def looking(eye: np.ndarray, ahead: np.ndarray) -> RigidTransform:
+def camera_pose(eye: np.ndarray, ahead: np.ndarray) -> RigidTransform:
     """Pose of a camera at a place (3,) m that looks along a unit direction (3,), level, OpenCV axes."""
     right = np.cross(ahead, [0, 0, 1.0] if abs(ahead[2]) < 0.999 else [0, 1.0, 0])
     right /= np.linalg.norm(right)
@@ -58,12 +58,12 @@ def camera(name: str, pose: RigidTransform, half_angle: float, size: tuple[int, 
     """Lines of a camera that sees so far to the sides (rad). pose : in the base, or of one in the hand in the platform; size : px"""
     width, height = size
     focal = 0.5 * min(width, 1.25 * height) / np.tan(half_angle)
-    position, rotvec = np.split(vector(pose), 2)
+    position, rotvec = np.split(pose_to_vector(pose), 2)
     matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]
     where = "base" if mount == "fixed" else "platform"
-    return ["", "[[camera]]", f'name = "{name}"', f"width = {width}", f"height = {height}", f"matrix = {rows(matrix)}",
+    return ["", "[[camera]]", f'name = "{name}"', f"width = {width}", f"height = {height}", f"matrix = {toml_rows(matrix)}",
             "distortion = [-0.1, 0.08, 0.0, 0.0, 0.0]   # OpenCV k1 k2 p1 p2 k3",
-            f"pose = {{ position = {row(position)}, rotvec = {row(rotvec)} }}   # camera in {where}, OpenCV axes",
+            f"pose = {{ position = {toml_row(position)}, rotvec = {toml_row(rotvec)} }}   # camera in {where}, OpenCV axes",
             *([] if mount == "fixed" else [f'mount = "{mount}"']), 'shutter = "global"']
 
 
@@ -73,10 +73,10 @@ def cube_lines(name: str, body: str, dictionary: str, first: int, edge: float, p
     turned = ", ".join(f"{value:.6f}" if value else "0.0" for value in turn)
     return ["", "[[target]]", f'name = "{name}"', f'body = "{body}"', f"edge = {edge:.6g}   # m", f"marker = {MARKER_SHARE * edge:.6g}   # m",
             f'dictionary = "{dictionary}"', f"faces = {{ {faces} }}",
-            f"pose = {{ position = {row(place)}, rotvec = [{turned}] }}   # cube in body"]
+            f"pose = {{ position = {toml_row(place)}, rotvec = [{turned}] }}   # cube in body"]
 
 
-def rings(cubes: int, dictionary: str, platform: Ring, base: Ring) -> list[str]:
+def cube_ring_lines(cubes: int, dictionary: str, platform: Ring, base: Ring) -> list[str]:
     """Lines of so many cubes around each of two bodies, every face with an identity of its own."""
     lines = []
     for k, (body, ring) in enumerate((("platform", platform), ("base", base))):
@@ -88,11 +88,11 @@ def rings(cubes: int, dictionary: str, platform: Ring, base: Ring) -> list[str]:
     return lines
 
 
-def row(values: Iterable[float]) -> str:
+def toml_row(values: Iterable[float]) -> str:
     """Numbers as a TOML array."""
     return "[" + ", ".join(f"{value:.9g}" if value else "0.0" for value in map(float, values)) + "]"
 
 
-def rows(values: Iterable[Iterable[float]]) -> str:
+def toml_rows(values: Iterable[Iterable[float]]) -> str:
     """Rows of numbers as a TOML array of arrays."""
-    return "[" + ", ".join(row(one) for one in values) + "]"
+    return "[" + ", ".join(toml_row(one) for one in values) + "]"

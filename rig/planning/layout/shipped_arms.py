@@ -16,28 +16,28 @@ rotation_sigma = 1e-4   # rad
 """
 
 
-def names() -> list[str]:
+def shipped_arm_names() -> list[str]:
     """Names of the arms that are shipped, sorted."""
     return sorted(entry.name.removesuffix(".toml") for entry in (files("rig") / "arms").iterdir() if entry.name.endswith(".toml"))
 
 
-def path(text: str) -> Path:
+def shipped_arm_path(text: str) -> Path:
     """The rig.toml that a path or a shipped arm's name means. Raises RigError for what is neither."""
     if Path(text).exists() or Path(text).suffix:
         return Path(text)
-    if text not in names():
-        raise RigError(f"there is no file {text!r}, nor is it one of the shipped arms: {', '.join(names())}")
+    if text not in shipped_arm_names():
+        raise RigError(f"there is no file {text!r}, nor is it one of the shipped arms: {', '.join(shipped_arm_names())}")
     return Path(str(files("rig") / "arms" / f"{text}.toml"))
 
 
-def load(text: str) -> Design:
+def load_shipped_arm(text: str) -> Design:
     """Design of a rig.toml's path, or of a shipped arm's name. Raises RigError for what is neither, FileError as
     rig.formats.rig_toml.design_file.load."""
-    return design_file.load(path(text))
+    return design_file.load(shipped_arm_path(text))
 
 
-def design(name: str) -> str:
+def shipped_arm_rig_toml(name: str) -> str:
     """Text of a rig.toml with a shipped arm that an instrument measures. Raises RigError for a name that there is not."""
-    if name not in names():
-        raise RigError(f"there is no arm {name!r}; there are {', '.join(names())}")
+    if name not in shipped_arm_names():
+        raise RigError(f"there is no arm {name!r}; there are {', '.join(shipped_arm_names())}")
     return (files("rig") / "arms" / f"{name}.toml").read_text(encoding="utf-8") + INSTRUMENT

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rig.report.pages.svg_elements import ticks
+from rig.report.pages.svg_elements import round_ticks
 
 ROOM = 0.05  # of the range, on either side of the values
 
@@ -48,7 +48,7 @@ class Scale:
         return f"{self.low:.6g} {self.high:.6g} {self.start:.1f} {self.end:.1f}" + (" log" if self.log else "")
 
 
-def around(values: np.ndarray, ends: tuple[float, float], log: bool = False, limits: tuple[float, float] | None = None,
+def scale_of_values(values: np.ndarray, ends: tuple[float, float], log: bool = False, limits: tuple[float, float] | None = None,
            whole: bool = False) -> Scale:
     """Scale that holds all finite values (n,), positive ones where it is logarithmic. ends : (2,) places; limits : in place of the values' own
     whole : whether they are whole numbers"""

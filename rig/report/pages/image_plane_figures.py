@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.report.pages.text_layout import escaped
-from rig.report.pages.svg_elements import TEXT, WIDTH, hover, svg, text
+from rig.report.pages.text_layout import escape_html
+from rig.report.pages.svg_elements import TEXT, WIDTH, tooltip, svg, text
 
 TOP = TEXT + 11.0
 Placed = Callable[[np.ndarray], np.ndarray]  # (n, 2) of the plane -> (n, 2) of the figure
@@ -66,7 +66,7 @@ def image_plane(title: str, below: str, size: tuple[float, float], layers: Seque
     return svg(int(TOP + tall + 24), f"{title}: {below}", parts)
 
 
-def patches(uv: np.ndarray, values: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
+def patch_means(uv: np.ndarray, values: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     """(centres (c, 2), means (c, k)) of values (n, k) at places uv (n, 2) >= 0, over square cells, sized in uv's unit, that hold FEWEST or more."""
     keys, index, count = np.unique((uv // cell).astype(int) @ [1, 1000], return_inverse=True, return_counts=True)
     centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
@@ -82,7 +82,7 @@ def _cells(cells: Cells, placed: Placed, scale: float, below: float) -> list[str
     at, half = placed(cells.centre), cells.size * scale / 2
     ends = np.clip(np.hstack([at - half, at + half]), [4, TOP, 4, TOP], [WIDTH - 4, below, WIDTH - 4, below])
     return [f'<rect class="shade" fill-opacity="{0.08 + 0.72 * max(value, 0.0) / greatest:.2f}" x="{left:.1f}" y="{top:.1f}" '
-            f'width="{right - left:.1f}" height="{bottom - top:.1f}">{hover(f"{value:.4g} {cells.unit}")}</rect>'
+            f'width="{right - left:.1f}" height="{bottom - top:.1f}">{tooltip(f"{value:.4g} {cells.unit}")}</rect>'
             for (left, top, right, bottom), value in zip(ends.tolist(), cells.values.tolist()) if value == value]
 
 
@@ -90,7 +90,7 @@ def _arrows(arrows: Arrows, placed: Placed, scale: float) -> str:
     every = max(-(-len(arrows.at) // MOST), 1)
     at, by = placed(arrows.at[::every]), arrows.by[::every] * arrows.enlarged * scale
     d = "".join(f"M{x:.1f} {y:.1f}l{u:.1f} {v:.1f}" for (x, y), (u, v) in zip(at.tolist(), by.tolist()))
-    return (f'<path class="arrows c{arrows.colour} valued" data-unit="{escaped(arrows.unit)}" data-enlarged="{arrows.enlarged * scale:.6g}" '
+    return (f'<path class="arrows c{arrows.colour} valued" data-unit="{escape_html(arrows.unit)}" data-enlarged="{arrows.enlarged * scale:.6g}" '
             f'd="{d}"/>')
 
 

@@ -11,9 +11,9 @@ from urllib.parse import quote
 from rig.report import refutations
 from rig.errors import RigError
 from rig.formats.output_files import Outputs
-from rig.report.verdict import WORST, State, Verdict, worst
-from rig.report.pages.page_template import Link, Page, write
-from rig.report.pages.html_elements import capital, heading, words
+from rig.report.verdict import WORST, State, Verdict, worst_state
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.html_elements import capitalised, heading, inline_html
 
 NAME = "index.html"
 KIND = "index"
@@ -34,7 +34,7 @@ class Found:
     changed: float
 
 
-def read(path: Path) -> Found | None:
+def read_page_summary(path: Path) -> Found | None:
     """What a page says, and what refuted the result beside it later; None for a file that is no page of ours, or cannot be read.
 
     Raises FileError for a list of refuted results that is none
@@ -47,40 +47,40 @@ def read(path: Path) -> Found | None:
         return None
     if said is None or said[2] not in list(State):
         return None
-    later = refutations.of_file(path.with_suffix(".json"))
-    state, why = worst([State(said[2]), *(one.state for one in later)]), "; ".join([*(one.line for one in later), html.unescape(said[3])])
+    later = refutations.refutations_of_file(path.with_suffix(".json"))
+    state, why = worst_state([State(said[2]), *(one.state for one in later)]), "; ".join([*(one.line for one in later), html.unescape(said[3])])
     return Found(path, said[1], html.unescape(said[4]), state, why, changed)
 
 
-def pages(folder: Path) -> list[Found]:
+def list_pages(folder: Path) -> list[Found]:
     """Pages in a folder and below it, the latest first, indices left out."""
     places = [path for depth in range(DEPTH) for path in sorted(folder.glob("*/" * depth + "*.html"))]
-    known = [found for path in places if (found := read(path)) is not None and found.kind != KIND]
+    known = [found for path in places if (found := read_page_summary(path)) is not None and found.kind != KIND]
     return sorted(known, key=lambda found: -found.changed)
 
 
 def index_page(path: Path, folder: Path) -> None:
     """Write the page of all pages of a folder. path : where it is written, to stand in that folder"""
-    known = pages(folder)
+    known = list_pages(folder)
     count = {state: sum(found.state == state for found in known) for state in WORST}
-    state = worst([found.state for found in known])
+    state = worst_state([found.state for found in known])
     why = ", ".join(f"{count[state]} {state}" for state in WORST if count[state]) or "there is no page yet"
     items = "".join(f'<li><span class="badge {found.state}">{found.state}</span> <a href="{_way(found.path, folder)}">{html.escape(found.title)}</a>'
-                    f'<br><span class="note">{words(capital(found.why))}</span></li>' for found in known)
+                    f'<br><span class="note">{inline_html(capitalised(found.why))}</span></li>' for found in known)
     parts = [heading("Pages"), f'<ul class="pages">{items}</ul>'] if known else []
     steps = [] if known else ["Begin with a recording: `rig measure REC --out measured`"]
-    write(path, Page(KIND, folder.resolve().name, Verdict(state, why), parts, steps))
+    write_page(path, Page(KIND, folder.resolve().name, Verdict(state, why), parts, steps))
 
 
-def above(place: Path) -> Path | None:
+def index_above(place: Path) -> Path | None:
     """The index in the folder of a page or in one above it, None where there is none."""
     folders = (place.resolve().parent, *place.resolve().parents[1:DEPTH])
-    return next((folder / NAME for folder in folders if (found := read(folder / NAME)) is not None and found.kind == KIND), None)
+    return next((folder / NAME for folder in folders if (found := read_page_summary(folder / NAME)) is not None and found.kind == KIND), None)
 
 
-def refresh(written: Iterable[Path]) -> None:
+def refresh_indices(written: Iterable[Path]) -> None:
     """Write anew the indices above pages that were written. One that somebody changed stays as it is."""
-    for index in {index for place in written if place.suffix == ".html" and place.name != NAME and (index := above(place)) is not None}:
+    for index in {index for place in written if place.suffix == ".html" and place.name != NAME and (index := index_above(place)) is not None}:
         with Outputs(KIND) as outputs:
             try:
                 place = outputs.file(index)
@@ -89,11 +89,11 @@ def refresh(written: Iterable[Path]) -> None:
             index_page(place, index.parent)
 
 
-def links(place: Path, sources: Iterable[Path] = ()) -> list[Link]:
+def page_links(place: Path, sources: Iterable[Path] = ()) -> list[Link]:
     """Links of a page that will be at a place: to the index above it, and to the pages of what it was made from, folders or files."""
-    index, own = above(place), place.resolve()
+    index, own = index_above(place), place.resolve()
     near = [path for source in sources for path in (sorted(source.glob("*.html")) if source.is_dir() else [source.with_suffix(".html")])]
-    known = [found for path in near if path.resolve() != own and (found := read(path)) is not None and found.kind != KIND]
+    known = [found for path in near if path.resolve() != own and (found := read_page_summary(path)) is not None and found.kind != KIND]
     first = [] if index is None else [Link("All pages", _way(index, own.parent))]
     return [*first, *(Link(found.title, _way(found.path, own.parent)) for found in known)]
 

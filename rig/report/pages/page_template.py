@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from rig.formats.output_files import write_text
 from rig.report.verdict import Verdict
-from rig.report.pages.html_elements import capital, listed, words
+from rig.report.pages.html_elements import capitalised, list_html, inline_html
 
 SHUT = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"  # nothing is fetched from anywhere
 
@@ -36,29 +36,34 @@ class Page:
     scripts: Sequence[str] = ()
 
 
-def write(path: Path | str, page: Page) -> None:
+def write_page(path: Path | str, page: Page) -> None:
     """Write a Page as a self-contained HTML file."""
-    write_text(path, text(page))
+    write_text(path, page_html(page))
 
 
-def text(page: Page) -> str:
+def page_html(page: Page) -> str:
     """HTML of a Page."""
     state, why = page.verdict.state, page.verdict.why
     links = "".join(f'<a href="{html.escape(link.path)}">{html.escape(link.label)}</a>' for link in page.links)
-    steps = listed(map(capital, page.next_steps), ordered=len(page.next_steps) > 1)
-    style, script = asset("theme.css") + asset("document.css") + asset("figure.css"), asset("document.js")
+    steps = list_html(map(capitalised, page.next_steps), ordered=len(page.next_steps) > 1)
+    style, script = read_asset("theme.css") + read_asset("document.css") + read_asset("figure.css"), read_asset("document.js")
     described = html.escape(f"{state}: {why}")
-    return (f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
-            f'<meta http-equiv="Content-Security-Policy" content="{SHUT}"><meta name="color-scheme" content="light dark">'
-            f'<meta name="generator" content="rig {html.escape(page.kind)}"><meta name="description" content="{described}">'
-            f"<title>{html.escape(page.title)}</title><style>{style}</style></head>\n<body>\n"
-            f'<header class="{state}"><p class="verdict"><strong>{state}</strong> {words(capital(why))}.</p><h1>{html.escape(page.title)}</h1>'
-            + (f'<nav aria-label="other pages">{links}</nav>' if links else "")
-            + "</header>\n<main>\n" + (f'<section class="next"><h2>What to do next</h2>{steps}</section>\n' if page.next_steps else "")
-            + "\n".join(page.parts)
-            + "\n</main>\n" + "".join(f'<script type="module">{code}</script>\n' for code in (script, *page.scripts)) + "</body></html>\n")
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{SHUT}"><meta name="color-scheme" content="light dark">'
+        f'<meta name="generator" content="rig {html.escape(page.kind)}"><meta name="description" content="{described}">'
+        f"<title>{html.escape(page.title)}</title><style>{style}</style></head>\n<body>\n"
+        f'<header class="{state}"><p class="verdict"><strong>{state}</strong> {inline_html(capitalised(why))}.</p><h1>{html.escape(page.title)}</h1>'
+        + (f'<nav aria-label="other pages">{links}</nav>' if links else "")
+        + "</header>\n<main>\n"
+        + (f'<section class="next"><h2>What to do next</h2>{steps}</section>\n' if page.next_steps else "")
+        + "\n".join(page.parts)
+        + "\n</main>\n"
+        + "".join(f'<script type="module">{code}</script>\n' for code in (script, *page.scripts))
+        + "</body></html>\n"
+    )
 
 
-def asset(name: str) -> str:
+def read_asset(name: str) -> str:
     """The text of a style or a script that pages share."""
     return resources.files("rig.report.pages").joinpath(name).read_text(encoding="utf-8")

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.report.pages.text_layout import escaped, wide, wrapped
-from rig.report.pages.axis_scale import Scale, around
-from rig.report.pages.svg_elements import TEXT, hover, svg, text
+from rig.report.pages.text_layout import escape_html, text_width, wrap_text
+from rig.report.pages.axis_scale import Scale, scale_of_values
+from rig.report.pages.svg_elements import TEXT, tooltip, svg, text
 
 LEFT, RIGHT, BELOW = 52.0, 392.0, 24.0
 HIGH = 190.0  # of a panel's drawing
@@ -28,12 +28,12 @@ class Series:
     half: np.ndarray | None = None
 
 
-def panels(*figures: str) -> str:
+def panel_row(*figures: str) -> str:
     """Figures beside each other where there is room, below each other where there is none."""
     return '<div class="panels">' + "".join(figures) + "</div>"
 
 
-def panel(title: str, labels: tuple[str, str], series: Sequence[Series], log: bool = False, limits: tuple[float, float] | None = None,
+def plot_panel(title: str, labels: tuple[str, str], series: Sequence[Series], log: bool = False, limits: tuple[float, float] | None = None,
           level: float | None = None, high: float = HIGH) -> str:
     """A figure of series. labels : (x, y) with their units; log : of y; limits : of y, in place of the values' own; level : y of a line drawn
     across, or None; high : of its drawing, in the figure's own units"""
@@ -45,23 +45,23 @@ def panel(title: str, labels: tuple[str, str], series: Sequence[Series], log: bo
     ys = [s.y for s in series] + [s.y + sign * half for s in series if (half := s.half) is not None for sign in (-1, 1)] if halves else \
          [s.y for s in series]
     across = np.concatenate([s.x for s in series])
-    x = around(across, (LEFT, RIGHT), whole=bool(np.all(across == np.round(across))))
-    y = around(np.concatenate(ys + ([] if level is None else [np.array([level])])), (bottom, top), log, limits)
+    x = scale_of_values(across, (LEFT, RIGHT), whole=bool(np.all(across == np.round(across))))
+    y = scale_of_values(np.concatenate(ys + ([] if level is None else [np.array([level])])), (bottom, top), log, limits)
     parts = [text(LEFT, 14, title, style="name"), *_legend(legend, rows, TEXT + 24.0), *_axes(x, y, labels)]
     if level is not None:
         parts.append(f'<path class="level" d="M{LEFT} {float(y.at(level)):.1f}H{RIGHT}"/>')
     parts += [_drawn(s, x, y) for s in series]
-    said = f' data-x="{x.said()}" data-y="{y.said()}" data-labels="{escaped("|".join(labels))}"'
+    said = f' data-x="{x.said()}" data-y="{y.said()}" data-labels="{escape_html("|".join(labels))}"'
     return svg(int(bottom + BELOW + 17 * len(_below(labels[0]))), f"{title}: {labels[1]} over {labels[0]}", parts, said)
 
 
-def bars(title: str, names: Sequence[str], groups: Sequence[tuple[str, Sequence[float], int]], unit: str, marked: Sequence[str] = ()) -> str:
+def bar_chart(title: str, names: Sequence[str], groups: Sequence[tuple[str, Sequence[float], int]], unit: str, marked: Sequence[str] = ()) -> str:
     """Bars lying one below the other, for each name one of each group. groups : (its name, values in the unit, colour); marked : names in bold"""
     rows = _rows([g[0] for g in groups])
     top = 10.0 + TEXT + 7 + 18.0 * (max(row for row, _ in rows) + 1)
     deep = 12 * len(groups) + 8
     most = max([v for _, values, _ in groups for v in values if np.isfinite(v)], default=0.0) or 1.0
-    left = 16 + min(160.0, 1.1 * max([wide(n, TEXT) for n in names], default=1.0))
+    left = 16 + min(160.0, 1.1 * max([text_width(n, TEXT) for n in names], default=1.0))
     named = f"{title}, {unit}" if unit else title
     parts = [text(4, 14, named, style="name"), *_legend([Series(np.zeros(0), np.zeros(0), g[0], "bars", g[2]) for g in groups], rows, TEXT + 24.0)]
     for k, name in enumerate(names):
@@ -70,7 +70,7 @@ def bars(title: str, names: Sequence[str], groups: Sequence[tuple[str, Sequence[
         for row, (group, values, colour) in enumerate(groups):
             long = (RIGHT - 60 - left) * values[k] / most if np.isfinite(values[k]) else 0.0
             parts.append(f'<rect class="fill {_colour(colour)}" x="{left:.1f}" y="{at + 12 * row:.1f}" width="{long:.1f}" height="10">'
-                         f"{hover(f'{name}, {group}: {values[k]:.4g} {unit}')}</rect>")
+                         f"{tooltip(f'{name}, {group}: {values[k]:.4g} {unit}')}</rect>")
             parts.append(text(left + long + 4, at + 12 * row + 9, _plain(values[k]) if np.isfinite(values[k]) else "", style="small"))
     return svg(int(top + deep * len(names) + 4), f"{title}, {unit}", parts)
 
@@ -93,14 +93,14 @@ def _axes(x: Scale, y: Scale, labels: tuple[str, str]) -> list[str]:
 
 def _below(label: str) -> list[str]:
     """Lines of a label below an axis."""
-    return wrapped(label, TEXT, RIGHT - LEFT)
+    return wrap_text(label, TEXT, RIGHT - LEFT)
 
 
 def _rows(names: Sequence[str]) -> list[tuple[int, float]]:
     """[(row, place)] of a legend's names, as many in a row as fit."""
     places, row, at = [], 0, LEFT
     for name in names:
-        room = 32 + wide(name, TEXT)
+        room = 32 + text_width(name, TEXT)
         if at > LEFT and at + room > RIGHT:
             row, at = row + 1, LEFT
         places.append((row, at))
@@ -132,7 +132,7 @@ def _drawn(s: Series, x: Scale, y: Scale) -> str:
     every = -(-len(known) // MOST) if s.kind != "line" else 1
     known = known[:: max(every, 1)]
     at = np.stack([x.at(s.x[known]), np.clip(y.at(s.y[known]), y.end, y.start)], axis=1)
-    name = f' data-name="{escaped(s.name)}"' if s.name else ""
+    name = f' data-name="{escape_html(s.name)}"' if s.name else ""
     if s.kind == "line":
         d = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in at.tolist()) if len(at) else ""
         return f'<path class="{_style(s)}"{name} d="{d}"/>'

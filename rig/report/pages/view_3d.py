@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rig.report.pages.page_template import asset
-from rig.report.pages.html_elements import note, words
+from rig.report.pages.page_template import read_asset
+from rig.report.pages.html_elements import note, inline_html
 
 MOST = 240  # frames that are shown: of more, evenly chosen ones
 DIGITS = 7  # of metres
@@ -43,11 +43,11 @@ class Stage:
     effects: Sequence[Effect] = ()
 
 
-def view(stage: Stage) -> list[str]:
-    """HTML of a Stage, to stand once in a page whose scripts are `scripts`."""
+def view_3d_html(stage: Stage) -> list[str]:
+    """HTML of a Stage, to stand once in a page whose scripts are `view_scripts`."""
     chosen = np.arange(0, len(stage.frames), max(-(-len(stage.frames) // MOST), 1))
     data = json.dumps(_tree(stage, chosen), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    told = [f'<span class="box {colour}"></span>{words(name)}' for name, colour in zip([*stage.errors], ("c1", "c2"))]
+    told = [f'<span class="box {colour}"></span>{inline_html(name)}' for name, colour in zip([*stage.errors], ("c1", "c2"))]
     told += ['<span class="box c3"></span>what the effect does'] if stage.effects else []
     thinned = "" if len(chosen) == len(stage.frames) else f" Of {len(stage.frames)} frames {len(chosen)} are shown."
     enlarged = " Errors and effects are as many times as large as the slider says." if told else ""
@@ -57,9 +57,9 @@ def view(stage: Stage) -> list[str]:
             + f'</figure><script type="application/json" id="stage-data">{data}</script>']
 
 
-def scripts(parts: Sequence[str]) -> tuple[str, ...]:
+def view_scripts(parts: Sequence[str]) -> tuple[str, ...]:
     """What a page of parts runs for the view among them; nothing where there is none."""
-    return (asset("view3d.js") + asset("stage.js"),) if any('id="stage-data"' in part for part in parts) else ()
+    return (read_asset("view3d.js") + read_asset("stage.js"),) if any('id="stage-data"' in part for part in parts) else ()
 
 
 def _controls(stage: Stage, count: int) -> str:
@@ -69,7 +69,7 @@ def _controls(stage: Stage, count: int) -> str:
         rows.append('<label for="stage-much">enlarged</label><input id="stage-much" type="range" min="0" max="4" step="0.05" value="2">'
                     '<output id="stage-times"></output>')
     if stage.effects:
-        options = "".join(f'<option value="{k}">{words(effect.name)}</option>' for k, effect in enumerate(stage.effects))
+        options = "".join(f'<option value="{k}">{inline_html(effect.name)}</option>' for k, effect in enumerate(stage.effects))
         rows += [f'<label for="stage-effect">effect</label><select id="stage-effect">{options}<option value="-1">none</option></select><span></span>',
                  '<label for="stage-size">its size</label><input id="stage-size" type="range" min="0" max="1" step="0.01" value="0.5">'
                  '<output id="stage-said"></output>']

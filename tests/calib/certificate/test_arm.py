@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.files import calibration_file
 from calib.certificate import certificate_json
 from rig.recording import recording_folder
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.calib.certificate.test_certificate import rig
 
 INSTRUMENT = '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 10e-6\nrotation_sigma = 50e-6\n'
@@ -27,10 +27,12 @@ def test_an_arm_is_certified(tmp_path):
     rig("calibrate", tmp_path / "a", "--out", tmp_path / "cal.json")
     rig("certify", tmp_path / "cal.json", tmp_path / "b", "--out", tmp_path / "made", "--tolerance", "300um")
     made = json.loads((tmp_path / "made" / "certificate.json").read_text())
-    jsonschema.validate(made, certificate_json.published())
+    jsonschema.validate(made, certificate_json.certificate_schema())
     seen = recording_folder.load(tmp_path / "b")
     true = RigidTransform.from_matrix(np.reshape(json.loads((tmp_path / "b.json").read_text())["poses"], (-1, 4, 4)))
-    lengths = np.linalg.norm(difference(calibration_file.load(tmp_path / "cal.json").correction.predict(seen.commanded()[2]), true)[:, :3], axis=1)
+    lengths = np.linalg.norm(
+        pose_difference(calibration_file.load(tmp_path / "cal.json").correction.predict(seen.commanded()[2]), true)[:, :3], axis=1
+    )
     assert made["machine"] == "arm" and made["promise"]["n"] == 68 and np.quantile(lengths, 0.95) <= made["promise"]["position_m"] < 60e-6
     assert [axis["axis"] for axis in made["iso230"]] == [f"joint {k}" for k in range(1, 7)] and made["iso230"][0]["unit"] == "rad"
     for name in ("html", "pdf", "xml"):

@@ -16,22 +16,22 @@ import numpy as np
 import pytest
 
 from calib.files import calibration_file
-from calib.certify.uncertainty_budget import rms, thermometer
+from calib.certify.uncertainty_budget import rms_uncertainty, thermometer_covariance
 from calib.certify.tolerance_conformity import OPEN
-from calib.certify.pose_error_promise import promised
+from calib.certify.pose_error_promise import pose_error_promise
 from calib.correct.correction import calibrate
 from calib.correct.physics import Physics
 from calib.samples.recording_samples import sample_recording
 from calib.certificate import certificate_json
-from calib.certificate.certificate import together
+from calib.certificate.certificate import combined_held_out_poses
 from rig.model import motion_simulation
 from rig.planning import plan
 from rig.recording import recording_folder, recording_tables
 from rig.cli.command_line import main
 from rig.effects.framework.fit_coordinates import coordinates_of
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.recording.corner_and_pose_tables import Poses
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_machine
 
@@ -54,8 +54,8 @@ def rig(*arguments, ok=True):
 def _made(folder, secret, rig_text, design, route, seed):
     """A recording folder whose poses an instrument saw, with noise of a known covariance."""
     rng = np.random.default_rng(seed)
-    done = plan.build(design, route, seed)
-    T = motion_simulation.run(secret.true, done.commands, done.t, secret.effects).T_base_platform
+    done = plan.build_plan(design, route, seed)
+    T = motion_simulation.run_machine(secret.true, done.commands, done.t, secret.effects).T_base_platform
     folder.mkdir()
     (folder / "rig.toml").write_text(rig_text)
     frames = np.arange(len(done.t))
@@ -71,7 +71,7 @@ def _made(folder, secret, rig_text, design, route, seed):
 def held(tmp_path_factory, design, rig_text):
     """A rig with backlash in strut 3, calibrated from one recording; another held out, with ladders and repeats; and what is certified of it."""
     folder = tmp_path_factory.mktemp("certify")
-    secret = secret_machine.draw(design, np.random.default_rng(5), 1.0, (parse(f"backlash:strut3:gap={GAP}"),))
+    secret = secret_machine.draw_machine(design, np.random.default_rng(5), 1.0, (parse_effect(f"backlash:strut3:gap={GAP}"),))
     _made(folder / "fit", secret, rig_text, design, "sobol:40,ladder:1", 1)
     _made(folder / "other", secret, rig_text, design, "sobol:62,ladder:3,repeat:12,moving:4", 2)
     rig("calibrate", folder / "fit", "--out", folder / "cal.json")
@@ -80,7 +80,7 @@ def held(tmp_path_factory, design, rig_text):
 
 
 def test_the_certificate_keeps_its_published_schema(held):
-    schema = certificate_json.published()
+    schema = certificate_json.certificate_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(held.tree, schema)
     for key, value in (("machine", "lathe"), ("promise", {}), ("more", 1)):
@@ -101,7 +101,7 @@ def test_the_claim_is_compared_with_the_held_out_recording(held):
     (held.folder / "small" / "cal.json").write_text(json.dumps(small))
     out = rig("certify", held.folder / "small" / "cal.json", held.folder / "other", "--out", held.folder / "small" / "made.json", ok=False)
     made = json.loads((held.folder / "small" / "made.json").read_text())
-    jsonschema.validate(made, certificate_json.published())
+    jsonschema.validate(made, certificate_json.certificate_schema())
     assert "The calibration's claim is NOT kept by other" in out and made["claim"]["kept"] is False and made["verdict"]["state"] == "bad"
 
 
@@ -117,9 +117,9 @@ def test_the_promise_is_so(held, design):
     """Against thousands of poses of the machine as it is, come to from everywhere."""
     correction = calibration_file.load(held.folder / "cal.json").correction
     goals = plan.low_discrepancy(design.mechanism.strut_range, 2000, seed=8)[np.random.default_rng(1).permutation(2000)]
-    route = plan.settled(goals, goals[0], plan.speed_of(design))
-    true = motion_simulation.run(held.secret.true, route.commands, route.t, held.secret.effects).T_base_platform
-    lengths = np.linalg.norm(difference(correction.predict(goals), true)[:, :3], axis=1)
+    route = plan.settled_plan(goals, goals[0], plan.plan_speed(design))
+    true = motion_simulation.run_machine(held.secret.true, route.commands, route.t, held.secret.effects).T_base_platform
+    lengths = np.linalg.norm(pose_difference(correction.predict(goals), true)[:, :3], axis=1)
     promise = held.tree["promise"]
     assert promise["n"] == 62 + 1 + 3, "each configuration once, the ladder's not, and neither what was exposed on the way"
     assert np.quantile(lengths, 0.95) <= promise["position_m"] < 2 * np.quantile(lengths, 0.95)
@@ -162,22 +162,22 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
     other = recording_folder.load(held.folder / "other")
     warm = replace(other, sensors=Sensors(np.arange(0.0, 4000, 30), {"ambient_temperature_C": 20 + np.random.default_rng(0).normal(0, 0.1, 134)}))
     samples = sample_recording(other)
-    plain = promised(together(known, [(other, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)).position
-    design, effects = held.secret.true, tuple(map(parse, (f"backlash:strut3:gap={GAP}", "base_expansion:rig:coefficient=12e-6")))
+    plain = pose_error_promise(combined_held_out_poses(known, [(other, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)).position
+    design, effects = held.secret.true, tuple(map(parse_effect, (f"backlash:strut3:gap={GAP}", "base_expansion:rig:coefficient=12e-6")))
     count = len(coordinates_of(effects))
     physics = Physics(effects, np.zeros((count, count)), np.zeros((42, count)), design.gravity, design.actuator, design.platform,
                       {"ambient_temperature_C": (20.0, 0.1)})
     wiser, fit = replace(known, physics=physics), recording_folder.load(held.folder / "fit")
     refined, _ = calibrate(wiser.told(fit, sample_recording(fit).samples), known.correction.nominal, "none")
     wiser = replace(wiser, correction=refined)
-    better = promised(together(wiser, [(warm, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)).position
+    better = pose_error_promise(combined_held_out_poses(wiser, [(warm, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)).position
     assert better.upper < 0.75 * plain.upper
-    assert thermometer(known, [(warm, samples.samples)]) is None
-    added = thermometer(wiser, [(warm, samples.samples)])
+    assert thermometer_covariance(known, [(warm, samples.samples)]) is None
+    added = thermometer_covariance(wiser, [(warm, samples.samples)])
     at, both = samples.samples.t, [Sensors(np.array([0.0, 4000]), {"ambient_temperature_C": np.full(2, degrees)}) for degrees in (20.0, 20.1)]
-    poses = [motion_simulation.run(design, other.commands, at, effects, sensors).T_base_platform for sensors in both]
-    moved = np.linalg.norm(difference(*poses)[:, :3], axis=1)
-    assert rms(added)[0] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.25), "the log's noise is 0.1 K"
+    poses = [motion_simulation.run_machine(design, other.commands, at, effects, sensors).T_base_platform for sensors in both]
+    moved = np.linalg.norm(pose_difference(*poses)[:, :3], axis=1)
+    assert rms_uncertainty(added)[0] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.25), "the log's noise is 0.1 K"
 
 
 def test_what_was_fitted_is_no_evidence(held, tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.certify.tolerance_conformity import CONFORMS, FAILS, OPEN, judged
+from calib.certify.tolerance_conformity import CONFORMS, FAILS, OPEN, tolerance_conformity
 from calib.certify.pose_error_promise import Bound
 from tests.calib.certificate.trials import share_kept, trial, wrong_decisions
 
@@ -19,7 +19,7 @@ def test_a_few_rigs_keep_what_is_promised(design):
 
 
 def decided(upper, lower, tolerances=(("position", 10.0), ("rotation", 2.0)), certified=True):
-    found = judged(tolerances, Bound(1.0, lower, upper, 1.4, 0.0, 0.0), certified, (0,) * len(tolerances))
+    found = tolerance_conformity(tolerances, Bound(1.0, lower, upper, 1.4, 0.0, 0.0), certified, (0,) * len(tolerances))
     assert len({k.verdict for k in found}) == 1, "there is one decision"
     return found[0]
 

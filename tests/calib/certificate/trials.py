@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certify.tolerance_conformity import CONFORMS, FAILS, GUARD, judged
-from calib.certify.held_out_errors import errors_of
+from calib.certify.tolerance_conformity import CONFORMS, FAILS, GUARD, tolerance_conformity
+from calib.certify.held_out_errors import errors_before_and_after
 from calib.certify.held_out_poses import held_poses
-from calib.certify.pose_error_promise import POSITION, ROTATION, Unit, depth_bound, promised
-from calib.certify.tolerance_limits import smallest
+from calib.certify.pose_error_promise import POSITION, ROTATION, Unit, depth_bound, pose_error_promise
+from calib.certify.tolerance_limits import least_sample_size
 from calib.correct.correction import calibrate
 from calib.samples.pose_samples import Samples
 from rig.model import motion_simulation, mechanisms
@@ -20,7 +20,7 @@ from rig.planning import plan
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.random_effects import Drawing
 from rig.errors import NotConverged
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from synthetic import secret_machine
 
 KINDS = ("backlash", "hysteresis", "thermal_expansion", "base_expansion", "compliance", "joint_clearance", "creep", "cyclic_error", "screw_coupling",
@@ -64,37 +64,39 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
     kinds : effects' names, none to two of KINDS by default; noise : factor of the instrument's."""
     rng = np.random.default_rng([18, seed])
     strokes = design.mechanism.strut_range
-    goals = np.concatenate([plan.low_discrepancy(strokes, FITTED, seed=seed), plan.scaled(strokes, rng.uniform(-1, 1, (POSES, 6)), plan.FILL)])
-    route = plan.settled(goals, strokes.mean(axis=1), plan.speed_of(design))
-    warmth, _ = secret_machine.temperatures(float(route.commands.t[-1]), rng)
-    sensors = plan.logged(route, warmth)
+    goals = np.concatenate(
+        [plan.low_discrepancy(strokes, FITTED, seed=seed), plan.scale_to_strokes(strokes, rng.uniform(-1, 1, (POSES, 6)), plan.FILL)]
+    )
+    route = plan.settled_plan(goals, strokes.mean(axis=1), plan.plan_speed(design))
+    warmth, _ = secret_machine.draw_temperatures(float(route.commands.t[-1]), rng)
+    sensors = plan.add_payload_channel(route, warmth)
     while True:
         names = tuple(rng.choice(KINDS, rng.integers(0, 3), replace=False).tolist()) if kinds is None else kinds
-        secret = secret_machine.draw(design, rng)
-        motion = motion_simulation.motion(secret.true, route.commands, route.t, (), sensors)
+        secret = secret_machine.draw_machine(design, rng)
+        motion = motion_simulation.motion_of_commands(secret.true, route.commands, route.t, (), sensors)
         effects = tuple(_drawn(BY_NAME[name], design, route, motion, rng) for name in names)
         try:
-            true = motion_simulation.run(secret.true, route.commands, route.t, effects, sensors).T_base_platform
+            true = motion_simulation.run_machine(secret.true, route.commands, route.t, effects, sensors).T_base_platform
             break
         except NotConverged:
             continue
     fitted = _samples(route, goals, true, np.arange(FITTED), rng, noise)
     correction, _ = calibrate(fitted, design.mechanism, "none")
-    units = lengths(errors_of(correction, fitted)[1]).mean(axis=0)  # of poses that are not held out
+    units = lengths(errors_before_and_after(correction, fitted)[1]).mean(axis=0)  # of poses that are not held out
     n = int(rng.choice(sizes))
     rest = np.arange(FITTED, len(goals))
     seen = _samples(route, goals, true, np.sort(rng.choice(rest, n, replace=False)), rng, noise)
-    poses = held_poses(correction, [(seen, route.commands, *errors_of(correction, seen))])
-    real = lengths(difference(correction.predict(goals[rest]), true[rest]))
-    made = promised(poses, *level, 0.0, tuple(units), rng)
+    poses = held_poses(correction, [(seen, route.commands, *errors_before_and_after(correction, seen))])
+    real = lengths(pose_difference(correction.predict(goals[rest]), true[rest]))
+    made = pose_error_promise(poses, *level, 0.0, tuple(units), rng)
     bounds = (made.position, made.rotation)
     share = (real <= [b.upper for b in bounds]).all(axis=1).mean()
     quantiles = np.quantile(real, level[0], axis=0)
     tolerance = quantiles * np.exp(rng.uniform(-SPREAD, SPREAD, 2))
     verdict = ""
-    if n >= smallest(level[0], GUARD):
+    if n >= least_sample_size(level[0], GUARD):
         depth = depth_bound(poses, poses.first, (Unit(POSITION, tolerance[0]), Unit(ROTATION, tolerance[1])), (level[0], GUARD), 0.0, rng)
-        verdict = judged(tuple(zip(("position", "rotation"), tolerance)), depth, True, (0, 0))[0].verdict
+        verdict = tolerance_conformity(tuple(zip(("position", "rotation"), tolerance)), depth, True, (0, 0))[0].verdict
     as_good = (real <= tolerance).all(axis=1).mean() >= level[0]
     return Trial(names, n, float(share), level[0], bool(as_good), verdict, tuple(quantiles), tuple(b.upper for b in bounds),
                  tuple(b.measured for b in bounds))
@@ -107,7 +109,7 @@ def lengths(errors):
 
 def _drawn(kind, design, route, motion, rng):
     place = str(rng.choice(kind.places))
-    axes = mechanisms.places(design.mechanism)
+    axes = mechanisms.axis_places(design.mechanism)
     return kind.drawn(axes[rng.integers(len(axes))] if place == "axis" else place, Drawing(design, route.t, motion, None), rng)
 
 

@@ -8,8 +8,8 @@ import pytest
 from calib.files import calibration_file
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import model_covariance
-from calib.certify.extension_certification import promised_alone
-from calib.certify.additional_pass import Pass, certify_onto
+from calib.certify.extension_certification import claim_without_geometry
+from calib.certify.additional_pass import Pass, certify_additional_pass
 from calib.correct.correction import Correction
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known
@@ -19,7 +19,7 @@ from calib.samples.pose_samples import Samples
 from rig.planning.configuration_sets import low_discrepancy
 from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from synthetic import secret_machine
 from tests.calib.worlds import rms
 from tests.numeric import jacobian
@@ -37,7 +37,7 @@ def leaning(T):
 @pytest.fixture(scope="module")
 def machine(design):
     """(Calibration by the true geometry, Samples of the leaning machine at 200 configurations)."""
-    true = secret_machine.draw(design, np.random.default_rng(3)).true.mechanism
+    true = secret_machine.draw_machine(design, np.random.default_rng(3)).true.mechanism
     before = Calibration(Correction(design.mechanism, true, (None,) * AXES), np.eye(42) * 1e-12, np.zeros(6), (), (), None,
                          {"recording": "first", "created": "then", "data": ["1"]})
     return before, seen(before, low_discrepancy(design.mechanism.strut_range, 200, 0.8, 5))
@@ -51,45 +51,45 @@ def seen(before, commands):
 
 def left(correction, before, wanted):
     """RMS m by which the leaning machine misses wanted poses."""
-    return rms(difference(wanted, leaning(before.correction.predict(correction.inverse(wanted)))))[0]
+    return rms(pose_difference(wanted, leaning(before.correction.predict(correction.inverse(wanted)))))[0]
 
 
 @pytest.mark.parametrize("space", ["pose", "both"])
 def test_a_map_over_poses_takes_what_depends_on_the_pose(machine, design, space):
     before, samples = machine
-    done, tried, count = certify_onto(samples, before, Pass("polynomial", space), np.random.default_rng(0))
+    done, tried, count = certify_additional_pass(samples, before, Pass("polynomial", space), np.random.default_rng(0))
     assert count == 200 and len(done.correction.posed) == 1 and (done.correction.extension is not None) == (space == "both")
     assert done.held_out.after.position[0] < 0.1 * tried[0].held_out.after.position[0]
     wanted = hexapod.forward(low_discrepancy(design.mechanism.strut_range, 50, 0.7, 9), design.mechanism)
-    assert np.abs(difference(done.correction.predict(done.correction.inverse(wanted)), wanted)).max() < 1e-11
+    assert np.abs(pose_difference(done.correction.predict(done.correction.inverse(wanted)), wanted)).max() < 1e-11
     assert left(done.correction, before, wanted) < 0.05 * left(before.correction, before, wanted)
     made = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), None, {})
     stated = np.sqrt(np.trace(model_covariance(made, wanted)[:, :3, :3], axis1=1, axis2=2).mean())
     assert 0.2 * left(done.correction, before, wanted) < stated < 20 * left(done.correction, before, wanted)
-    claim = promised_alone(samples, done, np.random.default_rng(0))
+    claim = claim_without_geometry(samples, done, np.random.default_rng(0))
     assert "in pose space" in claim.tolerance and claim.after[0][0] < 0.2 * claim.before[0][0]
 
 
 def test_a_triangulation_of_poses_is_exact_at_them(machine):
     before, samples = machine
     some = samples.take(slice(0, 60))
-    done, _, _ = certify_onto(some, before, Pass("delaunay", "pose"), np.random.default_rng(0))
-    assert np.abs(difference(done.correction.predict(some.commanded), some.T_base_platform)).max() < 1e-10
+    done, _, _ = certify_additional_pass(some, before, Pass("delaunay", "pose"), np.random.default_rng(0))
+    assert np.abs(pose_difference(done.correction.predict(some.commanded), some.T_base_platform)).max() < 1e-10
 
 
 def test_a_pass_in_a_part_leaves_the_rest_as_it_was_and_knows_it_no_better(machine, design):
     before, samples = machine
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     high[0] = 0.02  # m, x of poses
-    done, _, count = certify_onto(samples, before, Pass("polynomial", "pose", poses=Part(low, high)), np.random.default_rng(0))
+    done, _, count = certify_additional_pass(samples, before, Pass("polynomial", "pose", poses=Part(low, high)), np.random.default_rng(0))
     x = before.correction.predict(samples.commanded).translation[:, 0]
     assert count == (x <= 0.02).sum() < 200
     commands = low_discrepancy(design.mechanism.strut_range, 300, 0.8, 11)
     T, now = before.correction.predict(commands), done.correction.predict(commands)
-    moved, off = (np.linalg.norm(difference(T, other)[:, :3], axis=1) for other in (now, leaning(T)))
+    moved, off = (np.linalg.norm(pose_difference(T, other)[:, :3], axis=1) for other in (now, leaning(T)))
     inside, far = T.translation[:, 0] <= 0.02, T.translation[:, 0] > 0.05
     assert inside.sum() > 50 and far.sum() > 20
-    assert rms(difference(now[inside], leaning(T[inside])))[0] < 0.1 * np.sqrt((off[inside] ** 2).mean())
+    assert rms(pose_difference(now[inside], leaning(T[inside])))[0] < 0.1 * np.sqrt((off[inside] ** 2).mean())
     assert moved[far].max() < 1e-15
     made = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), None, {})
     np.testing.assert_allclose(model_covariance(made, T[far]), model_covariance(before, T[far]), rtol=1e-6, atol=1e-20)
@@ -99,19 +99,19 @@ def test_a_part_of_the_configuration_space_bounds_what_takes_part(machine):
     before, samples = machine
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     low[2] = np.median(samples.commanded[:, 2])
-    done, _, count = certify_onto(samples, before, Pass("polynomial", "configuration", Part(low, high)), np.random.default_rng(0))
+    done, _, count = certify_additional_pass(samples, before, Pass("polynomial", "configuration", Part(low, high)), np.random.default_rng(0))
     assert count == 100 and isinstance(done.correction.extension.fields[0], Within)
     assert not done.correction.rho(samples.commanded - 0.05).any()
     with pytest.raises(NotEnoughData, match="none of 200 samples"):
-        certify_onto(samples, before, Pass("polynomial", "configuration", Part(low + 9, high)), np.random.default_rng(0))
+        certify_additional_pass(samples, before, Pass("polynomial", "configuration", Part(low + 9, high)), np.random.default_rng(0))
 
 
 def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
     before, samples = machine
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     high[2] = 0.45
-    done, _, _ = certify_onto(samples, before, Pass("polynomial", "both", poses=Part(low, high)), np.random.default_rng(0))
-    source = calibration_file.after({"recording": "b", "data": ["2"]}, before, {"number": 2, "space": "both"})
+    done, _, _ = certify_additional_pass(samples, before, Pass("polynomial", "both", poses=Part(low, high)), np.random.default_rng(0))
+    source = calibration_file.pass_provenance({"recording": "b", "data": ["2"]}, before, {"number": 2, "space": "both"})
     calibration_file.save(
         tmp_path / "c.json", Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, source)
     )
@@ -119,7 +119,7 @@ def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
     assert '"calibration/3"' in text
     again = calibration_file.load(tmp_path / "c.json")
     commands = samples.commanded[:40]
-    assert np.abs(difference(again.correction.predict(commands), done.correction.predict(commands))).max() < 1e-14
+    assert np.abs(pose_difference(again.correction.predict(commands), done.correction.predict(commands))).max() < 1e-14
     assert again.provenance["pass"]["space"] == "both" and again.provenance["passes"] == [{"recording": "first", "created": "then"}]
     (tmp_path / "c.json").write_text(text.replace('"rz"', '"ry"'))
     with pytest.raises(FileError, match="coordinates"):
@@ -132,7 +132,9 @@ def test_a_part_is_whole_within_fades_smoothly_and_knows_its_slope():
     assert part.weight(np.array([[1.11, 1.0], [-0.2, 1.0], [0.5, 2.2]]))[0].tolist() == [0, 0, 0]
     rng = np.random.default_rng(0)
     x = np.concatenate([rng.uniform(-0.2, 1.2, (300, 1)), rng.uniform(1.0, 2.2, (300, 1))], axis=1)
-    field = Within(interpolation_methods.fit("polynomial", Known(x, np.sin(x), np.full(x.shape, 1e-6), np.array([[-0.2, 1.2], [1.0, 2.2]]))), part)
+    field = Within(
+        interpolation_methods.fit_field("polynomial", Known(x, np.sin(x), np.full(x.shape, 1e-6), np.array([[-0.2, 1.2], [1.0, 2.2]]))), part
+    )
     for one in x[:40]:
         np.testing.assert_allclose(field.gradient(one), jacobian(field.value, one), atol=1e-4)
     assert (field.error(x) >= 0).all() and not field.inside(np.array([[1.05, 1.5]])).any()
@@ -147,7 +149,7 @@ def test_a_part_that_bounds_nothing_is_refused(low, high):
 def test_an_earlier_pass_speaks_where_a_later_one_does_not_hold():
     x = np.linspace(0, 1, 21)[:, None]
     first, second = (
-        interpolation_methods.fit("polynomial", Known(x, size * x, np.full((21, 1), size**2), np.array([[0.0, 1.0]]))) for size in (1.0, 0.1)
+        interpolation_methods.fit_field("polynomial", Known(x, size * x, np.full((21, 1), size**2), np.array([[0.0, 1.0]]))) for size in (1.0, 0.1)
     )
     both = Passes((first, Within(second, Part(np.array([-np.inf]), np.array([0.5])))))
     at = np.array([[0.2], [0.9]])

@@ -7,7 +7,7 @@ import pytest
 
 from calib.certify.workspace_claim import Claim
 from calib.certify.calibration_verdict import stands
-from calib.certify.claim_verification import Part, Verification, verification
+from calib.certify.claim_verification import Part, Verification, verify_claim
 from calib.samples.pose_samples import Samples
 from rig.planning import plan
 from rig.model.mechanisms import hexapod
@@ -39,7 +39,7 @@ def trial(design, seed, size, own=5e-6, shared=0.0, count=60, turned=None):
 
 
 def held(predicted, samples, claim=None):
-    return verification(predicted, samples, np.arange(len(samples)), claim or claimed(), np.random.default_rng(0))
+    return verify_claim(predicted, samples, np.arange(len(samples)), claim or claimed(), np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("own, shared", [(5e-6, 0.0), (12e-6, 0.0), (5e-6, 10e-6)])
@@ -89,7 +89,7 @@ def test_a_few_visits_of_one_configuration_count_once(design):
     predicted, samples = trial(design, 6, 0.9, count=4)
     again = np.tile(np.arange(4), 15)
     label, claim, rng = again, claimed(), np.random.default_rng(0)
-    few = verification(predicted[again], samples.take(again), label, claim, rng)
+    few = verify_claim(predicted[again], samples.take(again), label, claim, rng)
     many = held(*trial(design, 6, 0.9))
     assert few.position.limit > 1.25 * many.position.limit
 

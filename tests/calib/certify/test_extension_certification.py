@@ -7,14 +7,14 @@ import pytest
 
 from calib.files import calibration_file
 from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import model_covariance, promised
-from calib.certify.extension_certification import Asked, certify_extended, promised_alone
-from calib.certify.additional_pass import Pass, certify_onto
-from calib.correct.summand_extension import single_step_misses
-from rig.planning.configuration_sets import division, low_discrepancy
+from calib.certify.platform_certification import model_covariance, workspace_claim_of
+from calib.certify.extension_certification import Asked, certify_extended, claim_without_geometry
+from calib.certify.additional_pass import Pass, certify_additional_pass
+from calib.correct.summand_extension import single_step_errors
+from rig.planning.configuration_sets import grid_division, low_discrepancy
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.calib.worlds import real, rms, sampled, workspace
 
 OWN = np.array([1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6])  # m, rad; so little that what is left is the way's own
@@ -30,7 +30,7 @@ def coupled(commands):
 def gridded(design):
     """(Samples on the grid 2x1x1x1x1x2 and at 30 configurations beside it, true Hexapod)."""
     strokes = design.mechanism.strut_range
-    commands = np.concatenate([division(strokes, "2x1x1x1x1x2@0.6"), low_discrepancy(strokes, 30, 0.5, 8)])
+    commands = np.concatenate([grid_division(strokes, "2x1x1x1x1x2@0.6"), low_discrepancy(strokes, 30, 0.5, 8)])
     return sampled(design, 4, len(commands), coupled, commands=commands, own=OWN)
 
 
@@ -39,7 +39,7 @@ def test_corrected_poses_are_exact_at_the_samples(gridded, design, alone):
     samples, true = gridded
     done, _ = certify_extended(samples, design.mechanism, Asked("simplex", alone), np.random.default_rng(0))
     on = slice(0, 144)
-    assert np.abs(difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max() < 1e-9
+    assert np.abs(pose_difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max() < 1e-9
     assert done.held_out.after.n == 30 and done.held_out.after.position[0] < 0.2 * done.held_out.before.position[0]
     assert (done.correction.fitted is done.correction.nominal) == alone
 
@@ -53,7 +53,9 @@ def test_auto_takes_what_does_best_on_poses_held_out(gridded, design):
     assert len(chosen) == 1 and chosen != ["none"] and {"simplex", "linear", "delaunay", "axes", "radial", "polynomial", "none"} == set(figures)
     assert figures[chosen[0]] < 1.3 * min(figures.values()) < figures["none"]
     wanted = workspace(design, 60)
-    left = [rms(difference(wanted, real(c.inverse(wanted), true, coupled)))[0] for c in (done.correction, replace(done.correction, extension=None))]
+    left = [
+        rms(pose_difference(wanted, real(c.inverse(wanted), true, coupled)))[0] for c in (done.correction, replace(done.correction, extension=None))
+    ]
     assert left[0] < left[1]
 
 
@@ -75,19 +77,19 @@ def test_scattered_samples_leave_the_grids_out_of_auto_and_refuse_them_by_name(d
 def test_an_extended_calibration_is_kept_and_says_how_sure_it_is(gridded, design, tmp_path):
     samples, true = gridded
     done, _ = certify_extended(samples, design.mechanism, Asked("linear", True), np.random.default_rng(0))
-    claim = promised_alone(samples, done, np.random.default_rng(0))
+    claim = claim_without_geometry(samples, done, np.random.default_rng(0))
     kept = Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim)
     calibration_file.save(tmp_path / "c.json", kept)
     again = calibration_file.load(tmp_path / "c.json")
     inner = low_discrepancy(design.mechanism.strut_range, 80, 0.55, 3)
     np.testing.assert_allclose(again.correction.rho(inner), done.correction.rho(inner), atol=1e-18)
     T = real(inner, true, coupled)
-    error = difference(again.correction.predict(inner), T)
+    error = pose_difference(again.correction.predict(inner), T)
     stated = model_covariance(again, T)
     ratio = (error[:, :3] ** 2).sum() / np.trace(stated[:, :3, :3], axis1=1, axis2=2).sum()
     assert 0.05 < ratio < 4
     top, _ = certify_extended(samples, design.mechanism, Asked("linear", False), np.random.default_rng(0))
-    assert promised(samples, top, np.random.default_rng(0)).after[0][0] < claim.before[0][0]
+    assert workspace_claim_of(samples, top, np.random.default_rng(0)).after[0][0] < claim.before[0][0]
 
 
 def test_the_single_step_misses_what_the_fixed_point_meets(gridded, design):
@@ -98,7 +100,7 @@ def test_the_single_step_misses_what_the_fixed_point_meets(gridded, design):
     x = hexapod.inverse(wanted, design.mechanism)
     np.testing.assert_allclose(step, x + correction.summand(x), atol=1e-15)
     np.testing.assert_allclose(exact, x + correction.summand(exact), atol=1e-11)
-    assert 1e-7 < np.abs(step - exact).max() < 1e-4 and single_step_misses(correction)[1] > 1e-7
+    assert 1e-7 < np.abs(step - exact).max() < 1e-4 and single_step_errors(correction)[1] > 1e-7
     np.testing.assert_allclose(correction.corrected_forward(x).as_matrix(), hexapod.forward(step, design.mechanism).as_matrix(), atol=1e-9)
 
 
@@ -118,7 +120,7 @@ def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path
     assert main(["correct", str(tmp_path / "c.json"), "--forward", str(tmp_path / "r.csv"), "--out", str(tmp_path / "p.csv")]) in (0, None)
     got = recording_folder.load_poses(tmp_path / "p.csv")
     T = real(read, true, coupled)
-    error, before = difference(got.T_base_platform, T), difference(hexapod.forward(read, design.mechanism), T)
+    error, before = pose_difference(got.T_base_platform, T), pose_difference(hexapod.forward(read, design.mechanism), T)
     assert rms(error)[0] < 0.05 * rms(before)[0]
     ratio = (error[:, :3] ** 2).sum() / np.trace(got.covariance[:, :3, :3], axis1=1, axis2=2).sum()
     assert 0.05 < ratio < 4
@@ -131,18 +133,19 @@ def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
     samples, true = gridded
     first, _ = certify_extended(samples, design.mechanism, Asked("axes", True), np.random.default_rng(0))
     before = Calibration(first.correction, first.found.covariance, first.found.scatter, (), (), None, {})
-    second, tried, count = certify_onto(samples, before, Pass("simplex"), np.random.default_rng(0))
+    second, tried, count = certify_additional_pass(samples, before, Pass("simplex"), np.random.default_rng(0))
     assert count == len(samples)
     figures = {one.kind: one.held_out.after.position[0] for one in tried}
     assert figures["simplex"] < 0.7 * figures["none"]
     inner = low_discrepancy(design.mechanism.strut_range, 60, 0.5, 3)
-    left = [rms(difference(done.correction.predict(inner), real(inner, true, coupled)))[0] for done in (first, second)]
+    left = [rms(pose_difference(done.correction.predict(inner), real(inner, true, coupled)))[0] for done in (first, second)]
     assert left[1] < 0.7 * left[0]
     assert [field.kind for field in second.correction.extension.fields] == ["axes", "simplex"]
     np.testing.assert_allclose(second.correction.extension.gradient(inner), sum(f.gradient(inner) for f in second.correction.extension.fields))
     kept = Calibration(second.correction, second.found.covariance, second.found.scatter, (1,), (), second.held_out, {"seed": 0})
     calibration_file.save(tmp_path / "c.json", kept)
     np.testing.assert_allclose(calibration_file.load(tmp_path / "c.json").correction.rho(inner), second.correction.rho(inner), atol=1e-18)
-    source = calibration_file.after({"recording": "b", "data": ["2"]}, replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}),
-                         {"number": 2})
+    source = calibration_file.pass_provenance(
+        {"recording": "b", "data": ["2"]}, replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}), {"number": 2}
+    )
     assert source == {"recording": "b", "pass": {"number": 2}, "data": ["1", "2"], "passes": [{"recording": "a", "created": "then"}]}

@@ -7,15 +7,15 @@ import pytest
 
 from calib.models.arm import error_model
 from calib.models.arm.certification import certify as certify_arm
-from calib.models.arm.certification import promised as promised_arm
+from calib.models.arm.certification import workspace_claim_of as promised_arm
 from calib.certify.calibration import Calibration
-from calib.certify.workspace_claim import PLACES, Told, concluded
-from calib.certify.extension_certification import Asked, certify_extended, promised_alone
+from calib.certify.workspace_claim import PLACES, ConfigurationInformation, claim_of_mean_squares
+from calib.certify.extension_certification import Asked, certify_extended, claim_without_geometry
 from calib.certify.held_out_error_statistics import HeldErrors
-from calib.certify.additional_pass import Pass, certify_onto
-from calib.correct.correction import Correction, closing
+from calib.certify.additional_pass import Pass, certify_additional_pass
+from calib.correct.correction import Correction, commands_with_pose
 from rig.planning.configuration_sets import low_discrepancy
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.calib import arm_worlds as worlds
 from tests.calib.worlds import real, rms, sampled
 from tests.rig.arms import UR10
@@ -48,7 +48,9 @@ def test_noise_that_explains_all_leaves_nothing_and_what_was_not_measured_is_not
 @pytest.mark.parametrize("owners", [0.0, 1e-9])
 def test_a_factor_is_finite_where_noise_explains_all_that_is_left(design, owners):
     samples, _ = sampled(design, 0, 10, None)
-    claim = concluded(np.full((100, 2), owners), np.zeros((100, 2)), "here", samples, Told(10, 0, 0, 0, ""), np.random.default_rng(0))
+    claim = claim_of_mean_squares(
+        np.full((100, 2), owners), np.zeros((100, 2)), "here", samples, ConfigurationInformation(10, 0, 0, 0, ""), np.random.default_rng(0)
+    )
     assert np.isfinite([claim.ratio, claim.measured]).all() and claim.after[0] == (0.0, 0.0, 0.0)
     with pytest.raises(ValueError, match="ratio of a claim"):
         replace(claim, ratio=(1.0, np.nan, np.nan))
@@ -64,10 +66,10 @@ def test_a_claim_of_a_field_or_of_a_pass_holds_what_play_leaves(design, way):
             done, _ = certify_extended(samples, m, Asked("radial", True), rng)
         else:
             before = Calibration(Correction(m, true, (None,) * 6), np.zeros((42, 42)), np.zeros(6), (), (), None, {})
-            done, _, _ = certify_onto(samples, before, Pass("radial"), rng)
-        _, low, high = promised_alone(samples, done, rng).after[0]
-        commands, T = closing(low_discrepancy(m.strut_range, 200, 0.8, 77), done.correction)
-        inside += low <= rms(difference(T, real(commands, true, play)))[0] <= high
+            done, _, _ = certify_additional_pass(samples, before, Pass("radial"), rng)
+        _, low, high = claim_without_geometry(samples, done, rng).after[0]
+        commands, T = commands_with_pose(low_discrepancy(m.strut_range, 200, 0.8, 77), done.correction)
+        inside += low <= rms(pose_difference(T, real(commands, true, play)))[0] <= high
         wide.append(high / low)
     assert inside >= 7 and 1.2 < min(wide) < max(wide) < 4
 
@@ -100,6 +102,6 @@ def test_an_arms_claim_is_never_better_than_poses_held_out_allow(gears):
         claim = promised_arm(samples, done, rng)
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
         q = low_discrepancy(seen, PLACES, 0.8)
-        off = difference(done.correction.predict(q), error_model.predicted(q + deviation(q), true))
+        off = pose_difference(done.correction.predict(q), error_model.predicted(q + deviation(q), true))
         inside += claim.after[0][1] <= rms(off)[0] <= claim.after[0][2]
     assert inside >= 5

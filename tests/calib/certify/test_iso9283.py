@@ -18,8 +18,8 @@ FULL = Duty(0.05, 0.05, (10.0, 10.0), 10.0)
 
 def standard(design, cycles=30):
     """HeldPoses of the plan of the standard's five poses."""
-    done = plan.build(design, f"iso9283:{cycles}", 0)
-    T = motion_simulation.run(design, done.commands, done.t).T_base_platform
+    done = plan.build_plan(design, f"iso9283:{cycles}", 0)
+    T = motion_simulation.run_machine(design, done.commands, done.t).T_base_platform
     n = len(done.t)
     samples = Samples(np.arange(n), done.t, done.commands.at(done.t), T, np.tile(np.eye(6) * 1e-12, (n, 1, 1)), np.zeros((n, 6, 1)))
     errors = 1e-6 * np.random.default_rng(0).normal(size=(n, 6))

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.platform_certification import certify, model_covariance, promised
-from calib.certify.deviation_component_sizes import Closures, sizes
-from calib.certify.strut_deviation_kernels import CONDITION, PLACE, SAMPLE, components
-from calib.certify.distinct_configurations import labels, ranges
-from calib.files.calibration_from_recording import kept
+from calib.certify.platform_certification import certify, model_covariance, workspace_claim_of
+from calib.certify.deviation_component_sizes import Closures, draw_component_sizes
+from calib.certify.strut_deviation_kernels import CONDITION, PLACE, SAMPLE, deviation_components
+from calib.certify.distinct_configurations import configuration_numbers, axis_ranges
+from calib.files.calibration_from_recording import calibration_with_provenance
 from calib.samples.recording_samples import sample_recording
 from rig.recording import recording_folder
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests import truth
 from tests.calib.worlds import rms, sampled
 
@@ -24,15 +24,15 @@ def calibrated(folder, *case, **more):
     measured = sample_recording(rec)
     rng = np.random.default_rng(0)
     done = certify(measured.samples, rec.design.mechanism, rng)
-    claim = promised(measured.samples, done, rng)
-    return of, kept(rec, measured, done, claim), claim, rec
+    claim = workspace_claim_of(measured.samples, done, rng)
+    return of, calibration_with_provenance(rec, measured, done, claim), claim, rec
 
 
 def driven(case, calibration):
     """(n, 6) errors of fresh poses that the machine is sent to with the correction, and the poses."""
     wanted = RigidTransform.from_matrix(truth.wanted(case))
     real = RigidTransform.from_matrix(truth.drive(case, calibration.correction.inverse(wanted)))
-    return difference(wanted, real), wanted
+    return pose_difference(wanted, real), wanted
 
 
 CASES = [(1, "backlash", "strong", "ladders"), (0, "backlash", "strong", "sobol"), (2, "hysteresis", "strong", "ladders"),
@@ -92,7 +92,7 @@ def test_a_remainder_stands_for_what_depends_on_place(design):
 
     samples, true = sampled(design, 2, 80, bent)
     done = certify(samples, design.mechanism, np.random.default_rng(0))
-    claim = promised(samples, done, np.random.default_rng(0))
+    claim = workspace_claim_of(samples, done, np.random.default_rng(0))
     assert [part is not None for part in done.correction.remainder] == [False, False, True, False, False, False]
     assert claim.unexplained == ()
 
@@ -104,12 +104,12 @@ def strut(rng, n, parts, deviation):
 
 def test_sizes_are_found_where_samples_show_them_and_nothing_where_they_do_not(design):
     samples, _ = sampled(design, 5, 40)
-    label, rng = labels(samples.commanded, ranges(design.mechanism)), np.random.default_rng(1)
-    parts = components(samples, label, design.mechanism)
+    label, rng = configuration_numbers(samples.commanded, axis_ranges(design.mechanism)), np.random.default_rng(1)
+    parts = deviation_components(samples, label, design.mechanism)
     time = next(part for part in parts[0] if part.name == "time").basis
     course = 2e-5 * np.sin(4 * samples.t / np.ptp(samples.t))
     off = [np.zeros(40), course, np.zeros(40), np.zeros(40), np.zeros(40), np.zeros(40)]
-    found = sizes([strut(rng, 40, own, one) for own, one in zip(parts, off)], np.zeros_like, 128, rng)
+    found = draw_component_sizes([strut(rng, 40, own, one) for own, one in zip(parts, off)], np.zeros_like, 128, rng)
     at = [part.name for part in parts[1]].index("time")
     assert time.shape[1] < 40 and (found[1][:, at] > 5e-6).mean() > 0.95
     assert np.mean([(one > 1e-6).any(axis=1).mean() for i, one in enumerate(found) if i != 1]) < 0.2
@@ -117,10 +117,10 @@ def test_sizes_are_found_where_samples_show_them_and_nothing_where_they_do_not(d
 
 def test_components_have_a_mean_square_of_one_where_the_machine_is_used(design):
     samples, _ = sampled(design, 5, 60)
-    label = labels(samples.commanded, ranges(design.mechanism))
+    label = configuration_numbers(samples.commanded, axis_ranges(design.mechanism))
     rng = np.random.default_rng(0)
     places = 0.8 * rng.uniform(-1, 1, (4000, 6))
-    for part in components(samples, label, design.mechanism)[2]:
+    for part in deviation_components(samples, label, design.mechanism)[2]:
         assert part.over in (SAMPLE, PLACE, CONDITION)
         if part.use is not None:
             mean, variance = part.use(places)

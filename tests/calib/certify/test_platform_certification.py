@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from calib.certify.platform_certification import certify
-from calib.certify.held_out_errors import compare, figures
-from calib.certify.calibration_verdict import verified
-from calib.samples.pose_samples import blocks
+from calib.certify.held_out_errors import compare_errors, error_figures
+from calib.certify.calibration_verdict import verification_line
+from calib.samples.pose_samples import time_block_folds
 from tests.calib.worlds import sampled
 
 
 def test_figures_are_hand_worked():
     errors = np.zeros((4, 6))
     errors[:, 0], errors[:, 4] = [3e-3, 0, 0, 0], [0, 0, 0, 4e-3]
-    found = figures(errors)
+    found = error_figures(errors)
     assert found.position == pytest.approx((1.5e-3, 3e-3 * 0.85, 3e-3)) and found.rotation[0] == pytest.approx(2e-3) and found.n == 4
     assert found.bias == pytest.approx((7.5e-4, 0, 0, 0, 1e-3, 0))
 
@@ -21,7 +21,7 @@ def test_figures_are_hand_worked():
 def test_ratio_comes_with_an_interval():
     rng = np.random.default_rng(0)
     before, after = 1e-3 * rng.normal(size=(200, 6)), 1e-5 * rng.normal(size=(200, 6))
-    held = compare(before, after, np.tile(np.eye(6) * 1e-10, (200, 1, 1)), rng)
+    held = compare_errors(before, after, np.tile(np.eye(6) * 1e-10, (200, 1, 1)), rng)
     assert held.ratio[1] < held.ratio[0] < held.ratio[2] and held.ratio[0] == pytest.approx(100, rel=0.1)
     assert held.floor == pytest.approx((np.sqrt(3) * 1e-5, np.sqrt(3) * 1e-5))
 
@@ -30,10 +30,10 @@ def test_ratio_comes_with_an_interval():
 def test_few_configurations_have_no_interval(count, where):
     """Drawn anew from themselves they always say the same."""
     rng = np.random.default_rng(0)
-    held = compare(1e-3 * rng.normal(size=(40, 6)), 1e-5 * rng.normal(size=(40, 6)), np.tile(np.eye(6) * 1e-10, (40, 1, 1)), rng,
+    held = compare_errors(1e-3 * rng.normal(size=(40, 6)), 1e-5 * rng.normal(size=(40, 6)), np.tile(np.eye(6) * 1e-10, (40, 1, 1)), rng,
                    np.arange(40) % count)
     assert np.isnan(held.ratio[1:]).all() and held.configurations == count
-    said = verified(held, None, None)
+    said = verification_line(held, None, None)
     assert f"(too few configurations for an interval) on {where}" in said and "nan" not in said
 
 
@@ -64,5 +64,5 @@ def test_a_remainder_that_pays_is_kept(design):
 
 
 def test_blocks_are_whole_stretches():
-    fold = blocks(23, 5)
+    fold = time_block_folds(23, 5)
     assert (np.diff(fold) >= 0).all() and set(fold) == {0, 1, 2, 3, 4} and np.bincount(fold).min() >= 4

@@ -6,8 +6,8 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import binom
 
 from calib.certify.held_out_poses import HeldPoses
-from calib.certify.pose_error_promise import promised
-from calib.certify.tolerance_limits import smallest
+from calib.certify.pose_error_promise import pose_error_promise
+from calib.certify.tolerance_limits import least_sample_size
 
 UNITS = (1e-5, 1e-4)  # m, rad
 WIDTHS = np.repeat(UNITS, 3)
@@ -53,7 +53,7 @@ def kept(draw, n, level, count, noise=0.0, seed=0):
     for _ in range(count):
         true = draw(rng, n)
         poses = held(true + noise * WIDTHS * rng.normal(size=true.shape), noise)
-        made = promised(poses, *level, 0.0, UNITS, rng)
+        made = pose_error_promise(poses, *level, 0.0, UNITS, rng)
         found += (real <= [made.position.upper, made.rotation.upper]).all(axis=1).mean() >= level[0]
     return found / count
 
@@ -86,17 +86,17 @@ def test_noise_is_taken_off_and_both_are_kept(draw, noise):
 
 
 def test_the_least_number_is_that_of_one_limit():
-    assert (smallest(0.95, 0.95), smallest(0.9, 0.9)) == (59, 22)
+    assert (least_sample_size(0.95, 0.95), least_sample_size(0.9, 0.9)) == (59, 22)
 
 
 def test_poses_that_turn_without_measure_are_promised_in_position_alone():
     errors = independent(np.random.default_rng(0), 59)
     errors[:, 3:] = np.nan
-    made = promised(held(errors), 0.95, 0.95, 0.0, UNITS, np.random.default_rng(0))
+    made = pose_error_promise(held(errors), 0.95, 0.95, 0.0, UNITS, np.random.default_rng(0))
     assert made.rotation is None and made.position.upper <= np.linalg.norm(errors[:, :3], axis=1).max()
 
 
 def test_units_set_the_ratio_of_the_two_bounds():
     poses = held(independent(np.random.default_rng(0), 80))
-    made = promised(poses, 0.95, 0.95, 0.0, (2e-5, 1e-4), np.random.default_rng(0))
+    made = pose_error_promise(poses, 0.95, 0.95, 0.0, (2e-5, 1e-4), np.random.default_rng(0))
     assert made.rotation.upper / made.position.upper == pytest.approx(5.0)

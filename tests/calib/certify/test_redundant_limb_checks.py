@@ -27,9 +27,9 @@ EIGHT = 8
 def machine(tmp_path_factory):
     """(Design with eight limbs, as it truly is, what these read at 60 poses (60, 8) m, with noise)"""
     folder = tmp_path_factory.mktemp("eight")
-    (folder / "rig.toml").write_text(hexapod_layout.layout(0.3, limbs=EIGHT))
+    (folder / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=EIGHT))
     design = design_file.load(folder / "rig.toml")
-    true = secret_machine.draw(design, np.random.default_rng(5)).true
+    true = secret_machine.draw_machine(design, np.random.default_rng(5)).true
     T = hexapod.forward(low_discrepancy(true.mechanism.strut_range, 60, 0.8), true.mechanism)
     m = true.insitu
     read = np.linalg.norm(transform_points(T, m.platform_joints) - m.base_joints, axis=-1) - m.zeros
@@ -40,14 +40,14 @@ def machine(tmp_path_factory):
 def limbs(machine):
     """Limbs of which six are known as vision would have them, and the checks fitted to their poses."""
     design, true, read, T = machine
-    chosen = redundant_limb_checks.best(design.insitu, design.mechanism.home, T)
-    six = measuring_limbs.Limbs(measuring_limbs.stated(true, chosen), 1e-14 * np.eye(42), np.full(6, 1e-6), chosen)
-    return measuring_limbs.Limbs(six.hexapod, six.covariance, six.sigma, chosen, redundant_limb_checks.fitted(six, design.insitu, read))
+    chosen = redundant_limb_checks.best_six_limbs(design.insitu, design.mechanism.home, T)
+    six = measuring_limbs.Limbs(measuring_limbs.limb_hexapod(true, chosen), 1e-14 * np.eye(42), np.full(6, 1e-6), chosen)
+    return measuring_limbs.Limbs(six.hexapod, six.covariance, six.sigma, chosen, redundant_limb_checks.fit_limb_checks(six, design.insitu, read))
 
 
 def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs):
     design, _, read, _ = machine
-    error, sigma = redundant_limb_checks.held_out(limbs, design.insitu, read)
+    error, sigma = redundant_limb_checks.held_out_check_errors(limbs, design.insitu, read)
     assert error.shape == (60, EIGHT - 6) and len(set(limbs.chosen.tolist()) | set(limbs.checks.limbs.tolist())) == EIGHT
     assert 0.7 < np.sqrt((error**2 / sigma**2).mean()) < 1.3 and (sigma < 2e-5).all()
     stated = redundant_limb_checks._closures(limbs, redundant_limb_checks.Checks(
@@ -58,19 +58,19 @@ def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs
 
 def test_of_six_limbs_none_is_over_to_be_checked(machine):
     _, true, read, _ = machine
-    stated = design_file.design_of(design_file.entries_of(hexapod_layout.layout(0.3, limbs=6), "rig.toml")).insitu
-    six = measuring_limbs.Limbs(measuring_limbs.stated(true, np.arange(6)), 1e-14 * np.eye(42), np.full(6, 1e-6), np.arange(6))
-    error, sigma = redundant_limb_checks.held_out(six, stated, read[:, :6])
+    stated = design_file.design_of(design_file.entries_of(hexapod_layout.hexapod_layout(0.3, limbs=6), "rig.toml")).insitu
+    six = measuring_limbs.Limbs(measuring_limbs.limb_hexapod(true, np.arange(6)), 1e-14 * np.eye(42), np.full(6, 1e-6), np.arange(6))
+    error, sigma = redundant_limb_checks.held_out_check_errors(six, stated, read[:, :6])
     assert error.shape == sigma.shape == (60, 0)
 
 
 @pytest.mark.parametrize("which", ["chosen", "check"])
 def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, limbs, which):
     _, _, read, _ = machine
-    assert redundant_limb_checks.first(limbs, read) is None
+    assert redundant_limb_checks.first_unclosed_limb(limbs, read) is None
     limb = int(limbs.chosen[2] if which == "chosen" else limbs.checks.limbs[0])
     slipped = read - 3e-5 * (np.arange(60)[:, None] >= 40) * np.eye(EIGHT)[limb]
-    found = redundant_limb_checks.first(limbs, slipped)
+    found = redundant_limb_checks.first_unclosed_limb(limbs, slipped)
     assert 40 <= found.at < 45 and found.limb in (None, limb + 1)
     assert which == "chosen" or found.limb is not None
     assert found.limb is None or abs(found.size - 3e-5) < 1e-5
@@ -80,11 +80,11 @@ def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, lim
 
 
 def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_layout.layout(0.3, limbs=4))
+    (tmp_path / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=4))
     design = design_file.load(tmp_path / "rig.toml")
     with pytest.raises(RigError, match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no"):
-        measuring_limbs.stated(design)
-    assert not redundant_limb_checks.enough(design)
+        measuring_limbs.limb_hexapod(design)
+    assert not redundant_limb_checks.has_six_limbs(design)
 
 
 @pytest.mark.slow
@@ -127,10 +127,10 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     assert command_line.main(["insitu", str(tmp_path / "rec"), "--use", "m1,m2,m3,m4,m5,m9"]) == 1
     assert "six different limbs of m1 .. m8" in capsys.readouterr().err
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: of 8, not of 6"):
-        measuring_limbs_file.in_force(tmp_path / "first.json", _with_limbs(tmp_path, 6))
-    assert recorded_limb_poses.read(read, measuring_limbs_file.load(tmp_path / "first.json")).lengths.shape == (60, EIGHT)
+        measuring_limbs_file.accepted_limbs(tmp_path / "first.json", _with_limbs(tmp_path, 6))
+    assert recorded_limb_poses.limb_poses(read, measuring_limbs_file.load(tmp_path / "first.json")).lengths.shape == (60, EIGHT)
 
 
 def _with_limbs(folder, count):
-    (folder / "other.toml").write_text(hexapod_layout.layout(0.3, limbs=count))
+    (folder / "other.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=count))
     return design_file.load(folder / "other.toml")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certify.strut_load_signs import signs
+from calib.certify.strut_load_signs import strut_load_signs
 from calib.samples.measuring_conditions import Conditions, Weight
 from rig.model.mechanisms import hexapod
 from tests.calib.certify.test_left_out import calibrated, driven
@@ -15,7 +15,7 @@ def test_signs_are_those_of_struts_in_balance(design):
     samples, _ = sampled(design, 3, 60)
     n, m, centre = len(samples), design.mechanism, np.array([0.0, 0.4, 0.3])  # so far out that some struts pull
     known = Conditions(np.zeros((n, 6)), samples.t, {}, Weight(np.array([0, 0, -9.81]), 5.0, centre, None))
-    found = signs(replace(samples, conditions=known), m)
+    found = strut_load_signs(replace(samples, conditions=known), m)
     assert sum(one is not None for one in found) > 0
     T = samples.T_base_platform.as_matrix()
     arms = m.platform_joints @ np.swapaxes(T[:, :3, :3], 1, 2)
@@ -37,11 +37,11 @@ def test_signs_are_those_of_struts_in_balance(design):
 def test_without_gravity_or_where_every_strut_pushes_there_is_no_sign(design):
     samples, _ = sampled(design, 3, 30)
     n = len(samples)
-    assert signs(samples, design.mechanism) == [None] * 6
+    assert strut_load_signs(samples, design.mechanism) == [None] * 6
     known = Conditions(np.zeros((n, 6)), samples.t, {}, Weight(np.array([0, 0, -9.81]), None, None, None))
     T = samples.T_base_platform
     pushing = hexapod.loads(T, samples.effective, design.mechanism, known.weight.wrench(T, np.zeros(n)))
-    for i, one in enumerate(signs(replace(samples, conditions=known), design.mechanism)):
+    for i, one in enumerate(strut_load_signs(replace(samples, conditions=known), design.mechanism)):
         assert one is not None or (pushing[:, i] > 0).all() or (pushing[:, i] < 0).all()
 
 

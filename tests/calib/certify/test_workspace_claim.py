@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from calib.certify.platform_certification import certify, promised
-from calib.certify.held_out_errors import compare, errors_of
-from calib.certify.distinct_configurations import folds, labels, ranges, witnesses
+from calib.certify.platform_certification import certify, workspace_claim_of
+from calib.certify.held_out_errors import compare_errors, errors_before_and_after
+from calib.certify.distinct_configurations import configuration_folds, configuration_numbers, axis_ranges, mean_sample_per_configuration
 from calib.models.platform.identification import identify, parameters
 from calib.samples.recording_samples import sample_recording
-from calib.models.platform.stated_geometry_accuracy import tolerance
-from calib.certify.calibration_verdict import verdict, verified
-from calib.certify.claim_verification import verification
+from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
+from calib.certify.calibration_verdict import claim_lines, verification_line
+from calib.certify.claim_verification import verify_claim
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from synthetic import recording_simulation, secret_machine
 from tests.calib.worlds import sampled
 
@@ -31,7 +31,9 @@ def elsewhere(correction, true, seed):
     nominal = correction.nominal
     commands = plan.low_discrepancy(nominal.strut_range, 300, seed=7000 + seed)
     real = hexapod.forward(commands, true)
-    before, after = (np.mean(difference(model, real)[:, :3] ** 2) for model in (hexapod.forward(commands, nominal), correction.predict(commands)))
+    before, after = (
+        np.mean(pose_difference(model, real)[:, :3] ** 2) for model in (hexapod.forward(commands, nominal), correction.predict(commands))
+    )
     return np.sqrt(before / after)
 
 
@@ -45,34 +47,34 @@ def at_poses(design, seed, distinct, repeats):
 def at_corners(design, text, folder, seed, distinct, repeats):
     """(Claim, before / after elsewhere) of a recording simulated corner by corner, measured by its cameras."""
     rng, strokes = np.random.default_rng(seed), design.mechanism.strut_range
-    secret = secret_machine.draw(design, rng)
-    route = plan.settled(visited(design.mechanism, distinct, repeats, seed), strokes.mean(axis=1), plan.speed_of(design))
-    recording_simulation.write(recording_simulation.simulate(secret, route, rng), folder, text, rng, 0.04)
+    secret = secret_machine.draw_machine(design, rng)
+    route = plan.settled_plan(visited(design.mechanism, distinct, repeats, seed), strokes.mean(axis=1), plan.plan_speed(design))
+    recording_simulation.write_recording(recording_simulation.simulate(secret, route, rng), folder, text, rng, 0.04)
     return concluded(design, sample_recording(recording_folder.load(folder)).samples, secret.true.mechanism, seed)
 
 
 def concluded(design, samples, true, seed):
     done = certify(samples, design.mechanism, np.random.default_rng(seed))
-    return promised(samples, done, np.random.default_rng(seed)), elsewhere(done.correction, true, seed)
+    return workspace_claim_of(samples, done, np.random.default_rng(seed)), elsewhere(done.correction, true, seed)
 
 
 def test_repeats_are_one_configuration_from_whichever_side(design):
     strokes = design.mechanism.strut_range
-    ladder = plan.build(design, "ladder:4")
+    ladder = plan.build_plan(design, "ladder:4")
     commands = np.stack([np.interp(ladder.t, ladder.commands.t, column) for column in ladder.commands.values.T], axis=1)
-    label = labels(commands, strokes)
+    label = configuration_numbers(commands, strokes)
     middle = np.abs(commands - strokes.mean(axis=1)).max(axis=1) < 1e-6
     assert middle.sum() == 48 and len(set(label[middle])) == 1 and label.max() + 1 == 49
-    fold = folds(label, 5)
+    fold = configuration_folds(label, 5)
     assert set(fold) == set(range(5)) and all(len(set(fold[label == k])) == 1 for k in set(label))
 
 
 def test_witnesses_say_what_all_poses_say(design):
     commands = visited(design.mechanism, 12, 40, 3)
     samples, _ = sampled(design, 3, len(commands), commands=commands + 2e-6 * np.random.default_rng(0).normal(size=commands.shape))
-    label = labels(samples.commanded, ranges(design.mechanism))
+    label = configuration_numbers(samples.commanded, axis_ranges(design.mechanism))
     to_pose = np.linalg.inv(hexapod.jacobian(samples.T_base_platform, design.mechanism))
-    each = witnesses(samples, label, to_pose)
+    each = mean_sample_per_configuration(samples, label, to_pose)
     together, apart = (identify(some, design.mechanism) for some in (each, samples))
     assert len(each) == 12 and np.bincount(label).max() > 1
     assert np.abs(parameters(together.mechanism) - parameters(apart.mechanism)).max() < 0.05 * np.sqrt(np.diag(apart.covariance)).min()
@@ -82,7 +84,7 @@ def test_witnesses_say_what_all_poses_say(design):
 
 def test_the_owners_tolerance_is_read_off_the_poses(design):
     samples, true = sampled(design, 4, count=40)
-    known = tolerance(identify(samples, design.mechanism), design.mechanism)
+    known = stated_geometry_accuracy(identify(samples, design.mechanism), design.mechanism)
     off = parameters(true) - parameters(design.mechanism)
     assert known.prior[0] == pytest.approx(np.sqrt(np.mean(off[:36] ** 2)), rel=0.3)
     assert known.prior[-1] == pytest.approx(np.sqrt(np.mean(off[36:] ** 2)), rel=0.8) and known.weight.sum() == pytest.approx(1)
@@ -93,23 +95,25 @@ def test_few_configurations_claim_no_factor_and_say_why(design, distinct):
     commands = visited(design.mechanism, distinct, 30 - distinct, 2)
     samples, _ = sampled(design, 2, 30, commands=commands)
     done = certify(samples, design.mechanism, np.random.default_rng(0))
-    claim = promised(samples, done, np.random.default_rng(0))
+    claim = workspace_claim_of(samples, done, np.random.default_rng(0))
     assert done.held_out is None and claim.ratio is None and claim.distinct == distinct and claim.determined == min(6 * distinct, 42)
-    said = verdict(claim)
+    said = claim_lines(claim)
     assert said[0].startswith("no factor is claimed") and "takes 8" in said[0] and f"{min(6 * distinct, 42)} of 42 combinations" in said[1]
 
 
 def test_a_claim_is_kept_or_it_is_not(design):
     samples, true = sampled(design, 6, 30)
     done = certify(samples, design.mechanism, np.random.default_rng(0))
-    claim = promised(samples, done, np.random.default_rng(0))
+    claim = workspace_claim_of(samples, done, np.random.default_rng(0))
     commands = plan.low_discrepancy(design.mechanism.strut_range, 40, seed=77)
     fresh = sampled(design, 6, 40, commands=commands, noise_seed=5)[0]
     other = sampled(design, 6, 40, commands=commands, noise_seed=5, deviation=lambda c: np.full(c.shape, 2e-4) * [1, -1, 1, -1, 1, -1])[0]
-    held = [compare(*errors_of(done.correction, some), some.total_covariance(), np.random.default_rng(0)) for some in (fresh, other)]
-    found = [verification(done.correction.predict(some.effective), some, np.arange(40), claim, np.random.default_rng(0)) for some in (fresh, other)]
+    held = [
+        compare_errors(*errors_before_and_after(done.correction, some), some.total_covariance(), np.random.default_rng(0)) for some in (fresh, other)
+    ]
+    found = [verify_claim(done.correction.predict(some.effective), some, np.arange(40), claim, np.random.default_rng(0)) for some in (fresh, other)]
     assert [one.kept for one in found] == [True, False]
-    assert "the claim is kept" in verified(held[0], claim, found[0]) and "NOT kept" in verified(held[1], claim, found[1])
+    assert "the claim is kept" in verification_line(held[0], claim, found[0]) and "NOT kept" in verification_line(held[1], claim, found[1])
 
 
 def test_repeats_make_no_claim_better_than_its_configurations(design):

@@ -9,7 +9,7 @@ import pytest
 from rig.recording import recording_folder
 from tests.bench.accusations import setup
 from tests.calib.checks.good import recorded
-from vision.checks import look
+from vision.checks import find_corner_mistakes
 from vision.recording_measurement import measure_recording
 
 
@@ -34,5 +34,7 @@ def test_one_face_turned_is_told_as_that(tmp_path: Path) -> None:
     read = recording_folder.load(tmp_path / "rec")
     assert read.corners is not None
     turned = read.corners.marker == read.design.targets[0].ids[4]
-    (found,) = look(read, replace(read.corners, corner=np.where(turned, (read.corners.corner + 2) % 4, read.corners.corner)), thorough=True)
+    (found,) = find_corner_mistakes(
+        read, replace(read.corners, corner=np.where(turned, (read.corners.corner + 2) % 4, read.corners.corner)), thorough=True
+    )
     assert "face +z of cube P1 (marker 4) is turned by 180 degrees" in found.what

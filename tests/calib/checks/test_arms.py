@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.checks.arm_angles_and_poses import look
+from calib.checks.arm_angles_and_poses import find_arm_mistakes
 from calib.samples.pose_samples import Samples
 from rig.recording import recording_folder
 from tests.calib import arm_worlds
@@ -20,9 +20,9 @@ def written(folder, seed, spoil=None):
 
 @pytest.mark.parametrize("seed", [0, 4])  # a level hand; all joints move
 def test_zeros_off_and_a_level_hand_are_no_mistakes(tmp_path, seed):
-    assert look(written(tmp_path / "rec", seed)) == ()
+    assert find_arm_mistakes(written(tmp_path / "rec", seed)) == ()
 
 
 def test_a_joint_that_turns_the_other_way_is_one_still(tmp_path):
-    found = look(written(tmp_path / "rec", 4, np.array([1, 1, -1, 1, 1, 1, 1])))
+    found = find_arm_mistakes(written(tmp_path / "rec", 4, np.array([1, 1, -1, 1, 1, 1, 1])))
     assert found and found[0].spoils

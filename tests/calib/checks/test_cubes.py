@@ -10,18 +10,18 @@ from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout
 from rig.cli.command_line import main
 from rig.model.design import Target
-from rig.model.pose import pose, vector
+from rig.model.pose import pose, pose_to_vector
 from tests.calib.checks.good import make
-from vision.checks.cube_layout import remarks
+from vision.checks.cube_layout import cube_layout_remarks
 from vision.targets import markers
 
-TEXT = hexapod_layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4)
+TEXT = hexapod_layout.hexapod_layout(0.3, cameras=3, width=1280, height=1024, cubes=4)
 
 
 def told(tmp_path, text):
     path = tmp_path / "rig.toml"
     path.write_text(text)
-    return "\n".join(remarks(design_file.load(path)))
+    return "\n".join(cube_layout_remarks(design_file.load(path)))
 
 
 def moved(name, by):
@@ -36,7 +36,7 @@ def moved(name, by):
 def test_a_rig_laid_out_evenly_is_left_in_peace(tmp_path):
     assert told(tmp_path, TEXT) == ""
     for cubes in (3, 5, 6):
-        assert "circle" not in told(tmp_path, hexapod_layout.layout(0.3, cubes=cubes))
+        assert "circle" not in told(tmp_path, hexapod_layout.hexapod_layout(0.3, cubes=cubes))
 
 
 def test_a_cube_off_its_circle_is_told_with_radii_and_gaps(tmp_path):
@@ -54,7 +54,7 @@ def listed(name, aside):
                   pose(target["pose"]["position"], target["pose"]["rotvec"]))
     rows = [f'\n[[target]]\nname = "{name}"\nbody = "{cube.body}"\ndictionary = "{cube.dictionary}"\n']
     for k, marker in enumerate(markers(cube)):
-        v = vector(marker.pose * pose([*aside, 0] if k == 0 else [0, 0, 0], [0, 0, 0]))
+        v = pose_to_vector(marker.pose * pose([*aside, 0] if k == 0 else [0, 0, 0], [0, 0, 0]))
         rows.append(f"[[target.marker]]\nid = {marker.id}\nside = {marker.side}\n"
                     f"pose = {{ position = {v[:3].tolist()}, rotvec = {v[3:].tolist()} }}\n")
     blocks = TEXT.split("[[target]]")

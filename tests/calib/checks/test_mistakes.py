@@ -14,7 +14,7 @@ from rig.recording import recording_folder
 from rig.effects.catalogue.edge_bias import EdgeBias
 from rig.effects.catalogue.print_scale import PrintScale
 from rig.effects.catalogue.time_offset import TimeOffset
-from rig.checks import Mistake, in_order, command_units
+from rig.checks import Mistake, sort_mistakes, command_units
 from rig.recording.recording_folder import Commands
 from tests.calib.checks.cases import Case
 from tests.calib.checks.good import make, recorded
@@ -115,9 +115,9 @@ def test_one_struts_zero_is_no_unit_of_all(design):
     """Taken for inches from home, the other five alone would be so as well."""
     middle, span = design.mechanism.strut_range.mean(axis=1), np.ptp(design.mechanism.strut_range, axis=1)
     q = middle + 0.4 * span * np.random.default_rng(0).uniform(-1, 1, (40, 6)) - 0.6 * span * (np.arange(6) == 3)
-    said = [one.what for one in command_units.commands(Commands(np.arange(40.0), q), design)]
+    said = [one.what for one in command_units.command_unit_mistakes(Commands(np.arange(40.0), q), design)]
     assert len(said) == 1 and "lengths of strut 4 alone lie outside strut_range" in said[0]
-    assert "in millimetres" in next(command_units.commands(Commands(np.arange(40.0), middle * 1e3 + 0 * q), design)).what
+    assert "in millimetres" in next(command_units.command_unit_mistakes(Commands(np.arange(40.0), middle * 1e3 + 0 * q), design)).what
 
 
 def test_an_unlikely_thing_is_a_remark(good, tmp_path):
@@ -136,7 +136,7 @@ def test_measuring_says_first_how_well(good, tmp_path):
 
 def test_what_spoils_is_said_before_what_is_likely():
     a, b, c = Mistake("a", "", False, 0.9), Mistake("b", "", True, 0.2), Mistake("c", "", True, 0.8)
-    assert in_order([a, b, c, a]) == (c, b, a)
+    assert sort_mistakes([a, b, c, a]) == (c, b, a)
 
 
 def test_a_recording_is_only_read(good, tmp_path):

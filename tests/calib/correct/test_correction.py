@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from calib.correct.correction import Correction, calibrate, reachable
+from calib.correct.correction import Correction, calibrate, require_reachable
 from calib.correct.interpolation import gaussian_process
 from rig.model.design import Free
 from rig.errors import RigError, Unreachable
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.calib.worlds import real, rms, sampled, workspace
 
 
@@ -36,7 +36,7 @@ def test_corrected_commands_solve_the_fixed_point(design):
     wanted = workspace(design, 50)
     commands = correction.inverse(wanted)
     np.testing.assert_allclose(commands, hexapod.inverse(wanted, design.mechanism) + correction.summand(commands), atol=1e-9)
-    assert np.abs(difference(correction.predict(commands), wanted)).max() < 1e-9
+    assert np.abs(pose_difference(correction.predict(commands), wanted)).max() < 1e-9
     x = hexapod.inverse(wanted, design.mechanism)
     first = np.abs(x + correction.summand(x) - commands).max()
     assert first > 1e-7  # the first step alone would miss by more than a tenth of a micrometre
@@ -46,8 +46,8 @@ def test_commanded_poses_become_the_poses_one_gets(design):
     samples, true = sampled(design, 3)
     correction, found = calibrate(samples, design.mechanism)
     wanted = workspace(design)
-    before = rms(difference(wanted, real(hexapod.inverse(wanted, design.mechanism), true)))
-    after = rms(difference(wanted, real(correction.inverse(wanted), true)))
+    before = rms(pose_difference(wanted, real(hexapod.inverse(wanted, design.mechanism), true)))
+    after = rms(pose_difference(wanted, real(correction.inverse(wanted), true)))
     assert before[0] > 50 * after[0] and after[0] < 1.2e-5
 
 
@@ -56,7 +56,7 @@ def test_the_remainder_takes_what_geometry_cannot(design):
     correction, _ = calibrate(samples, design.mechanism)
     plain, _ = calibrate(samples, design.mechanism, "none")
     wanted = workspace(design)
-    errors = [rms(difference(wanted, real(c.inverse(wanted), true, wavy)))[0] for c in (plain, correction)]
+    errors = [rms(pose_difference(wanted, real(c.inverse(wanted), true, wavy)))[0] for c in (plain, correction)]
     assert correction.remainder[1] is not None and errors[1] < 0.75 * errors[0]
 
 
@@ -70,7 +70,7 @@ def test_the_remainder_fades_beyond_the_samples(design):
     rng = np.random.default_rng(0)
     strokes = np.tile([0.4, 0.5], (6, 1))
     x = rng.uniform(0.43, 0.47, (200, 6))
-    part = gaussian_process.fit(x, 4e-5 * np.sin(x[:, 2] / 0.004), np.full(200, 1e-12), 2, strokes)
+    part = gaussian_process.fit_gaussian_process(x, 4e-5 * np.sin(x[:, 2] / 0.004), np.full(200, 1e-12), 2, strokes)
     inside = rng.uniform(0.435, 0.465, (50, 6))
     np.testing.assert_allclose(part(inside), 4e-5 * np.sin(inside[:, 2] / 0.004), atol=4e-6)
     assert np.abs(part(np.full(6, 0.53))) < 1e-7 and part(np.zeros((2, 3, 6))).shape == (2, 3)
@@ -79,11 +79,11 @@ def test_the_remainder_fades_beyond_the_samples(design):
 def test_unreachable_poses_are_all_listed(design):
     correction = Correction(design.mechanism, design.mechanism, (None,) * 6)
     commands = np.tile(design.mechanism.strut_range.mean(axis=1), (3, 1))
-    reachable(commands, design.mechanism, ["a", "b", "c"])
+    require_reachable(commands, design.mechanism, ["a", "b", "c"])
     commands[1, 2] += 0.1
     commands[2] -= 0.2
     with pytest.raises(Unreachable) as caught:
-        reachable(commands, design.mechanism, ["frame 0", "frame 7", "frame 9"])
+        require_reachable(commands, design.mechanism, ["frame 0", "frame 7", "frame 9"])
     assert caught.value.index.tolist() == [1, 2]
     assert "frame 7: strut 3 at" in str(caught.value) and "above its range" in str(caught.value) and "frame 9" in str(caught.value)
     assert correction.rho(commands).shape == (3, 6)

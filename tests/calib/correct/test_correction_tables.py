@@ -9,7 +9,7 @@ from calib.correct.correction import Correction
 from calib.correct.summand_extension import summands
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known
-from calib.correct.correction_tables import grid_table, joint_tables, of_struts, summand_columns, summand_rows
+from calib.correct.correction_tables import grid_table, joint_tables, strut_summands, summand_columns, summand_rows
 from rig.planning.configuration_sets import low_discrepancy
 from rig.formats.exporters import compensation_tables
 from rig.model.mechanisms import hexapod
@@ -22,7 +22,7 @@ def additive(design):
     m = design.mechanism
     x = low_discrepancy(m.strut_range, 300, 1.0, 3)
     values = 5e-5 * np.sin((x - m.strut_range.mean(axis=1)) / 0.02)
-    field = interpolation_methods.fit("axes", Known(x, values, np.full(values.shape, 1e-14), m.strut_range))
+    field = interpolation_methods.fit_field("axes", Known(x, values, np.full(values.shape, 1e-14), m.strut_range))
     return Correction(m, replace(m, strut_zeros=m.strut_zeros + 3e-4), (None,) * 6, extension=field)
 
 
@@ -52,7 +52,7 @@ def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
     x = low_discrepancy(m.strut_range, 300, 1.0, 3)
     values = np.zeros(x.shape)
     values[:, 1] = 1e-3 * (x[:, 0] - m.strut_range[0].mean())
-    field = interpolation_methods.fit("polynomial", Known(x, values, np.full(x.shape, 1e-14), m.strut_range))
+    field = interpolation_methods.fit_field("polynomial", Known(x, values, np.full(x.shape, 1e-14), m.strut_range))
     found = joint_tables(Correction(m, m, (None,) * 6, extension=field), 9)
     assert found.left[1] > 1e-5 and np.delete(found.left, 1).max() < 1e-9
 
@@ -73,7 +73,7 @@ def test_a_grid_read_back_gives_the_commands(additive, design):
 def test_ksf_rows_are_commanded_less_what_was_measured_with_its_covariance(design):
     samples, true = sampled(design, 1, 200, own=np.array([5e-6] * 3 + [5e-5] * 3))
     columns = summand_columns(6)
-    rows = np.array([[float(cell) for cell in line.split(",")] for line in summand_rows(samples, of_struts(samples, design.mechanism))])
+    rows = np.array([[float(cell) for cell in line.split(",")] for line in summand_rows(samples, strut_summands(samples, design.mechanism))])
     assert rows.shape == (200, len(columns)) and len(columns) == 1 + 18 + 21
     x, y, k = rows[:, 1:7], rows[:, 7:13], rows[:, 13:19]
     np.testing.assert_allclose(k, x - y, atol=2e-12)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from calib.correct.interpolation import interpolation_methods
-from calib.correct.interpolation.field import Known, merged
-from calib.correct.interpolation.grid import lattice
-from rig.planning.configuration_sets import division, low_discrepancy
+from calib.correct.interpolation.field import Known, merge_repeats
+from calib.correct.interpolation.grid import lattice_of_configurations
+from rig.planning.configuration_sets import grid_division, low_discrepancy
 from rig.formats.checked_entries import Entries
 from rig.errors import FileError, NotConverged, RigError
 
@@ -57,7 +57,7 @@ def affine(x, seed=0):
 def test_grids_pass_through_their_samples(axes, seed):
     known, _ = on_grid(axes, seed)
     for kind in GRIDS:
-        field = interpolation_methods.fit(kind, known)
+        field = interpolation_methods.fit_field(kind, known)
         np.testing.assert_allclose(field.value(known.configurations), known.values, atol=1e-17)
         assert (field.error(known.configurations) < 2e-7).all() and field.inside(known.configurations).all()
 
@@ -68,7 +68,7 @@ def test_weights_are_a_partition_of_unity_and_their_slopes_of_nothing(axes, seed
     known, _ = on_grid(axes, seed)
     x = np.random.default_rng(seed).uniform(0.39, 0.51, (20, axes))
     for kind in GRIDS:
-        field = interpolation_methods.fit(kind, known)
+        field = interpolation_methods.fit_field(kind, known)
         found = field.weights(x)
         np.testing.assert_allclose(found.weight.sum(axis=1), 1, atol=1e-14)
         assert (found.weight >= -1e-15).all()
@@ -83,7 +83,7 @@ def test_simplices_and_the_grid_agree_on_linear_functions(axes, seed):
     known = Known(known.configurations, affine(known.configurations), known.variances, known.strokes)
     x = np.random.default_rng(seed).uniform(0.42, 0.48, (20, axes))
     for kind in GRIDS:
-        field = interpolation_methods.fit(kind, known)
+        field = interpolation_methods.fit_field(kind, known)
         np.testing.assert_allclose(field.value(x), affine(x), atol=1e-16)
         np.testing.assert_allclose(field.gradient(x)[0], np.moveaxis(field.gradient(x), 0, -1)[..., 1], atol=1e-12)
 
@@ -107,7 +107,7 @@ def test_grids_are_continuous_over_cells_simplices_and_the_cubes_faces(axes, see
             x[k, i[k]], x[k, j] = (levels[a][0] + share * (levels[a][1] - levels[a][0]) for a in (i[k], j))
     step = 1e-9 * np.eye(axes)[i]
     for kind in GRIDS:
-        field = interpolation_methods.fit(kind, known)
+        field = interpolation_methods.fit_field(kind, known)
         assert np.abs(field.value(x + step) - field.value(x - step)).max() < 2e-9 * np.abs(known.values).max() / 0.002
 
 
@@ -116,7 +116,7 @@ def test_the_grid_agrees_with_scipy():
     x = np.random.default_rng(0).uniform(0.42, 0.48, (100, 4))
     order = np.lexsort(known.configurations.T[::-1])
     other = RegularGridInterpolator(levels, known.values[order].reshape(*[len(level) for level in levels], 4))
-    np.testing.assert_allclose(interpolation_methods.fit("linear", known).value(x), other(x), atol=1e-17)
+    np.testing.assert_allclose(interpolation_methods.fit_field("linear", known).value(x), other(x), atol=1e-17)
 
 
 @pytest.mark.parametrize("kind", interpolation_methods.ALL)
@@ -125,7 +125,7 @@ def test_every_kind_keeps_the_interface(kind, axes, tmp_path):
     """Shapes, the gradient against differences, an error that is met, continuity far beyond the samples, and the same from a file."""
     known, _ = on_grid(axes, 1, parts=3)
     known = Known(known.configurations, smooth(known.configurations), np.full(known.values.shape, 1e-12), known.strokes)
-    field = interpolation_methods.fit(kind, known)
+    field = interpolation_methods.fit_field(kind, known)
     rng = np.random.default_rng(2)
     x = rng.uniform(0.38, 0.52, (40, axes))
     assert field.value(x.reshape(2, 20, axes)).shape == (2, 20, axes) and field.gradient(x.reshape(2, 20, axes)).shape == (2, 20, axes, axes)
@@ -141,8 +141,8 @@ def test_every_kind_keeps_the_interface(kind, axes, tmp_path):
     assert field.inside(inner).all() and not field.inside(np.full(axes, 0.6))
     far = 0.45 + np.linspace(0, 0.3, 30001)[:, None] * rng.normal(size=axes)
     assert np.abs(np.diff(field.value(far), axis=0)).max() < 1e-6 and np.isfinite(field.value(far)).all()
-    tree = json.loads(json.dumps(interpolation_methods.as_dict(field)))
-    again = interpolation_methods.from_entries(Entries(tree, (), Path("c.json"), {(): (1, 1)}), axes)
+    tree = json.loads(json.dumps(interpolation_methods.field_to_dict(field)))
+    again = interpolation_methods.field_from_entries(Entries(tree, (), Path("c.json"), {(): (1, 1)}), axes)
     np.testing.assert_allclose(again.value(x), field.value(x), atol=1e-18)
     np.testing.assert_allclose(again.error(x), field.error(x), atol=1e-15)
 
@@ -150,9 +150,9 @@ def test_every_kind_keeps_the_interface(kind, axes, tmp_path):
 @pytest.mark.parametrize("axes, count", [(2, 40), (3, 60), (6, 60)])
 def test_scattered_samples_are_met_exactly_and_linear_functions_too(axes, count):
     known = scattered(axes, count, 3)
-    field = interpolation_methods.fit("delaunay", known)
+    field = interpolation_methods.fit_field("delaunay", known)
     np.testing.assert_allclose(field.value(known.configurations), known.values, atol=1e-12)
-    linear = interpolation_methods.fit("delaunay", Known(known.configurations, affine(known.configurations), known.variances, known.strokes))
+    linear = interpolation_methods.fit_field("delaunay", Known(known.configurations, affine(known.configurations), known.variances, known.strokes))
     inner = 0.5 * known.configurations[:20] + 0.5 * known.configurations[20:40]
     np.testing.assert_allclose(linear.value(inner), affine(inner), atol=1e-12)
     assert field.inside(inner).all()
@@ -160,7 +160,7 @@ def test_scattered_samples_are_met_exactly_and_linear_functions_too(axes, count)
 
 def test_samples_on_a_grid_are_triangulated_though_they_lie_on_spheres():
     known, _ = on_grid(3, 7, parts=3)
-    np.testing.assert_allclose(interpolation_methods.fit("delaunay", known).value(known.configurations), known.values, atol=1e-12)
+    np.testing.assert_allclose(interpolation_methods.fit_field("delaunay", known).value(known.configurations), known.values, atol=1e-12)
 
 
 def test_repeats_count_once_and_samples_beside_the_grid_are_left_out():
@@ -171,18 +171,18 @@ def test_repeats_count_once_and_samples_beside_the_grid_are_left_out():
                   np.concatenate([known.values - np.r_[np.full(5, 1e-5), np.zeros(len(known.values) - 5)][:, None], known.values[:5] + 1e-5,
                                   np.full((9, 3), 7.0)]),
                   np.full((len(known.values) + 14, 3), 1e-14), known.strokes)
-    assert (lattice(twice.configurations, twice.strokes).vertex[-9:] == -1).all()
+    assert (lattice_of_configurations(twice.configurations, twice.strokes).vertex[-9:] == -1).all()
     for kind in GRIDS:
-        np.testing.assert_allclose(interpolation_methods.fit(kind, twice).value(known.configurations), known.values, atol=1e-16)
-    assert len(merged(twice).values) == len(known.values) + 9
+        np.testing.assert_allclose(interpolation_methods.fit_field(kind, twice).value(known.configurations), known.values, atol=1e-16)
+    assert len(merge_repeats(twice).values) == len(known.values) + 9
 
 
 def test_a_grid_that_lacks_a_vertex_is_refused_by_name():
     known, _ = on_grid(3, 4, parts=2)
     with pytest.raises(RigError, match="fill no grid.*delaunay"):
-        interpolation_methods.fit("simplex", known.take(np.arange(1, len(known.values))))
+        interpolation_methods.fit_field("simplex", known.take(np.arange(1, len(known.values))))
     with pytest.raises(RigError, match="'cubic'"):
-        interpolation_methods.fit("cubic", known)
+        interpolation_methods.fit_field("cubic", known)
 
 
 @pytest.mark.parametrize("spoil, says", [
@@ -191,27 +191,27 @@ def test_a_grid_that_lacks_a_vertex_is_refused_by_name():
 ])
 def test_what_is_no_field_is_refused_with_its_place(spoil, says):
     known, _ = on_grid(3, 4, parts=2)
-    tree = json.loads(json.dumps(interpolation_methods.as_dict(interpolation_methods.fit("simplex", known))))
+    tree = json.loads(json.dumps(interpolation_methods.field_to_dict(interpolation_methods.fit_field("simplex", known))))
     spoil(tree)
     with pytest.raises(FileError, match=says):
-        interpolation_methods.from_entries(Entries(tree, ("extension",), Path("c.json"), {(): (1, 1)}), 3)
+        interpolation_methods.field_from_entries(Entries(tree, ("extension",), Path("c.json"), {(): (1, 1)}), 3)
 
 
 def test_divisions_are_even_or_not_whole_strokes_or_less(tmp_path):
-    even = division(strokes(3), "2x1x3@0.5")
+    even = grid_division(strokes(3), "2x1x3@0.5")
     assert len(even) == 3 * 2 * 4 and np.allclose(np.unique(even[:, 0].round(9)), [0.425, 0.45, 0.475])
     assert (np.abs(np.diff(even, axis=0)) > 1e-12).sum(axis=1).max() == 1
     path = tmp_path / "levels.csv"
     path.write_text("axis,level\n1,0.41\n1,0.42\n1,0.49\n2,0.4\n2,0.5\n")
-    assert np.unique(division(strokes(2), str(path))[:, 0]).tolist() == [0.41, 0.42, 0.49]
+    assert np.unique(grid_division(strokes(2), str(path))[:, 0]).tolist() == [0.41, 0.42, 0.49]
     for text in ("2x2", "0", "2@1.5", "2@x", "two"):
         with pytest.raises(RigError, match="a division is"):
-            division(strokes(3), text)
+            grid_division(strokes(3), text)
     for rows, says in (("1,0.41\n1,0.42\n2,0.4\n", "axis 2 must have two"), ("1,0.41\n1,0.6\n2,0.4\n2,0.5\n", "beyond its stroke"),
                        ("1,0.41\n1,0.42\n2,0.4\n2,0.5\n3,0.4\n", "no axis 3")):
         path.write_text("axis,level\n" + rows)
         with pytest.raises(FileError, match=says):
-            division(strokes(2), str(path))
+            grid_division(strokes(2), str(path))
 
 
 def test_a_compiled_fixed_point_is_the_one_that_iteration_finds(design):

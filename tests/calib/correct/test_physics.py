@@ -8,11 +8,11 @@ import pytest
 
 from calib.files import calibration_file
 from calib.certify.calibration import Calibration
-from calib.models.wanted_pose_commands import command
+from calib.models.wanted_pose_commands import commands_along_route
 from calib.correct.correction import Correction, calibrate
-from calib.correct.physics_compensation import Machine, held, unremembered
+from calib.correct.physics_compensation import Machine, commands_at_poses, unknown_history_uncertainty
 from calib.correct.physics import Physics, Unknown
-from calib.correct.pose_route import HOLDING, TURNING, Pace, timed
+from calib.correct.pose_route import HOLDING, TURNING, Pace, timed_route
 from calib.diagnose.platform_findings_refit import Findings
 from calib.samples.recording_samples import sample_recording
 from rig.formats.rig_toml import design_file
@@ -22,10 +22,10 @@ from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
 from rig.effects.framework.fit_coordinates import coordinates_of
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference, vector
+from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_machine
 from tests.bench.physics import ROUTE, effect_of
@@ -61,33 +61,38 @@ def wanted(design, count=12, every=20.0, seed=3):
     """(poses (count,), times (count,) s, Sensors over them)."""
     lengths = plan.low_discrepancy(design.mechanism.strut_range, count, 0.6, seed)
     t = 40 + every * np.arange(count)
-    _, log = secret_machine.temperatures(t[-1], np.random.default_rng(seed))
+    _, log = secret_machine.draw_temperatures(t[-1], np.random.default_rng(seed))
     log = Sensors(log.t, {**log.channels, "payload_mass_kg": np.linspace(0, 7, len(log.t))})
     return hexapod.forward(lengths, design.mechanism), t, log
 
 
 @pytest.mark.parametrize("kind", MOVING, ids=[kind.name for kind in MOVING])
 def test_whatever_moves_the_machine_is_undone(design, kind):
-    calibration = known_to_be(design, parse(f"{kind.name}:{SOME[kind.name]}"), parse("backlash:strut4:gap=9e-5"))
+    calibration = known_to_be(design, parse_effect(f"{kind.name}:{SOME[kind.name]}"), parse_effect("backlash:strut4:gap=9e-5"))
     T, t, log = wanted(design)
     home, pace = hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None)
-    done = command(calibration, T, home, pace, log)
-    run = motion_simulation.run(design, done.route.commands(done.values), t, calibration.physics.effects, log)
-    assert np.abs(difference(run.T_base_platform, T)).max() < 2e-9
-    plain = motion_simulation.run(design, timed(pace, hexapod.inverse(T, design.mechanism), home).commands(hexapod.inverse(T, design.mechanism)), t,
-                        calibration.physics.effects, log)
-    assert np.abs(difference(plain.T_base_platform, T)).max() > 1e-6
+    done = commands_along_route(calibration, T, home, pace, log)
+    run = motion_simulation.run_machine(design, done.route.commands(done.values), t, calibration.physics.effects, log)
+    assert np.abs(pose_difference(run.T_base_platform, T)).max() < 2e-9
+    plain = motion_simulation.run_machine(
+        design,
+        timed_route(pace, hexapod.inverse(T, design.mechanism), home).commands(hexapod.inverse(T, design.mechanism)),
+        t,
+        calibration.physics.effects,
+        log,
+    )
+    assert np.abs(pose_difference(plain.T_base_platform, T)).max() > 1e-6
 
 
 def test_a_pose_held_again_after_a_small_drift_comes_out_of_the_gap(design):
     """Within a gap an axis has no effect: the fixed point's plain steps would take thousands to leave it."""
-    calibration = known_to_be(design, parse("backlash:strut2:gap=2e-4"), parse("thermal_expansion:strut2:coefficient=1e-5"))
+    calibration = known_to_be(design, parse_effect("backlash:strut2:gap=2e-4"), parse_effect("thermal_expansion:strut2:coefficient=1e-5"))
     T, t, _ = wanted(design, 6, 60.0)
     warm = Sensors(np.array([0.0, 1e3]), {"strut2_temperature_C": np.array([20.0, 20.3])})  # the strut's length drifts by 80 nm from pose to pose
     T = type(T).from_matrix(np.repeat(T.as_matrix()[:1], 6, axis=0))
-    done = command(calibration, T, hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None), warm)
-    run = motion_simulation.run(design, done.route.commands(done.values), t, calibration.physics.effects, warm)
-    assert np.abs(difference(run.T_base_platform, T)).max() < 2e-9
+    done = commands_along_route(calibration, T, hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None), warm)
+    run = motion_simulation.run_machine(design, done.route.commands(done.values), t, calibration.physics.effects, warm)
+    assert np.abs(pose_difference(run.T_base_platform, T)).max() < 2e-9
 
 
 @pytest.mark.parametrize("name", ["backlash", "compliance"])
@@ -118,20 +123,20 @@ def test_found_by_the_diagnosis_it_ends_as_good_as_without(tmp_path, seen, name)
 
 
 def test_what_nobody_remembers_is_approached_where_there_is_time_and_room(design):
-    calibration = known_to_be(design, parse("backlash:strut2:gap=1e-4"))
+    calibration = known_to_be(design, parse_effect("backlash:strut2:gap=1e-4"))
     m = design.mechanism
     home = hexapod.home(m)
     T = hexapod.forward(home + np.array([[0, 2e-5, 0, 0, 0, 0], [1e-2, -3e-5, 0, 0, 0, 0], [0, 2e-2, 0, 0, 0, 0]]), m)
     t = np.array([30.0, 60.0, 90.0])
-    never, auto, always = (command(calibration, T, home, Pace(t, 0.0, 0.02, 0.05), None, way) for way in ("never", "auto", "always"))
-    doubt = unremembered(Machine(calibration.correction, calibration.physics, None), T, never.route, never.values)
+    never, auto, always = (commands_along_route(calibration, T, home, Pace(t, 0.0, 0.02, 0.05), None, way) for way in ("never", "auto", "always"))
+    doubt = unknown_history_uncertainty(Machine(calibration.correction, calibration.physics, None), T, never.route, never.values)
     assert doubt[0, 1] > 1e-5 and not doubt[2].any() and not doubt[:, [0, 2, 3, 4, 5]].any()  # 2 cm of travel have cleared it up
     assert auto.route.approached.tolist() == [True, False, False] and always.route.approached.all() and not never.route.approached.any()
     sure, unsure = (np.trace(done.covariance[0, :3, :3]) for done in (auto, never))
     assert sure < 0.3 * unsure
     turn = auto.route.values(auto.values)[auto.route.doing == TURNING][0]
     assert turn[1] < auto.values[0, 1] - 1e-4 and np.allclose(np.delete(turn - auto.values[0], 1), 0)
-    hurried = command(calibration, T, home, Pace(np.array([0.012, 60.0, 90.0]), 0.0, 0.005, 0.01), None)
+    hurried = commands_along_route(calibration, T, home, Pace(np.array([0.012, 60.0, 90.0]), 0.0, 0.005, 0.01), None)
     assert not hurried.route.approached[0] and np.trace(hurried.covariance[0, :3, :3]) > 2 * sure  # no time: it says so
 
 
@@ -139,7 +144,7 @@ def test_poses_that_come_too_soon_are_listed(design):
     T, t, log = wanted(design)
     t[5] = t[4] + 0.2
     with pytest.raises(Unreachable, match="pose 5: .* of travel in 0.2 s") as caught:
-        command(known_to_be(design), T, hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, 0.05), log)
+        commands_along_route(known_to_be(design), T, hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, 0.05), log)
     assert caught.value.index.tolist() == [5]
 
 
@@ -148,7 +153,7 @@ def test_missing_sensors_and_shaking_widen_what_is_stated(design):
     home, pace = hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None)
 
     def stated(effect, sensors):
-        done = command(known_to_be(design, parse(effect)), T, home, pace, sensors)
+        done = commands_along_route(known_to_be(design, parse_effect(effect)), T, home, pace, sensors)
         return np.sqrt(np.trace(done.covariance[:, :3, :3], axis1=1, axis2=2).mean()), done.missing
 
     warm, blind = (stated("thermal_expansion:rig:coefficient=2e-5", sensors) for sensors in (log, None))
@@ -161,17 +166,17 @@ def test_missing_sensors_and_shaking_widen_what_is_stated(design):
 
 
 def test_no_commands_are_said_to_be_none(design):
-    calibration = known_to_be(design, parse("scale_error:strut1:scale=5e-3"))
+    calibration = known_to_be(design, parse_effect("scale_error:strut1:scale=5e-3"))
     T, t, _ = wanted(design, 3)
     of = Machine(calibration.correction, calibration.physics, None)
-    route = timed(Pace(t, 0.0, 0.02, None), hexapod.inverse(T, design.mechanism), hexapod.home(design.mechanism))
-    commands = held(of, T, route, hexapod.inverse(T, design.mechanism))
+    route = timed_route(Pace(t, 0.0, 0.02, None), hexapod.inverse(T, design.mechanism), hexapod.home(design.mechanism))
+    commands = commands_at_poses(of, T, route, hexapod.inverse(T, design.mechanism))
     np.testing.assert_allclose(of.effective(route.commands(commands), t, T), hexapod.inverse(T, design.mechanism), atol=1e-10)
     assert (route.doing == HOLDING).sum() == 3
 
 
 def test_physics_is_kept_whole_and_versioned(tmp_path, design):
-    effects = tuple(parse(text) for text in ("backlash:strut3:gap=4e-5", "compliance:rig:stiffness=5e6", "edge_bias:cam1:bias=0.2",
+    effects = tuple(parse_effect(text) for text in ("backlash:strut3:gap=4e-5", "compliance:rig:stiffness=5e6", "edge_bias:cam1:bias=0.2",
                                              "transmission_error:strut2:profile=0/1e-5/-2e-5/1e-5", "marker_swap:4:turn=1"))
     full = replace(known_to_be(design, *effects), provenance={"seed": 0})
     full = replace(full, physics=replace(full.physics, unknown=(Unknown("strut 4", 3e-5, "m", ("strut 1's position",), True),)))
@@ -204,7 +209,7 @@ def run(capsys, *arguments, ok=True):
 
 def test_diagnosed_calibrated_corrected_driven_verified(tmp_path, seen, capsys):
     text, design = seen
-    _, secret = write(tmp_path / "rec", design, text, 21, (parse("backlash:strut5:gap=1e-4"),), "sobol:40,ladder:1")
+    _, secret = write(tmp_path / "rec", design, text, 21, (parse_effect("backlash:strut5:gap=1e-4"),), "sobol:40,ladder:1")
     secret_machine.write_truth(tmp_path / "truth.json", secret, design.mechanism.home)
     (tmp_path / "rig.toml").write_text(text)
     run(capsys, "diagnose", tmp_path / "rec", "--out", tmp_path / "d", "--only", "backlash")
@@ -212,7 +217,7 @@ def test_diagnosed_calibrated_corrected_driven_verified(tmp_path, seen, capsys):
     assert "undone by commands: backlash at strut 5" in said
     T, t, log = wanted(design, 20)
     clock = 1_700_000_000
-    rows = [f"{i},{clock + a:.3f}," + ",".join(f"{x:.10f}" for x in v) for i, (a, v) in enumerate(zip(t, vector(T)))]
+    rows = [f"{i},{clock + a:.3f}," + ",".join(f"{x:.10f}" for x in v) for i, (a, v) in enumerate(zip(t, pose_to_vector(T)))]
     (tmp_path / "w.csv").write_text("frame,t,x,y,z,rx,ry,rz\n" + "\n".join(rows) + "\n")
     names = list(log.channels)
     (tmp_path / "s.csv").write_text(",".join(["t", *names]) + "\n" + "".join(
@@ -234,7 +239,7 @@ def test_what_another_recording_told_counts_beside_this_one(tmp_path, seen):
     """A recording in one room says nothing of its warmth: what is known of it from another stays as it was, and as sure."""
     text, design = seen
     rec, _ = write(tmp_path / "rec", design, text, 31, (), "sobol:30")
-    effects = (parse("base_expansion:rig:coefficient=6e-5"),)
+    effects = (parse_effect("base_expansion:rig:coefficient=6e-5"),)
     sampled = sample_recording(rec)
     alone, beside = (learnt(rec, sampled, Findings(effects, sigma, ()), "none") for sigma in (None, np.array([1e-6])))
     assert abs(beside.physics.effects[0].coefficient - 6e-5) < 3e-6 < abs(alone.physics.effects[0].coefficient - 6e-5)
@@ -245,7 +250,7 @@ def test_the_geometry_knows_that_the_physics_is_not_sure(tmp_path, seen):
     text, design = seen
     rec, _ = write(tmp_path / "rec", design, text, 32, (), "sobol:30")
     sampled = sample_recording(rec)
-    known = learnt(rec, sampled, Findings((parse("scale_error:strut1:scale=1e-4"),), None, ()), "none")
+    known = learnt(rec, sampled, Findings((parse_effect("scale_error:strut1:scale=1e-4"),), None, ()), "none")
     _, found = calibrate(sampled.samples, design.mechanism, "none")
     assert (np.diag(known.covariance) >= np.diag(found.covariance) * 0.999).all() and np.abs(known.physics.cross).max() > 0
     whole = np.block([[known.covariance, known.physics.cross], [known.physics.cross.T, known.physics.own]])

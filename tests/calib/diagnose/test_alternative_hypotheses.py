@@ -10,17 +10,17 @@ from calib.diagnose.engine.selection_policy import PLATFORM
 from calib.diagnose.engine.candidate_score import Score
 from calib.diagnose.engine.term_selection import _exchanged
 from calib.diagnose.problems.platform.effect_candidates import candidate_of
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnose.report.platform_report import report
+from calib.diagnose.report.platform_report import platform_report
 from rig.cli import command_line
 from rig.formats.rig_toml import design_file
 from rig.recording import recording_folder
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.search_candidate import Candidate, Linear
-from rig.planning.layout.hexapod_layout import layout
+from rig.planning.layout.hexapod_layout import hexapod_layout
 from synthetic import unlisted_physics
 from tests.bench.investigate import POSES, Case
 from tests.calib.recorded import recorded
@@ -65,13 +65,13 @@ def test_a_grids_parameter_costs_what_the_search_over_it_shows():
 
 def test_a_strong_lag_is_told_from_a_clock_by_fitting_both(tmp_path, design):
     rec = recorded(tmp_path, design, ["servo_lag:rig:time_constant=0.045"], route="moving:40,sobol:30,moving:40")
-    finding, = report(diagnose(rec, only=["servo_lag", "time_offset"])).findings
+    finding, = platform_report(diagnose_platform(rec, only=["servo_lag", "time_offset"])).findings
     assert (finding.effect, finding.place) == ("servo_lag", "rig")
     assert all(a.delta_bic > 20 for a in finding.cannot_be_told_from)
 
 
 def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design):
-    point = of_recording(recorded(tmp_path, design, ["edge_bias:cameras:bias=0.25"], route="sobol:40", seed=0))[0]
+    point = operating_point_of_recording(recorded(tmp_path, design, ["edge_bias:cameras:bias=0.25"], route="sobol:40", seed=0))[0]
     refined = refine(point, Sensitivities(point))
     np.testing.assert_allclose(refined.point.finder, 0.25, atol=0.02)
     model = refined.model
@@ -83,14 +83,14 @@ def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design
 @pytest.mark.slow
 def test_a_step_soon_after_the_start_is_found(tmp_path, design):
     rec = recorded(tmp_path, design, ["missed_steps:strut4:jump=6e-5,time=70"], route=PLAN)
-    found = diagnose(rec, only=["missed_steps", "warm_up", "creep"])
+    found = diagnose_platform(rec, only=["missed_steps", "warm_up", "creep"])
     assert [(e.name, e.place) for e in found.effects] == [("missed_steps", "strut 4")]
 
 
 @pytest.mark.slow
 def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, design):
     rec = recorded(tmp_path, design, [unlisted_physics.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
-    found = diagnose(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
+    found = diagnose_platform(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
     assert not found.effects and found.left[0].place == "strut 5"
 
 
@@ -99,7 +99,7 @@ def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, desig
 def test_all_struts_scales_off_by_one_share_are_one_name_or_alike_to_it(tmp_path, design, scale):
     """Where they were no hypothesis of their own, they were called a compliance, or a creep with nothing alike to it."""
     rec = recorded(tmp_path, design, [f"scale_error:strut{k}:scale={scale}" for k in range(1, 7)], seed=3, route="moving:24,sobol:50")
-    (finding,) = diagnose(rec).selection.findings
+    (finding,) = diagnose_platform(rec).selection.findings
     named = {(s.candidate.name, s.candidate.place) for s in (finding.score, *(a.score for a in finding.alternatives))}
     assert ("scale_error", "rig") in named
     assert scale < 0 or len(named) == 1
@@ -108,7 +108,7 @@ def test_all_struts_scales_off_by_one_share_are_one_name_or_alike_to_it(tmp_path
 @pytest.mark.slow
 def test_an_effect_of_a_temperature_that_nobody_logged_is_among_its_alternatives(tmp_path, design):
     rec = recorded(tmp_path, design, ["base_expansion:rig:coefficient=1e-4"], logged=False, route="sobol:50,ladder:2,sobol:60")
-    found = diagnose(rec, only=["warm_up", "base_expansion"])
+    found = diagnose_platform(rec, only=["warm_up", "base_expansion"])
     named = {(f.score.candidate.name, *(a.score.candidate.name for a in f.alternatives)) for f in found.selection.findings}
     assert found.effects and all("base_expansion" in names for names in named)
 
@@ -120,7 +120,7 @@ def test_an_effect_of_a_temperature_that_nobody_logged_is_among_its_alternatives
 def test_such_an_effect_is_a_rival_at_its_own_place(tmp_path, design, text, alike):
     name, place, _ = text.split(":")
     rec = recorded(tmp_path, design, [text], logged=False, route="sobol:50,ladder:2,sobol:60")
-    found = diagnose(rec, only=[alike, name])
+    found = diagnose_platform(rec, only=[alike, name])
     sets = [[(a.score.candidate.name, a.score.candidate.place) for a in f.alternatives] for f in found.selection.findings]
     assert found.effects[0].name == alike and (name, place.replace("strut", "strut ")) in sets[0]
 
@@ -132,7 +132,9 @@ def test_an_effect_of_a_temperature_that_drowns_in_its_log_is_among_its_alternat
     channels = {channel: rec.sensors.at(t, channel) for channel in rec.sensors.channels}
     noisy = channels[name] + np.ptp(channels[name]) * np.array([1, -1, 0.5, -0.5, 0.2, -1, 0.8, -0.5, 0.5])
     channels[name] = noisy - np.polyval(np.polyfit(t, noisy, 1), t) + 20.5  # not even the slope shows
-    finding, = diagnose(replace(rec, sensors=replace(rec.sensors, t=t, channels=channels)), only=["thermal_expansion", "warm_up"]).selection.findings
+    (finding,) = diagnose_platform(
+        replace(rec, sensors=replace(rec.sensors, t=t, channels=channels)), only=["thermal_expansion", "warm_up"]
+    ).selection.findings
     named = [(c.name, c.place) for c in (finding.score.candidate, *(a.score.candidate for a in finding.alternatives))]
     assert named[0] == ("warm_up", "strut 4") and ("thermal_expansion", "strut 4") in named
 
@@ -146,7 +148,7 @@ SLOWLY = "sobol:20,wait:15,sobol:20"
     (103, "warm_up:strut 1:amplitude=2.723e-05,time_constant=1316"),  # of which a smooth course explains more than a growth, and not than this
 ])
 def test_a_warm_up_of_micrometres_is_never_a_thermal_expansion_beyond_doubt(tmp_path, seed, text):
-    (tmp_path / "rig.toml").write_text(rig_text := layout(0.3) + POSES)
+    (tmp_path / "rig.toml").write_text(rig_text := hexapod_layout(0.3) + POSES)
     case = Case(tmp_path / "rig", design_file.load(tmp_path / "rig.toml"), rig_text, text, seed)
     (finding,) = case.first(SLOWLY)[1].selection.findings
     named = [finding.score.candidate, *(a.score.candidate for a in finding.alternatives)]
@@ -172,10 +174,10 @@ def test_a_variant_that_a_scan_does_not_tell_from_the_best_is_held_against_it_fi
 @pytest.mark.slow
 @pytest.mark.parametrize("camera, terms", [("cam1", (2e-2, 0, 2e-2, 0)), ("cam2", (-3e-2, 1e-2, 0, 0))])
 def test_a_large_bend_of_a_lens_is_one_finding_of_the_terms_that_it_has(tmp_path, camera, terms):
-    (tmp_path / "rig.toml").write_text(layout(0.3))
+    (tmp_path / "rig.toml").write_text(hexapod_layout(0.3))
     text = "/".join(map(str, (*[0] * 8, *terms)))
     assert command_line.main(["simulate", str(tmp_path / "rig.toml"), "--plan", "standard", "--effect", f"lens_distortion:{camera}:terms={text}",
                      "--seed", "5", "--noise", "0.03", "--out", str(tmp_path / "rec"), "--truth", str(tmp_path / "truth.json")]) == 0
-    found = diagnose(recording_folder.load(tmp_path / "rec"), only=["lens_distortion"]).effects
+    found = diagnose_platform(recording_folder.load(tmp_path / "rec"), only=["lens_distortion"]).effects
     assert [(e.name, e.place) for e in found] == [("lens_distortion", f"camera {camera}")]
     assert not found[0].warp and np.flatnonzero(found[0].terms).min() == 8

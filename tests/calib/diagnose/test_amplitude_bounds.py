@@ -6,7 +6,7 @@ import pytest
 from calib.diagnose.problems.platform.effect_candidates import candidate_of
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.search_candidate import QUADRATURE, Candidate, Linear
-from rig.effects.framework.effect_validity import check
+from rig.effects.framework.effect_validity import check_effect
 from rig.effects.catalogue.cyclic_error import CyclicError
 from rig.effects.catalogue.vibration import Vibration
 
@@ -26,5 +26,5 @@ def test_coefficients_stay_within_the_amplitudes_bound(kind):
     for _ in range(50):
         wanted = rng.normal(size=len(columns)) * 10 ** rng.uniform(-6, 1)
         found, free = (candidate.effect(node, c) for c in (candidate.allowed(wanted), wanted))
-        assert check(found).amplitude == pytest.approx(min(free.amplitude, high))
+        assert check_effect(found).amplitude == pytest.approx(min(free.amplitude, high))
         assert found.phase == pytest.approx(free.phase, abs=1e-6)

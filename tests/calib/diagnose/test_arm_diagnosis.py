@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.term_selection import select
+from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis, HeldOutPoses
-from calib.diagnose.problems.arm.linearised_poses import Geometry, arms_of
+from calib.diagnose.problems.arm.linearised_poses import Geometry, linearise_poses
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
-from calib.diagnose.problems.requested_effects import Asked
-from calib.diagnose.report.arm_report import report
+from calib.diagnose.problems.requested_effects import RequestedEffects
+from calib.diagnose.report.arm_report import arm_report
 from rig.cli import command_line
 from rig.recording import recording_folder as recordings
-from rig.effects.framework.play_operator import play
+from rig.effects.framework.play_operator import play_operator
 from rig.errors import NotEnoughData
 from rig.model.mechanisms import arm_dynamics
 from tests.calib import arm_worlds
@@ -33,25 +33,25 @@ def recorded(deviation, count=260, seed=5):
     rng = np.random.default_rng(seed)
     true = arm_worlds.secret(UR10, rng)
     samples = arm_worlds.tracked(true, UR10, count, rng, deviation=deviation)
-    return arms_of(samples, arm_worlds.design(UR10)), true
+    return linearise_poses(samples, arm_worlds.design(UR10)), true
 
 
 def hidden(q):
     """Compliance of joint 2, a profile of joint 1, backlash of joint 3."""
     out = np.zeros(q.shape)
     out[:, 0] = 2e-4 * np.sin(5 * q[:, 0]) + 1.5e-4 * np.cos(11 * q[:, 0]) + 1.2e-4 * np.sin(8 * q[:, 0] + 1) + 1e-4 * np.sin(2 * q[:, 0])
-    torque = arm_dynamics.torques(q, np.zeros(q.shape), np.zeros(q.shape), STANDING, LINKS, GRAVITY)
+    torque = arm_dynamics.joint_torques(q, np.zeros(q.shape), np.zeros(q.shape), STANDING, LINKS, GRAVITY)
     out[:, 1] = -torque[:, 1] / STIFFNESS
-    out[:, 2] = (play(q, GAP / 2) - q)[:, 2]
+    out[:, 2] = (play_operator(q, GAP / 2) - q)[:, 2]
     return out
 
 
 @pytest.fixture(scope="module")
 def found():
     (arms, _), _ = recorded(hidden)
-    candidates, _ = joint_candidates(arms, Asked())
+    candidates, _ = joint_candidates(arms, RequestedEffects())
     problem = ArmProblem(arms, candidates)
-    return problem, select(problem)
+    return problem, select_terms(problem)
 
 
 def test_hidden_effects_are_found_at_their_joints(found):
@@ -68,19 +68,19 @@ def test_sizes_are_those_that_were_hidden(found):
     geometry = Geometry(UR10, np.zeros((0, 0)), lambda step: UR10)
     d = ArmDiagnosis("arm", "poses.csv", problem.arms, geometry, UR10, chosen.before, chosen.fit, chosen.findings, proofs, chosen.asked, [], [held],
                      None, [])
-    by_name = {f.effect: f for f in report(d).findings}
+    by_name = {f.effect: f for f in arm_report(d).findings}
     gap = by_name["backlash"].parameters["gap"]
     assert gap.ci95[0] <= GAP <= gap.ci95[1] and gap.ci95[1] - gap.ci95[0] < 0.3 * GAP
     load = hidden(problem.arms.q)[:, 1]
     assert by_name["compliance"].parameters["rms"].value == pytest.approx(load.std(), rel=0.15)
     assert "joint" in by_name["backlash"].action and all(f.matters for f in by_name.values())
-    json.dumps(report(d).tree())
+    json.dumps(arm_report(d).tree())
 
 
 def test_nothing_hidden_nothing_found():
     for seed in (1, 2):
         (arms, _), _ = recorded(None, 200, seed)
-        assert select(ArmProblem(arms, joint_candidates(arms, Asked())[0])).fit.terms == ()
+        assert select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit.terms == ()
 
 
 def test_few_poses_are_an_error():

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.stated_terms import UNSAID
-from calib.diagnose.engine.term_selection import select
+from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.remainder_covariates import covariates
-from calib.diagnose.problems.arm.pose_fit import fit
-from calib.diagnose.problems.arm.linearised_poses import arms_of
+from calib.diagnose.problems.arm.remainder_covariates import remainder_covariates
+from calib.diagnose.problems.arm.pose_fit import fit_poses
+from calib.diagnose.problems.arm.linearised_poses import linearise_poses
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
-from calib.diagnose.problems.requested_effects import Asked
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-from calib.diagnose.report.platform_report import report
+from calib.diagnose.problems.requested_effects import RequestedEffects
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.report_sentences import covariate_table
 from rig.effects.framework.machine_motion import Path
-from rig.effects.framework.play_operator import play
+from rig.effects.framework.play_operator import play_operator
 from rig.recording.recording_folder import Sensors
 from tests.calib import arm_worlds
 from tests.calib.recorded import recorded
@@ -33,7 +33,7 @@ def rec(tmp_path_factory, design):
 
 
 def test_what_an_effect_follows_leads_and_is_gone_after(rec):
-    told = report(diagnose(rec, ["settling_error"]))
+    told = platform_report(diagnose_platform(rec, ["settling_error"]))
     names = [c.name for c in told.covariates]
     assert names[0] == "step" and {"time", "order", "direction", "dwell", "way travelled", "humidity_percent"} <= set(names) and "doors" not in names
     by = {c.name: c.explains for c in told.covariates}
@@ -50,7 +50,7 @@ def test_a_dwell_counts_from_the_last_move():
 
 def test_of_an_arm_too(arm_with_play):
     problem, arms = arm_with_play
-    told = {c.name: c for c in covariates(fit(arms), select(problem).fit, problem.policy.cluster)}
+    told = {c.name: c for c in remainder_covariates(fit_poses(arms), select_terms(problem).fit, problem.policy.cluster)}
     assert next(iter(told)) == "direction" and {"time", "order", "step", "way travelled"} <= set(told)
     assert told["direction"].before["joints"].share > 0.1 > 0.01 > told["direction"].after["joints"].share
 
@@ -62,8 +62,8 @@ def arm_with_play():
     true = arm_worlds.secret(UR10, rng)
 
     def deviation(q):
-        return (play(q, 3e-4) - q) * (np.arange(6) == 2)
+        return (play_operator(q, 3e-4) - q) * (np.arange(6) == 2)
 
-    arms, _ = arms_of(arm_worlds.tracked(true, UR10, 150, rng, deviation=deviation), arm_worlds.design(UR10))
-    candidates, _ = joint_candidates(arms, Asked.of(["backlash"], (), UNSAID))
+    arms, _ = linearise_poses(arm_worlds.tracked(true, UR10, 150, rng, deviation=deviation), arm_worlds.design(UR10))
+    candidates, _ = joint_candidates(arms, RequestedEffects.of(["backlash"], (), UNSAID))
     return ArmProblem(arms, candidates), arms

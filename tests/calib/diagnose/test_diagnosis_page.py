@@ -8,17 +8,17 @@ import pytest
 
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.problems.platform import platform_diagnosis as platform
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_report import report
+from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.platform_page_figures import PlatformView
-from calib.diagnose.report.residual_plots import diagnostic_plot, model_residuals, residuals
+from calib.diagnose.report.residual_plots import diagnostic_plot, model_residuals, residuals_without_effects
 from calib.diagnose.report.diagnosis_json import AlternativeEntry, NotAskedEntry
-from calib.diagnose.report.rig_outline import MARKS, schematic
+from calib.diagnose.report.rig_outline import MARKS, rig_outline_figure
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine
 
@@ -34,16 +34,16 @@ def diagnosed(design, rig_text, tmp_path_factory):
 def make(design, rig_text, folder, text, only):
     rng = np.random.default_rng(4)
     done = recording_simulation.simulate(
-        secret_machine.draw(design, rng, 1.0, (parse(text),)), plan.build(design, "sobol:14,ladder:1,payload:2,moving:6", 1), rng
+        secret_machine.draw_machine(design, rng, 1.0, (parse_effect(text),)), plan.build_plan(design, "sobol:14,ladder:1,payload:2,moving:6", 1), rng
     )
-    recording_simulation.write(done, folder, rig_text, rng, noise=0.03)
+    recording_simulation.write_recording(done, folder, rig_text, rng, noise=0.03)
     found = recording_folder.load(folder)
-    return found, diagnose(found, only)
+    return found, diagnose_platform(found, only)
 
 
 def made(folder, found, diagnosis):
     """(page, its text) of a recording's diagnosis."""
-    diagnosis_page(folder / "page.html", report(diagnosis), PlatformView(found, diagnosis))
+    diagnosis_page(folder / "page.html", platform_report(diagnosis), PlatformView(found, diagnosis))
     return text_of(folder / "page.html")
 
 
@@ -55,7 +55,7 @@ def text_of(path):
 def test_the_page_says_what_was_found(diagnosed, tmp_path):
     found, diagnosis = diagnosed
     page, text = made(tmp_path, found, diagnosis)
-    gap = report(diagnosis).findings[0].parameters["gap"]
+    gap = platform_report(diagnosis).findings[0].parameters["gap"]
     assert f"Backlash at strut 3, gap {gap.value * 1e6:.3g} µm (95 %: {gap.ci95[0] * 1e6:.3g} to {gap.ci95[1] * 1e6:.3g})" in text
     assert BY_NAME["backlash"].action_at("strut 3") in text and "How sure" in text and "What remains" in text and "noise of a corner" in text
     assert page.count('<svg class="figure"') == 8  # the rig, three of what gives it away, what remains of struts and of cameras, two of its sketch
@@ -65,7 +65,7 @@ def test_the_page_says_what_was_found(diagnosed, tmp_path):
 
 def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    still = diagnose(found, ["missed_steps strut 1"])
+    still = diagnose_platform(found, ["missed_steps strut 1"])
     assert "Nothing is left out" in made(tmp_path, found, replace(still, left=[]))[1]
     left = [LackOfFit("strut 3", 4e-5, "m", ("history",), 1e-9, 80.0), LackOfFit("camera cam1", 0.2, "px", ("image position",), 1e-9, 70.0)]
     text = made(tmp_path, found, replace(still, left=left))[1]
@@ -76,7 +76,7 @@ def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
 
 def test_alternatives_and_what_was_not_asked_are_listed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    told = report(diagnosis)
+    told = platform_report(diagnosis)
     finding = replace(told.findings[0], cannot_be_told_from=(AlternativeEntry("hysteresis", "strut 3", 1.25, 0.999, "a <ladder>"),))
     told = replace(told, findings=(finding,), not_asked=(NotAskedEntry("thermal_expansion", "no channel"),))
     diagnosis_page(tmp_path / "page.html", told, PlatformView(found, diagnosis))
@@ -88,7 +88,7 @@ def test_alternatives_and_what_was_not_asked_are_listed(diagnosed, tmp_path):
 def test_taking_an_effect_away_brings_its_residual_back(diagnosed):
     _, diagnosis = diagnosed
     refined = diagnosis.selection.fit.refined
-    (after, corners), (before, _) = residuals(refined), residuals(refined, (0,))
+    (after, corners), (before, _) = residuals_without_effects(refined), residuals_without_effects(refined, (0,))
     bare, _ = model_residuals(diagnosis.selection.before.refined.model)
     rms = np.sqrt((np.stack([before, bare, after]) ** 2).mean(axis=1))[:, 2]
     assert rms[0] == pytest.approx(rms[1], rel=0.1) and rms[2] < 0.6 * rms[0]  # m, of strut 3
@@ -105,7 +105,7 @@ def test_taking_an_effect_away_brings_its_residual_back(diagnosed):
 def test_every_diagnostic_plot_can_be_drawn(text, diagnosed):
     _, diagnosis = diagnosed
     refined = diagnosis.selection.fit.refined
-    effect = parse(text)
+    effect = parse_effect(text)
     drawn = diagnostic_plot(replace(refined, point=refined.point.with_effects((effect,))), 0).split("<svg ")[1:]
     assert drawn and all("aria-label=" in one and re.search(r'd="M[0-9]|<rect class="fill', one) for one in drawn)
     if len(drawn) == 3:  # what it explains lies along the axis, and is more than nothing
@@ -115,7 +115,7 @@ def test_every_diagnostic_plot_can_be_drawn(text, diagnosed):
 
 def test_what_is_only_significant_comes_after_what_matters(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    told = report(diagnosis)
+    told = platform_report(diagnosis)
     strong = told.findings[0]
     slight = replace(strong, effect="hysteresis", place="strut 5", evidence=replace(strong.evidence, heldout_before=1.001e-5, heldout_after=1e-5))
     told = replace(told, findings=(slight, strong))
@@ -129,10 +129,10 @@ def test_what_is_only_significant_comes_after_what_matters(diagnosed, tmp_path):
 def test_marks_are_on_the_parts_that_are_pointed_at(diagnosed):
     point = diagnosed[1].selection.fit.refined.point
     places = ["strut 3", "camera cam1", "marker 4", "target P2", "clock"]
-    drawn = schematic(point, places)
+    drawn = rig_outline_figure(point, places)
     assert {int(c) for c in re.findall(r'class="outline marked c(\d)"', drawn)} == set(MARKS[:4])
     assert re.findall(rf'class="said over c{MARKS[0]}"[^>]*>([^<]*)<', drawn) == ["3"] and ">clock</text>" in drawn
-    assert "marked" not in schematic(point, []).replace("marked: nothing", "")
+    assert "marked" not in rig_outline_figure(point, []).replace("marked: nothing", "")
 
 
 def test_every_effect_says_what_to_do():
@@ -141,12 +141,12 @@ def test_every_effect_says_what_to_do():
 
 def test_poses_alone_make_a_page(diagnosed, tmp_path, monkeypatch):
     found, diagnosis = diagnosed
-    monkeypatch.setattr(platform, "within_reach", lambda point: point)  # there are no corners that could be out of reach
+    monkeypatch.setattr(platform, "without_distant_corners", lambda point: point)  # there are no corners that could be out of reach
     k = diagnosis.selection.fit.refined.point
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
         (tmp_path / name).write_bytes((found.folder / name).read_bytes())
     covariance = np.tile(np.diag([5e-6**2] * 3 + [3e-5**2] * 3), (len(k.frames), 1, 1))
     write_poses(tmp_path / "poses.csv", recording_folder.Poses(k.frames, k.T, covariance))
     alone = recording_folder.load(tmp_path)
-    text = made(tmp_path, alone, diagnose(alone, ["backlash"]))[1]
+    text = made(tmp_path, alone, diagnose_platform(alone, ["backlash"]))[1]
     assert "Backlash at strut 3" in text and re.search(r"corners\s+none", text)

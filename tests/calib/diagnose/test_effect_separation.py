@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.effect_separation import separation
+from calib.diagnose.problems.platform.effect_separation import effect_separation
 from rig.cli import command_line
-from rig.effects.texts.effect_text import parse
-from rig.planning.plan import build, logged
-from synthetic.secret_machine import temperatures
+from rig.effects.texts.effect_text import parse_effect
+from rig.planning.plan import build_plan, add_payload_channel
+from synthetic.secret_machine import draw_temperatures
 
 SIGMA = (1e-5, 1e-4)
 
 
 def told_apart(design, text, *effects):
-    plan = build(design, text, 3)
-    sensors, _ = temperatures(plan.commands.t[-1], np.random.default_rng(3))
-    return separation(text, design, plan.commands, plan.t, logged(plan, sensors), [parse(e) for e in effects], SIGMA)
+    plan = build_plan(design, text, 3)
+    sensors, _ = draw_temperatures(plan.commands.t[-1], np.random.default_rng(3))
+    return effect_separation(text, design, plan.commands, plan.t, add_payload_channel(plan, sensors), [parse_effect(e) for e in effects], SIGMA)
 
 
 def test_an_effect_is_not_told_from_itself_and_size_adds_nothing(design):
@@ -31,9 +31,9 @@ def test_another_load_shows_what_joints_swallow_at_one_load(design):
 
 
 def test_the_command_writes_the_best_plan_or_says_that_none_does(tmp_path, capsys):
-    from rig.planning.layout.hexapod_layout import layout
+    from rig.planning.layout.hexapod_layout import hexapod_layout
 
-    (tmp_path / "rig.toml").write_text(layout(0.3))
+    (tmp_path / "rig.toml").write_text(hexapod_layout(0.3))
     out = tmp_path / "plan.csv"
     argv = ["plan", str(tmp_path / "rig.toml"), "--separate", "backlash:strut3:gap=4e-5", "hysteresis:strut3:range=4e-4,weight=0.1"]
     assert command_line.main([*argv, "--out", str(out)]) == 0

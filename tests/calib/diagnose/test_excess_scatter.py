@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.excess_scatter import MATERIAL, beyond_noise
+from calib.diagnose.engine.excess_scatter import MATERIAL, test_excess_scatter
 from calib.diagnose.problems.arm import arm_diagnosis as arms
 from calib.diagnose.problems.platform import platform_diagnosis as platforms
 from calib.diagnose.report import arm_report, platform_report
-from calib.diagnose.report.diagnosis_page import judged
+from calib.diagnose.report.diagnosis_page import diagnosis_verdict
 from calib.diagnose.report.diagnosis_report import summary
 from calib.diagnose.report.diagnosis_json import ASSUMED_NOISE, RESIDUALS, STATED
 from rig.recording import recording_folder
@@ -36,27 +36,31 @@ def stars(folder, jitter, seed=1, again=0):
 
 @pytest.mark.parametrize("again", [0, 20])
 def test_a_scatter_thirty_times_the_stated_noise_is_unexplained(tmp_path, again):
-    report = arm_report.report(arms.diagnose(stars(tmp_path / "rec", 6e-4, again=again)))
+    report = arm_report.arm_report(arms.diagnose_arm(stars(tmp_path / "rec", 6e-4, again=again)))
     tree = json.loads(json.dumps(report.tree()))
     assert tree["unexplained"]["place"] == "rig" and tree["unexplained"]["unit"] == "m" and tree["unexplained"]["depends_on"] == []
     assert tree["unexplained"]["magnitude"] == pytest.approx(np.sqrt(2) * 6e-4, rel=0.25)
     assert [f["effect"] for f in tree["findings"]] == ["unknown"] and tree["noise_from"] == STATED
-    assert judged(report).state is State.CHECK and "Nothing is left out" not in summary(report)
+    assert diagnosis_verdict(report).state is State.CHECK and "Nothing is left out" not in summary(report)
 
 
 def test_a_mount_within_its_noise_is_all_clear(tmp_path):
-    report = arm_report.report(arms.diagnose(stars(tmp_path / "rec", 0.0)))
-    assert report.unexplained is None and judged(report).state is State.GOOD
+    report = arm_report.arm_report(arms.diagnose_arm(stars(tmp_path / "rec", 0.0)))
+    assert report.unexplained is None and diagnosis_verdict(report).state is State.GOOD
 
 
 def test_noise_that_nobody_states_proves_nothing(tmp_path):
     rec = stars(tmp_path / "rec", 6e-4)
     poses = Poses(rec.poses.frame, rec.poses.T_base_platform, None)
     assert arms.sample_recording(replace(rec, poses=poses, design=replace(rec.design, instrument=None))).assumed
-    found, geometry = arms.arms_of(arms.sample_recording(rec).samples, rec.design, rec.commands)
-    report = arm_report.report(arms.diagnosed(lambda gone: (replace(found, assumed=True), geometry), "rec", "poses.csv", arms.Asked()))
+    found, geometry = arms.linearise_poses(arms.sample_recording(rec).samples, rec.design, rec.commands)
+    report = arm_report.arm_report(
+        arms.diagnose_linearised_poses(lambda gone: (replace(found, assumed=True), geometry), "rec", "poses.csv", arms.RequestedEffects())
+    )
     assert report.noise_from == ASSUMED_NOISE and not report.findings
-    assert judged(report).state is State.CHECK and any("nobody states the noise" in reason for reason in judged(report).rests_on)
+    assert diagnosis_verdict(report).state is State.CHECK and any(
+        "nobody states the noise" in reason for reason in diagnosis_verdict(report).rests_on
+    )
 
 
 def test_struts_that_scatter_in_few_poses_are_unexplained(tmp_path, design):
@@ -68,24 +72,26 @@ def test_struts_that_scatter_in_few_poses_are_unexplained(tmp_path, design):
     for i in rng.permutation(90)[:13]:  # all that is commanded from the move to a pose until it has been exposed
         values[np.abs(rec.commands.t - t[i]) < 3.0, 4] += rng.choice([-1, 1]) * rng.uniform(1e-4, 2e-4)
     off = replace(rec, commands=replace(rec.commands, values=values))
-    report = platform_report.report(platforms.diagnose(off, ["scale_error"]))
-    assert report.unexplained.place == "strut 5" and judged(report).state is State.CHECK
+    report = platform_report.platform_report(platforms.diagnose_platform(off, ["scale_error"]))
+    assert report.unexplained.place == "strut 5" and diagnosis_verdict(report).state is State.CHECK
     assert report.fits["closures"].heldout_after > 1.5 * report.fits["closures"].noise_floor
 
 
 def test_corners_noisier_than_stated_are_unexplained(tmp_path, design):
     rec = recorded(tmp_path, design, [], route="sobol:30")
-    assert platform_report.report(platforms.diagnose(rec, ["edge_bias"])).noise_from == RESIDUALS
+    assert platform_report.platform_report(platforms.diagnose_platform(rec, ["edge_bias"])).noise_from == RESIDUALS
     for sigma, place in ((0.04, None), (0.01, "cameras")):  # px; 0.04 was drawn
         stated = replace(rec.corners, covariance=np.tile(sigma**2 * np.eye(2), (len(rec.corners.frame), 1, 1)))
-        report = platform_report.report(platforms.diagnose(replace(rec, corners=stated), ["edge_bias"]))
+        report = platform_report.platform_report(platforms.diagnose_platform(replace(rec, corners=stated), ["edge_bias"]))
         assert (report.unexplained and report.unexplained.place) == place and report.noise_from == STATED
-        assert judged(report).state is (State.GOOD if place is None else State.CHECK)
+        assert diagnosis_verdict(report).state is (State.GOOD if place is None else State.CHECK)
     assert report.unexplained.unit == "px" and report.unexplained.magnitude == pytest.approx(np.sqrt(0.04**2 - 0.01**2), rel=0.1)
 
 
 def test_chance_alone_is_never_beyond_the_noise():
     rng = np.random.default_rng(0)
     squares = [float((rng.normal(size=60) ** 2).sum()) for _ in range(3000)]
-    assert not any(beyond_noise("rig", "m", 1.0, s, 60) for s in squares)
-    assert beyond_noise("rig", "m", 1.0, 0.99 * MATERIAL**2 * 5000, 5000) is None and beyond_noise("rig", "m", 1.0, 1.1 * MATERIAL**2 * 5000, 5000)
+    assert not any(test_excess_scatter("rig", "m", 1.0, s, 60) for s in squares)
+    assert test_excess_scatter("rig", "m", 1.0, 0.99 * MATERIAL**2 * 5000, 5000) is None and test_excess_scatter(
+        "rig", "m", 1.0, 1.1 * MATERIAL**2 * 5000, 5000
+    )

@@ -10,25 +10,25 @@ from calib.diagnose.engine.formula_search import Search
 from calib.diagnose.engine.formula_library import Library, Quantity
 from calib.diagnose.engine.frame_inner_products import FrameProducts
 from calib.diagnose.engine.reduced_least_squares import Reduced
-from calib.diagnose.engine.term_selection import select
+from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.pose_fit import fit
-from calib.diagnose.problems.arm.joint_formulas import suggestions as arm_suggestions
+from calib.diagnose.problems.arm.pose_fit import fit_poses
+from calib.diagnose.problems.arm.joint_formulas import formula_suggestions as arm_suggestions
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit as arm_left
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
-from calib.diagnose.problems.requested_effects import Asked
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
-from calib.diagnose.problems.platform.strut_formulas import suggestions
-from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.strut_formulas import formula_suggestions
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
-from calib.diagnose.report.diagnosis_verdict import to_do, write
+from calib.diagnose.report.diagnosis_verdict import recommended_actions, write
 from calib.diagnose.report.diagnosis_page import _suggestions
 from calib.diagnose.report.diagnosis_report import Report
 from calib.diagnose.report.diagnosis_json import FitEntry, suggestion_entries
 from rig.formats.rig_toml import design_file
 from rig.formats import json_file
 from rig.cli.command_line import main
-from rig.effects.texts.user_effect_files import load
+from rig.effects.texts.user_effect_files import load_effect_file
 from rig.effects.framework.formula_quantities import quantities
 from rig.effects.texts.formula_effect_file import Term, Written
 from rig.errors import FileError
@@ -137,7 +137,7 @@ def test_commands_write_what_is_to_be_edited(tmp_path, capsys, monkeypatch):
                         (["--new", "mine", "--from", "nothing"], "nothing/diagnosis.json: no such file"), (["--out", "mine.py"], "--new"),
                         (["--new", "mine", "backlash"], "leave out NAME"), (["--new", "mine", "--place", "rig"], "--from")):
         assert main(["effects", *words]) == 1 and said in capsys.readouterr().err
-    assert main(["effects", "--new", "mine"]) == 0 and load(tmp_path / "mine.py").kinds[0].name == "mine"
+    assert main(["effects", "--new", "mine"]) == 0 and load_effect_file(tmp_path / "mine.py").kinds[0].name == "mine"
     capsys.readouterr()
     assert main(["effects", "mine", "--effects", "mine.py"]) == 0 and "travel of strut 2" in capsys.readouterr().out
     (tmp_path / "mine.py").write_text("# edited\n")
@@ -154,7 +154,7 @@ def measured(tmp_path_factory, rig_text):
 
 def sought_in(recording):
     """(PlatformProblem, its Fit, what is left) of a recording with nothing admitted."""
-    problem = PlatformProblem(of_recording(recording)[0], [])
+    problem = PlatformProblem(operating_point_of_recording(recording)[0], [])
     fit = problem.start()
     return problem, fit, problem.lack_of_fit(problem.residual(fit))
 
@@ -165,7 +165,7 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
     monkeypatch.setattr(laws, "PLAN", "moving:10,sobol:40,ladder:3,sobol:30")
     recording, effect, covariates = laws.recorded(tmp_path / "rec", design, text, number, 3)
     problem, fit, left = sought_in(recording)
-    (found,) = suggestions(problem, fit, left)
+    (found,) = formula_suggestions(problem, fit, left)
     assert {q.name for q in found.written.quantities} == covariates and found.place == effect.place
     assert found.after < 1.2 * found.noise < found.before and all(set(part) == covariates for part in found.parts)
     if number == 1:
@@ -175,13 +175,16 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
     assert entry.parameters[next(iter(found.intervals))].unit == ("m" if number == 0 else "m/m^3")
     told = Report("rec", 0.0, {}, (), None, {}, FitEntry(1e-5, 1e-5, 1e-5, "m"), (), suggestions=(entry,))
     page = "".join(_suggestions(told))
-    assert f"{found.after / found.noise:.2f} times the noise" in page and "a suggestion, and no name" in page and to_do(told) != to_do(
-        replace(told, suggestions=()))
+    assert (
+        f"{found.after / found.noise:.2f} times the noise" in page
+        and "a suggestion, and no name" in page
+        and recommended_actions(told) != recommended_actions(replace(told, suggestions=()))
+    )
     write(tmp_path, told)
     assert main(["effects", "--new", "mine", "--from", str(tmp_path), "--out", str(tmp_path / "mine.py")]) == 0
-    (kind,) = load(tmp_path / "mine.py").kinds
-    asked = PlatformProblem(problem.point, platform_candidates(problem.point, Asked((f"mine {effect.place}",), (), (kind,)))[0])
-    selection = select(asked)
+    (kind,) = load_effect_file(tmp_path / "mine.py").kinds
+    asked = PlatformProblem(problem.point, platform_candidates(problem.point, RequestedEffects((f"mine {effect.place}",), (), (kind,)))[0])
+    selection = select_terms(asked)
     assert [(f.score.candidate.name, f.score.candidate.place) for f in selection.findings] == [("mine", effect.place)]
     assert asked.lack_of_fit(asked.residual(selection.fit)) == []
 
@@ -189,13 +192,13 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
 def test_nothing_is_suggested_where_nothing_is_left(tmp_path, measured):
     text, design = measured
     problem, fit, left = sought_in(laws.recorded(tmp_path / "rec", design, text, 3, 1, seen=1e-9)[0])
-    assert left == [] and suggestions(problem, fit, left) == []
+    assert left == [] and formula_suggestions(problem, fit, left) == []
 
 
 @pytest.mark.slow
 def test_a_joint_that_follows_another_is_suggested_once(tmp_path):
     (arms, _), _ = arm_recorded(lambda q: 3e-4 * np.sin(1.3 * q[:, [3]] + 0.5) * (np.arange(6) == 1))
-    now = fit(arms)
+    now = fit_poses(arms)
     left = arm_left(now)
     assert {"joint 2", "joint 3"} <= {u.place for u in left}  # they turn about axes that are alike
     (found,) = arm_suggestions(now, left)
@@ -205,9 +208,9 @@ def test_a_joint_that_follows_another_is_suggested_once(tmp_path):
     low, high = found.intervals["frequency"][1:]
     assert low < 1.3 < high < 1.05 * low
     (tmp_path / "mine.py").write_text(found.written.source("mine"))
-    (kind,) = load(tmp_path / "mine.py").kinds
-    candidates, _ = joint_candidates(arms, Asked(("mine",), (), (kind,)))
-    assert [(t.candidate.name, t.candidate.place) for t in select(ArmProblem(arms, candidates)).fit.terms] == [("mine", "joint 2")]
+    (kind,) = load_effect_file(tmp_path / "mine.py").kinds
+    candidates, _ = joint_candidates(arms, RequestedEffects(("mine",), (), (kind,)))
+    assert [(t.candidate.name, t.candidate.place) for t in select_terms(ArmProblem(arms, candidates)).fit.terms] == [("mine", "joint 2")]
 
 
 @pytest.mark.slow
@@ -277,11 +280,11 @@ class Swing(Effect):
 @pytest.mark.slow
 def test_a_camera_may_have_an_effect_of_ones_own(tmp_path, design):
     (tmp_path / "swing.py").write_text(MOUNTED)
-    (kind,) = load(tmp_path / "swing.py").kinds
+    (kind,) = load_effect_file(tmp_path / "swing.py").kinds
     place = f"camera {design.cameras[1].name}"
     recording = recorded(tmp_path / "rec", design, (kind(place, 2e-4, 0.047),), route="sobol:60")
-    point = of_recording(recording)[0]
-    selection = select(PlatformProblem(point, platform_candidates(point, Asked(("swing",), (), (kind,)))[0]))
+    point = operating_point_of_recording(recording)[0]
+    selection = select_terms(PlatformProblem(point, platform_candidates(point, RequestedEffects(("swing",), (), (kind,)))[0]))
     (found,) = selection.findings
     effect = selection.fit.refined.point.effects[found.number]
     assert effect.place == place and effect.size == pytest.approx(2e-4, rel=0.1) and effect.frequency == pytest.approx(0.047, rel=0.02)

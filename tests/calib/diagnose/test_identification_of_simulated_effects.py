@@ -6,7 +6,7 @@ import pytest
 
 from rig.cli import command_line
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.planning.layout.hexapod_layout import layout
+from rig.planning.layout.hexapod_layout import hexapod_layout
 
 EFFECTS = {  # one of each, of a size that rigs show
     "scale_error": "strut3:scale=4e-4", "cyclic_error": "strut3:amplitude=1.5e-5,phase=0.3",
@@ -32,7 +32,7 @@ def test_the_law_is_asked_of_every_effect():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_what_is_simulated_is_named(name, tmp_path, capsys):
-    (tmp_path / "rig.toml").write_text(layout(0.3))
+    (tmp_path / "rig.toml").write_text(hexapod_layout(0.3))
     for argv in (["simulate", tmp_path / "rig.toml", "--plan", "standard", "--effect", f"{name}:{EFFECTS[name]}", "--seed", 5, "--noise", 0.03,
                   "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json"],
                  ["diagnose", tmp_path / "rec", "--out", tmp_path / "found", "--anyway"]):

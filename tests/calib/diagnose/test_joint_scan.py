@@ -7,17 +7,17 @@ import pytest
 
 from calib.models.arm.excess_scatter import beyond, bounded
 from calib.diagnose.engine.linear_model import Column, LinearModel
-from calib.diagnose.engine.term_selection import select
+from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.whitened_columns import Columns, Part
-from calib.diagnose.problems.arm.pose_fit import Term, fit
+from calib.diagnose.problems.arm.pose_fit import Term, fit_poses
 from calib.diagnose.problems.arm.excess_scatter import scatter_beyond_noise
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
-from calib.diagnose.problems.arm.linearised_poses import arms_of
+from calib.diagnose.problems.arm.linearised_poses import linearise_poses
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
-from calib.diagnose.problems.arm.repeated_commands import repeats
-from calib.diagnose.problems.arm.candidate_search import joint_products, search, solved_grid, solved_nodes
-from calib.diagnose.problems.requested_effects import Asked
+from calib.diagnose.problems.arm.repeated_commands import pose_repeatability
+from calib.diagnose.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from tests.calib import arm_worlds
 from tests.rig.arms import UR10
 
@@ -27,7 +27,7 @@ SIGMA = 2e-5  # m, per axis
 def seen(deviation, count=200, seed=3, again=0):
     rng = np.random.default_rng(seed)
     samples = arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, count, rng, deviation=deviation, again=again)
-    return arms_of(samples, arm_worlds.design(UR10))[0]
+    return linearise_poses(samples, arm_worlds.design(UR10))[0]
 
 
 def only(joint, function):
@@ -38,7 +38,7 @@ def only(joint, function):
 @pytest.fixture(scope="module")
 def searched():
     arms = seen(only(2, lambda q: 3e-4 * np.sin(7 * q[:, 2])), 150)
-    return fit(arms, (), np.arange(len(arms)) % 7 != 3), joint_candidates(arms, Asked())[0]
+    return fit_poses(arms, (), np.arange(len(arms)) % 7 != 3), joint_candidates(arms, RequestedEffects())[0]
 
 
 @pytest.mark.parametrize("name", ["cyclic_error", "missed_steps"])
@@ -55,18 +55,18 @@ def test_short_cuts_give_the_best_nodes_their_score_and_the_others_a_bound(searc
 
 def test_a_term_struck_out_or_set_beside_is_the_fit_without_or_with_it(searched):
     now, candidates = searched
-    a, b = [Term.of(s) for s in search(now, candidates, -np.inf)[:2]]
+    a, b = [Term.of(s) for s in search_candidates(now, candidates, -np.inf)[:2]]
     both = now.with_terms([a, b])
     assert both.without_terms([0, 1]).left == pytest.approx(now.left, abs=1e-12)
     assert both.without_terms([0]).left == pytest.approx(now.with_terms([b]).left, abs=1e-12)
     assert both.cost() < now.with_terms([b]).cost() < now.cost()
-    score = search(now, [a.candidate], -np.inf)[0]
+    score = search_candidates(now, [a.candidate], -np.inf)[0]
     assert score.delta_chi2 * score.dispersion == pytest.approx(now.cost() - now.with_terms([a]).cost(), rel=1e-6)
 
 
 def test_a_model_by_its_columns_leaks_what_one_by_its_basis_does(searched):
     now, candidates = searched
-    linear = now.with_terms([Term.of(search(now, candidates)[0])]).linear
+    linear = now.with_terms([Term.of(search_candidates(now, candidates)[0])]).linear
     Q = linear.columns.parts[0] @ linear.half  # the columns are an operator; this is written out
     basis = LinearModel(linear.blocks, Column((Q,)), None, linear.size)
     rng = np.random.default_rng(0)
@@ -112,7 +112,7 @@ def test_an_effect_at_the_end_of_a_recording_is_not_taken_for_wild_poses():
     arms = seen(None, 150)
     late = np.arange(150) >= 140
     arms = replace(arms, left=arms.left + arms.joints[..., 2] * 2e-3 * late[:, None])
-    chosen = select(ArmProblem(arms, joint_candidates(arms, Asked(("missed_steps",)))[0])).fit
+    chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects(("missed_steps",)))[0])).fit
     assert [(t.candidate.name, t.candidate.place) for t in chosen.terms] == [("missed_steps", "joint 3")]
     assert not chosen.aside.any() and chosen.theta[chosen.slices[0]] == pytest.approx(2e-3, rel=0.05)
 
@@ -120,7 +120,7 @@ def test_an_effect_at_the_end_of_a_recording_is_not_taken_for_wild_poses():
 def test_sinusoid_is_found_with_its_order(searched):
     now, candidates = searched
     problem = ArmProblem(now.arms, candidates)
-    chosen = select(problem)
+    chosen = select_terms(problem)
     assert [(t.candidate.name, t.candidate.place) for t in chosen.fit.terms] == [("cyclic_error", "joint 3")]
     assert chosen.fit.terms[0].node["order"] == pytest.approx(7, abs=0.1)
     assert np.hypot(*chosen.fit.theta[chosen.fit.slices[0]]) == pytest.approx(3e-4, rel=0.1)
@@ -129,18 +129,18 @@ def test_sinusoid_is_found_with_its_order(searched):
 
 
 def test_repeats_tell_noise_from_what_comes_again():
-    quiet = repeats(fit(seen(None, again=60)))
+    quiet = pose_repeatability(fit_poses(seen(None, again=60)))
     assert quiet.pairs == 60 and quiet.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and quiet.p_value > 1e-3
-    wavy = repeats(fit(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), again=60)))
+    wavy = pose_repeatability(fit_poses(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), again=60)))
     assert wavy.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and wavy.again > 0.8 and wavy.p_value < 1e-4
-    assert repeats(fit(seen(None))) is None
+    assert pose_repeatability(fit_poses(seen(None))) is None
 
 
 def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
     arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), again=60)
-    chosen = select(ArmProblem(arms, joint_candidates(arms, Asked())[0])).fit
+    chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit
     assert chosen.terms == ()
-    left = [*lack_of_fit(chosen, 5), *scatter_beyond_noise(chosen, repeats(chosen), [])]
+    left = [*lack_of_fit(chosen, 5), *scatter_beyond_noise(chosen, pose_repeatability(chosen), [])]
     assert left[0].place == "joint 3" and left[0].depends_on == ("pose",)
     assert left[0].magnitude == pytest.approx(np.std(2e-4 * np.sin(arms.q[:, 0])), rel=0.3)
     assert left[-1].place == "rig" and left[-1].depends_on == ("configuration",)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from rig import effects
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from tests.calib.recorded import recorded
 
 MODE = "phase=1,mode=0.6/0/0.8/0.5/0/0"
@@ -22,7 +22,7 @@ AT_LIMITS = [  # what is not a size at both ends of what rigs show
 
 
 def test_every_parameter_that_is_no_size_has_its_ends_here():
-    asked = {parse(text).name for text in AT_LIMITS}
+    asked = {parse_effect(text).name for text in AT_LIMITS}
     for kind in effects.ALL:
         if any(p.role in ("log", "even", "frequency") for p in kind.parameters):
             assert kind.name in asked, kind.name
@@ -31,7 +31,7 @@ def test_every_parameter_that_is_no_size_has_its_ends_here():
 @pytest.mark.slow
 @pytest.mark.parametrize("text", AT_LIMITS)
 def test_what_lies_at_a_limit_is_named_at_its_place(tmp_path, design, text):
-    true, found = parse(text), diagnose(recorded(tmp_path, design, [text], 11, "standard", 0.03))
+    true, found = parse_effect(text), diagnose_platform(recorded(tmp_path, design, [text], 11, "standard", 0.03))
     named = [(s.name, s.place) for s in found.swapped] + [(e.name, e.place) for e in found.effects]
     same = [(a.score.candidate.name, a.score.candidate.place) for f in found.selection.findings[:1] for a in f.alternatives]
     assert (true.name, true.place) in [*named[:1], *same] and len(named) == 1 and not found.left

@@ -8,25 +8,25 @@ import pytest
 
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import certify
-from calib.diagnose.engine.chance_probability import davies
-from calib.diagnose.problems.requested_effects import Asked
+from calib.diagnose.engine.chance_probability import scan_p_value
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.problems.platform import exchanged_markers
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
-from calib.diagnose.problems.platform.parameter_directions import tangents
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
+from calib.diagnose.problems.platform.parameter_directions import parameter_directions
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.platform.linearised_residuals import CORNERS, linearise
-from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_report import report
+from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.platform_page_figures import PlatformView
 from calib.samples.recording_samples import sample_recording
 from rig.planning import plan
 from rig.recording import recording_folder
-from rig.effects.texts.effect_text import parse
-from rig.planning.layout.hexapod_layout import layout
+from rig.effects.texts.effect_text import parse_effect
+from rig.planning.layout.hexapod_layout import hexapod_layout
 from synthetic import unlisted_physics, recording_simulation, secret_machine
 from tests.calib.recorded import recorded
 from tests.numeric import jacobian
@@ -37,7 +37,7 @@ from vision.targets import marker_map
 @pytest.fixture(scope="module")
 def quiet(tmp_path_factory, design):
     rec = recorded(tmp_path_factory.mktemp("quiet"), design, ())
-    return of_recording(rec)[0]
+    return operating_point_of_recording(rec)[0]
 
 
 def test_without_anything_left_out_both_planes_hold_noise_alone(quiet):
@@ -56,7 +56,7 @@ def test_nothing_unknown_where_nothing_is(quiet):
 
 
 def test_sensitivities_are_what_effects_do(quiet):
-    found, _ = platform_candidates(quiet, Asked(("compliance rig", "thermal_expansion rig", "creep strut 2", "time_offset")))
+    found, _ = platform_candidates(quiet, RequestedEffects(("compliance rig", "thermal_expansion rig", "creep strut 2", "time_offset")))
     sensitivities, motion = Sensitivities(quiet), quiet.motion(())
     for candidate in found[:4]:
         node = candidate.grid[len(candidate.grid) // 2]
@@ -71,7 +71,7 @@ def test_davies_bound_honours_the_search():
     t = np.linspace(0, 1, 200)
     shapes = np.stack([(t > m).astype(float) - (t > m).mean() for m in np.linspace(0.05, 0.95, 91)])
     shapes /= np.linalg.norm(shapes, axis=1, keepdims=True)
-    p = np.array([davies((shapes @ rng.normal(size=200)) ** 2, 1, 5000) for _ in range(2000)])
+    p = np.array([scan_p_value((shapes @ rng.normal(size=200)) ** 2, 1, 5000) for _ in range(2000)])
     for level in (0.2, 0.05, 0.01):  # a bound: never too bold, and not idle either
         assert level / 6 < (p < level).mean() < level + 3 * np.sqrt(level / 2000)
 
@@ -85,8 +85,8 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
     rec = recorded(tmp_path, design, [text])
     kind, place = name.split(" ", 1)
     alike = {"backlash": ["hysteresis"], "missed_steps": ["warm_up"], "edge_bias": ["print_scale"]}[kind]
-    found = diagnose(rec, only=[kind, *alike])
-    tree = json.loads(json.dumps(report(found).tree()))
+    found = diagnose_platform(rec, only=[kind, *alike])
+    tree = json.loads(json.dumps(platform_report(found).tree()))
     assert [(f["effect"], f["place"]) for f in tree["findings"]] == [(kind, place)]
     fitted = tree["findings"][0]["parameters"][parameter]
     sigma = (fitted["ci95"][1] - fitted["ci95"][0]) / 3.92
@@ -100,7 +100,7 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
 
 def test_faces_exchanged_are_named(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"])
-    point, _, _ = of_recording(rec)
+    point, _, _ = operating_point_of_recording(rec)
     found = exchanged_markers.swaps(point)
     assert len(found) == 1 and {found[0].place, f"marker {int(found[0].other)}"} == {"marker 8", "marker 6"}
     left = exchanged_markers.exchanged(point, found)
@@ -109,7 +109,7 @@ def test_faces_exchanged_are_named(tmp_path, design):
 
 def test_what_no_catalogue_lists_is_called_unknown(tmp_path, design):
     rec = recorded(tmp_path, design, [])
-    point = of_recording(rec)[0]
+    point = operating_point_of_recording(rec)[0]
     lengths = point.commands.values.copy()
     lengths[:, 3] -= 3e-5 * np.cos(8 * (lengths[:, 0] - lengths[:, 0].mean()) / np.ptp(lengths[:, 0]))  # one strut minds another's place
     odd = replace(point, commands=replace(point.commands, values=lengths))
@@ -119,10 +119,10 @@ def test_what_no_catalogue_lists_is_called_unknown(tmp_path, design):
 
 
 def test_tangents_of_what_is_seen_are_derivatives(quiet):
-    effect = parse("camera_drift:cam1:motion=1e-4/2e-4/0/0/1e-4/0,time_constant=500")
+    effect = parse_effect("camera_drift:cam1:motion=1e-4/2e-4/0/0/1e-4/0,time_constant=500")
     point = quiet.with_effects((effect,))
     model = linearise(point)
-    coordinates, column = tangents(model, Sensitivities(point))
+    coordinates, column = parameter_directions(model, Sensitivities(point))
     at = [c.name for c in coordinates].index("time_constant")
 
     def whitened(x):
@@ -136,16 +136,20 @@ def test_tangents_of_what_is_seen_are_derivatives(quiet):
 def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, design):
     rng = np.random.default_rng(7)
     for name, load in (("before", ()), ("after", ("compliance:rig:stiffness=8e6",))):
-        secret = secret_machine.draw(design, np.random.default_rng(7), 1.0, tuple(parse(text) for text in load))
-        recording_simulation.write(
-            recording_simulation.simulate(secret, plan.build(design, "sobol:90", len(load)), rng), tmp_path / name, layout(0.3), rng, 0.04
+        secret = secret_machine.draw_machine(design, np.random.default_rng(7), 1.0, tuple(parse_effect(text) for text in load))
+        recording_simulation.write_recording(
+            recording_simulation.simulate(secret, plan.build_plan(design, "sobol:90", len(load)), rng),
+            tmp_path / name,
+            hexapod_layout(0.3),
+            rng,
+            0.04,
         )
     before, after = (recording_folder.load(tmp_path / name) for name in ("before", "after"))
     sampled = sample_recording(before)
     done = certify(sampled.samples, before.design.mechanism, rng)
     known = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
-    assert not diagnose(after, only=["compliance"]).selection.findings  # a constant load hides in the joints
-    tree = report(diagnose(after, only=["compliance"], calibration=known)).tree()
+    assert not diagnose_platform(after, only=["compliance"]).selection.findings  # a constant load hides in the joints
+    tree = platform_report(diagnose_platform(after, only=["compliance"], calibration=known)).tree()
     assert [(f["effect"], f["place"]) for f in tree["findings"]] == [("compliance", "rig")]
     assert tree["findings"][0]["parameters"]["stiffness"]["value"] == pytest.approx(8e6, rel=0.2)
 
@@ -153,16 +157,18 @@ def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, des
 @pytest.mark.slow
 def test_a_strong_profile_is_one_finding_however_fine(tmp_path, design):
     rec = recorded(tmp_path, design, ["transmission_error:strut1:profile=-1e-5/-4e-5/2e-5/6e-5/3e-5/-6e-5"])
-    found = diagnose(rec, only=["transmission_error", "cyclic_error", "scale_error"])
+    found = diagnose_platform(rec, only=["transmission_error", "cyclic_error", "scale_error"])
     assert [(e.name, e.place) for e in found.effects] == [("transmission_error", "strut 1")] and not found.left
 
 
 def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
     rng = np.random.default_rng(4)
     scales = np.where(marker_map(design).id == 7, 4e-3, 0.0)
-    secret = secret_machine.draw(design, rng, 1.0, (unlisted_physics.UnevenPrint("markers", tuple(scales)),))
-    recording_simulation.write(recording_simulation.simulate(secret, plan.build(design, "sobol:60", 3), rng), tmp_path, layout(0.3), rng, 0.04)
-    found = diagnose(recording_folder.load(tmp_path), only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"])
+    secret = secret_machine.draw_machine(design, rng, 1.0, (unlisted_physics.UnevenPrint("markers", tuple(scales)),))
+    recording_simulation.write_recording(
+        recording_simulation.simulate(secret, plan.build_plan(design, "sobol:60", 3), rng), tmp_path, hexapod_layout(0.3), rng, 0.04
+    )
+    found = diagnose_platform(recording_folder.load(tmp_path), only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"])
     assert not found.effects and found.left[0].place == "marker 7"
 
 
@@ -173,11 +179,11 @@ def test_a_body_moved_by_hand_says_which_faces_sit_elsewhere(tmp_path):
     corners = recording_folder.Corners(o.frames[o.frame], [names[i] for i in o.camera], [int(ids[m]) for m in o.marker], o.corner, o.uv, None)
     exposures = recording_folder.Exposures(np.arange(len(t)), t, names * len(t), [""] * len(t))
     rec = recording_folder.Recording(tmp_path, stated, None, exposures, None, corners, None)
-    found = diagnose(rec)
-    tree = json.loads(json.dumps(report(found).tree()))
+    found = diagnose_platform(rec)
+    tree = json.loads(json.dumps(platform_report(found).tree()))
     moved = [f for f in tree["findings"] if f["effect"] == "face_misplacement"]
     assert len(moved) >= len(np.unique(o.marker)) - 1 and len(tree["findings"]) == len(moved) and tree["unexplained"] is None
     assert all(low < value < high for f in moved for p in f["parameters"].values() for value, low, high in zip(p["value"], *p["ci95"]))
     assert tree["fit"]["heldout_after"] < 1.1 * tree["fit"]["noise_floor"]
-    diagnosis_page(tmp_path / "page.html", report(found), PlatformView(rec, found))
+    diagnosis_page(tmp_path / "page.html", platform_report(found), PlatformView(rec, found))
     assert (tmp_path / "page.html").read_text().count("face misplacement at marker") >= len(moved)

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.lack_of_fit import LackOfFit, by_number
-from calib.diagnose.engine.frame_inner_products import Normal, solve
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.engine.lack_of_fit import LackOfFit, delta_chi2_by_column_count
+from calib.diagnose.engine.frame_inner_products import Normal, solve_normal_equations
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
 from rig.formats.rig_toml import design_file
 from rig.planning import plan
 from rig.recording import recording_folder
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from synthetic import unlisted_physics, recording_simulation, secret_machine
 from tests.calib.physical import measured_by
 from tests.calib.recorded import recorded
@@ -28,10 +28,14 @@ def seen(tmp_path_factory, rig_text):
 
     def diagnosed(effect):
         rng, to = np.random.default_rng(5), folder / f"{effect.name}"
-        recording_simulation.write(
-            recording_simulation.simulate(secret_machine.draw(design, rng, 1.0, (effect,)), plan.build(design, PLAN, 5), rng), to, text, rng, 0.04
+        recording_simulation.write_recording(
+            recording_simulation.simulate(secret_machine.draw_machine(design, rng, 1.0, (effect,)), plan.build_plan(design, PLAN, 5), rng),
+            to,
+            text,
+            rng,
+            0.04,
         )
-        return diagnose(recording_folder.load(to))
+        return diagnose_platform(recording_folder.load(to))
 
     return diagnosed
 
@@ -48,7 +52,7 @@ def test_a_curve_that_outdoes_a_law_leaves_no_name(seen, effect, depends, looked
 
 
 def test_a_law_that_holds_keeps_its_name(seen):
-    (finding,) = seen(parse("axis_coupling:strut 6:scale=-9e-4,other=3")).selection.findings
+    (finding,) = seen(parse_effect("axis_coupling:strut 6:scale=-9e-4,other=3")).selection.findings
     assert (finding.score.candidate.name, finding.score.candidate.place) == ("axis_coupling", "strut 6")
 
 
@@ -56,7 +60,9 @@ def test_a_law_that_holds_keeps_its_name(seen):
 def test_a_focal_length_that_comes_and_goes_is_seen_beside_a_mount_that_stands(tmp_path, design):
     """A mount's six motions and a focal length are asked apart: seven times as many numbers hid what one of them does."""
     course = tuple(value for k in range(4) for value in (6.5e-6, (3 + k) / 700, 1.0 + k))
-    problem = PlatformProblem(of_recording(recorded(tmp_path, design, [unlisted_physics.BreathingLens("camera cam1", course)]))[0], [])
+    problem = PlatformProblem(
+        operating_point_of_recording(recorded(tmp_path, design, [unlisted_physics.BreathingLens("camera cam1", course)]))[0], []
+    )
     left = problem.lack_of_fit(problem.residual(problem.start()))
     assert left and {(u.place, u.depends_on) for u in left} == {("camera cam1", ("time",))}
 
@@ -67,9 +73,9 @@ def test_first_functions_count_by_themselves():
     columns[:, 3] = columns[:, 0] - 2 * columns[:, 2]  # which says nothing anew
     y = 3 * columns[:, 0] + rng.normal(size=200)
     G = columns.T @ columns
-    found = by_number(Normal((columns.T @ y)[None], G[None], np.diag(G)[None]))
+    found = delta_chi2_by_column_count(Normal((columns.T @ y)[None], G[None], np.diag(G)[None]))
     for q, (delta, rank) in enumerate(found, 1):
-        alone = solve(Normal((columns.T @ y)[None, :q], G[None, :q, :q], np.diag(G)[None, :q]))
+        alone = solve_normal_equations(Normal((columns.T @ y)[None, :q], G[None, :q, :q], np.diag(G)[None, :q]))
         assert delta == pytest.approx(float(alone.delta_chi2[0])) and rank == alone.rank[0] == min(q, 3)
     whole = LackOfFit("strut 1", 1e-6, "m", ("time",), 0.0, found[-1][0] / 2, 3, 2.0, found)
     assert whole.shortest(200) == (found[0][0], pytest.approx(np.log(200))) and whole.evidence(200) == pytest.approx(found[0][0] - np.log(200))

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.requested_effects import Asked
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-from calib.diagnose.report.platform_report import report
+from calib.diagnose.problems.requested_effects import RequestedEffects
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.report.platform_report import platform_report
 from rig.effects.framework.effect import Parameter
 from rig.effects.catalogue.screw_coupling import ScrewCoupling
 from rig.errors import RigError
@@ -15,23 +15,27 @@ from tests.calib.recorded import recorded
 
 
 def test_places_are_asked_for_and_left_out():
-    asked = Asked(("backlash", "marker_swap marker 8"), ("backlash strut 2",))
+    asked = RequestedEffects(("backlash", "marker_swap marker 8"), ("backlash strut 2",))
     assert asked.name("marker_swap") and asked.place("marker_swap", "marker 8") and not asked.place("marker_swap", "marker 6")
     assert asked.place("backlash", "strut 1") and not asked.place("backlash", "strut 2") and not asked.name("creep")
     with pytest.raises(RigError, match=r"backlash cannot sit at 'strut 9' in this recording; it can at strut 1, strut 2"):
-        Asked(("backlash strut 9",)).check({"backlash": ("strut 1", "strut 2")})
+        RequestedEffects(("backlash strut 9",)).check({"backlash": ("strut 1", "strut 2")})
 
 
 @pytest.mark.slow
 def test_an_exchange_of_faces_is_asked_for_at_its_marker_alone(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"], route="sobol:30")
-    found = {only: [(f.effect, f.place) for f in report(diagnose(rec, only=[only])).findings if f.effect == "marker_swap"]
+    found = {only: [(f.effect, f.place) for f in platform_report(diagnose_platform(rec, only=[only])).findings if f.effect == "marker_swap"]
              for only in ("marker_swap", "marker_swap marker 6", "marker_swap marker 8", "marker_swap marker 4")}
     (_, place), = found["marker_swap"]
     assert found["marker_swap marker 6"] == found["marker_swap marker 8"] == found["marker_swap"] and found["marker_swap marker 4"] == []
-    assert not [f for f in report(diagnose(rec, only=["marker_swap"], without=(f"marker_swap {place}",))).findings if f.effect == "marker_swap"]
+    assert not [
+        f
+        for f in platform_report(diagnose_platform(rec, only=["marker_swap"], without=(f"marker_swap {place}",))).findings
+        if f.effect == "marker_swap"
+    ]
     with pytest.raises(RigError, match="cannot sit at 'marker 99'"):
-        diagnose(rec, only=["marker_swap marker 99"])
+        diagnose_platform(rec, only=["marker_swap marker 99"])
 
 
 def test_what_a_bound_forbids_is_reported_at_the_bound(tmp_path, design, monkeypatch):
@@ -39,7 +43,7 @@ def test_what_a_bound_forbids_is_reported_at_the_bound(tmp_path, design, monkeyp
     tight = tuple(dataclasses.replace(p, bounds=(-1.0, 0.97)) if p.name == "gain" else p for p in ScrewCoupling.parameters)
     assert isinstance(tight[0], Parameter)
     monkeypatch.setattr(ScrewCoupling, "parameters", tight)
-    finding = report(diagnose(rec, only=["screw_coupling"])).findings[0]
+    finding = platform_report(diagnose_platform(rec, only=["screw_coupling"])).findings[0]
     gain = finding.parameters["gain"]
     assert (finding.effect, finding.place, gain.value, gain.at_bound) == ("screw_coupling", "rig", 0.97, 0.97)
     assert np.isfinite(gain.ci95).all()

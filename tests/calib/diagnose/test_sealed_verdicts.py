@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-from calib.diagnose.report.platform_report import report
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.report.platform_report import platform_report
 from rig.recording import recording_folder
 from tests.conftest import ROOT
 
@@ -17,7 +17,7 @@ PART = 0.1  # of an interval's length
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(VERDICTS))
 def test_a_sealed_recording_gets_the_verdict_that_it_got(shared, name):
-    found, expected = report(diagnose(recording_folder.load(shared / "recordings" / name))).tree(), VERDICTS[name]
+    found, expected = platform_report(diagnose_platform(recording_folder.load(shared / "recordings" / name))).tree(), VERDICTS[name]
     assert [(f["effect"], f["place"]) for f in found["findings"]] == [(f["effect"], f["place"]) for f in expected["findings"]]
     assert (found["unexplained"] or {}).get("place") == (expected["unexplained"] or {}).get("place")
     for now, before in zip(found["findings"], expected["findings"]):

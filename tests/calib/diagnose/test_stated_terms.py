@@ -8,14 +8,14 @@ import pytest
 
 from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.stated_terms import Given
-from calib.diagnose.problems.requested_effects import Asked, answerable
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-from calib.diagnose.report.platform_report import report
-from calib.diagnose.report.report_sentences import how_sure
+from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.report_sentences import evidence_sentence
 from rig.cli import command_line
-from rig.effects.texts.effect_text import site
+from rig.effects.texts.effect_text import parse_place
 from rig.errors import NotEnoughData, RigError
-from rig.recording.frame_mask import masked
+from rig.recording.frame_mask import remove_frames
 from tests.calib.recorded import recorded
 
 STRUT_2, STRUT_4 = ("backlash", "strut 2"), ("backlash", "strut 4")
@@ -36,46 +36,46 @@ def places(found):
 
 
 def test_what_is_assumed_stays_and_is_said_to_be_so(quiet):
-    assert places(report(diagnose(quiet, ["backlash"]))) == []
-    told = report(diagnose(quiet, ["creep"], given=Given((STRUT_2,))))
+    assert places(platform_report(diagnose_platform(quiet, ["backlash"]))) == []
+    told = platform_report(diagnose_platform(quiet, ["creep"], given=Given((STRUT_2,))))
     assert places(told) == [(*STRUT_2, "assumed")]
     gap = told.findings[0].parameters["gap"]
     assert gap.value < 15e-6 and gap.ci95[0] <= gap.value <= gap.ci95[1]
-    assert "would not have shown it by itself" in how_sure(told.findings[0]) and told.findings[0].matters
+    assert "would not have shown it by itself" in evidence_sentence(told.findings[0]) and told.findings[0].matters
 
 
 def test_what_was_seen_before_has_to_stand(loose):
-    told = report(diagnose(loose, ["backlash"], given=Given((), (STRUT_4, STRUT_2))))
+    told = platform_report(diagnose_platform(loose, ["backlash"], given=Given((), (STRUT_4, STRUT_2))))
     assert places(told) == [(*STRUT_2, "seen before")]
     assert told.findings[0].parameters["gap"].value == pytest.approx(100e-6, rel=0.05)
-    told = report(diagnose(loose, ["backlash"], given=Given((STRUT_2,))))
-    assert places(told) == [(*STRUT_2, "assumed")] and "shows it by itself as well" in how_sure(told.findings[0])
+    told = platform_report(diagnose_platform(loose, ["backlash"], given=Given((STRUT_2,))))
+    assert places(told) == [(*STRUT_2, "assumed")] and "shows it by itself as well" in evidence_sentence(told.findings[0])
 
 
 def test_what_cannot_be_assumed_is_refused(design):
-    assert site("backlash strut2", design) == STRUT_2 and site("vibration", design) == ("vibration", "rig")
+    assert parse_place("backlash strut2", design) == STRUT_2 and parse_place("vibration", design) == ("vibration", "rig")
     for text, said in (("backlash strut 9", "no strut '9'"), ("backlash", "cannot sit at ''"), ("backlsh strut 2", "is 'backlash' meant"),
                        ("marker_swap marker 8", "looked for before all else")):
         with pytest.raises(RigError, match=said):
-            site(text, design)
+            parse_place(text, design)
     with pytest.raises(RigError, match="backlash strut 2 cannot be assumed and left out at once"):
-        Asked.of(None, ["backlash"], Given((STRUT_2,)))
+        RequestedEffects.of(None, ["backlash"], Given((STRUT_2,)))
     with pytest.raises(RigError, match="backlash at strut 2 is assumed, but this recording cannot be asked for it: nothing was commanded"):
-        answerable(Given((STRUT_2,)), [], [NotAsked("backlash", "nothing was commanded")])
+        require_answerable(Given((STRUT_2,)), [], [NotAsked("backlash", "nothing was commanded")])
 
 
 def test_masked_frames_are_gone_from_everything(quiet):
     frames, _ = quiet.exposures.times()
     c = quiet.corners
     spoilt = replace(quiet, corners=replace(c, uv=np.where(np.isin(c.frame, [3, 7, 8, 9])[:, None], np.nan, c.uv)))
-    kept = masked(spoilt, "3, 7-9")
+    kept = remove_frames(spoilt, "3, 7-9")
     assert kept.exposures.times()[0].tolist() == [f for f in frames if f not in (3, 7, 8, 9)]
     assert np.isfinite(kept.corners.uv).all() and len(kept.corners.camera) == len(kept.corners.uv) and kept.commands is quiet.commands
     for text, said in (("a", "takes frames"), ("9-7", "from small to large"), ("3,99999999999999999", "has no frame 9999"), ("3,", "takes frames")):
         with pytest.raises(RigError, match=said):
-            masked(quiet, text)
+            remove_frames(quiet, text)
     with pytest.raises(NotEnoughData, match="leaves none"):
-        masked(quiet, f"0-{frames[-1]}")
+        remove_frames(quiet, f"0-{frames[-1]}")
 
 
 def test_the_same_words_on_the_page(loose, tmp_path, capfd):

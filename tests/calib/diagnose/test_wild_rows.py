@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from calib.models.arm.certification import certify as arm_certify
-from calib.models.arm.certification import promised as arm_promised
-from calib.certify.platform_certification import certify, promised
+from calib.models.arm.certification import workspace_claim_of as arm_promised
+from calib.certify.platform_certification import certify, workspace_claim_of
 from calib.diagnose.problems.arm import arm_diagnosis as arm_problem
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose as arm_diagnose
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose
-from calib.diagnose.report.arm_report import report as arm_report
-from calib.diagnose.report.diagnosis_page import diagnosis_page, judged
-from calib.diagnose.report.platform_report import report
+from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as arm_diagnose
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.report.arm_report import arm_report as arm_report
+from calib.diagnose.report.diagnosis_page import diagnosis_page, diagnosis_verdict
+from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.platform_page_figures import PlatformView
 from calib.models.platform.identification import Loops, identify, parameters
-from calib.identify.robust_fit import MOST, robust_fit, several, tail, wild_rows
+from calib.identify.robust_fit import MOST, robust_fit, many_deviations, tail, outlier_rows
 from calib.samples.recording_samples import sample_recording
 from rig.recording import frame_mask, recording_folder
 from rig.report.verdict import State
@@ -33,7 +33,7 @@ HIDDEN = {"backlash:strut3:gap=6e-5": [("backlash", "strut 3")], "missed_steps:s
 
 
 def names(found):
-    return [(f.effect, f.place) for f in report(found).findings]
+    return [(f.effect, f.place) for f in platform_report(found).findings]
 
 
 def masks(frames, rng, count):
@@ -58,7 +58,7 @@ def test_what_a_neighbour_shows_as_well_is_not_wild():
     left[[10, 30]] += [0.0, 25.0, 0.0]  # twice at nearly one configuration
     q[30] = q[10] + 1e-3
     left[20] += [15.0, 15.0, 0.0]
-    assert np.flatnonzero(wild_rows(left, t, q, 7.0)).tolist() == [20]
+    assert np.flatnonzero(outlier_rows(left, t, q, 7.0)).tolist() == [20]
 
 
 def test_where_a_tail_is_long_no_row_in_it_is_wild():
@@ -67,9 +67,9 @@ def test_where_a_tail_is_long_no_row_in_it_is_wild():
     t, q, left = np.arange(200.0), rng.uniform(size=(200, 6)), rng.normal(size=(200, 6))
     assert tail(left, 7.0) == pytest.approx(1.0, abs=0.15)
     left[rng.permutation(200)[:50]] *= 3.5
-    assert tail(left, 7.0) > 1.8 and np.abs(left).max() > 7 and not wild_rows(left, t, q, 7.0).any()
+    assert tail(left, 7.0) > 1.8 and np.abs(left).max() > 7 and not outlier_rows(left, t, q, 7.0).any()
     left[20] += 60.0
-    assert np.flatnonzero(wild_rows(left, t, q, 7.0)).tolist() == [20]
+    assert np.flatnonzero(outlier_rows(left, t, q, 7.0)).tolist() == [20]
 
 
 def test_names_do_not_depend_on_which_wild_rows_are_masked(tmp_path, design):
@@ -77,7 +77,7 @@ def test_names_do_not_depend_on_which_wild_rows_are_masked(tmp_path, design):
         rng = np.random.default_rng(number)
         bad, frames = spoilt_poses(posed(tmp_path / str(number), design, [text], number), rng)
         for mask in ["", *masks(frames, rng, 1)]:
-            found = diagnose(frame_mask.masked(bad, mask) if mask else bad)
+            found = diagnose_platform(frame_mask.remove_frames(bad, mask) if mask else bad)
             assert names(found) == expected
             gone = {one.frame for one in found.wild.left_out}
             assert gone <= set(frames.tolist()) and len(gone) + len(mask.split(",")) * bool(mask) >= len(frames) - 2
@@ -88,14 +88,14 @@ def test_rows_that_were_left_out_are_listed_with_why(tmp_path, design):
     poses = rec.poses.T_base_platform.as_matrix()
     poses[50, 0, 3] += 1e-3
     bad = replace(rec, poses=replace(rec.poses, T_base_platform=type(rec.poses.T_base_platform).from_matrix(poses)))
-    found = diagnose(bad, ["backlash"])
-    told = report(found)
+    found = diagnose_platform(bad, ["backlash"])
+    told = platform_report(found)
     (entry,) = json.loads(json.dumps(told.tree()))["left_out"]
     assert entry["frame"] == 50 and entry["what"] == "pose" and entry["place"].startswith("strut ") and entry["unit"] == "m"
     assert 1e-4 < entry["off"] < 1e-3 and entry["times"] > 20 and "agree with no other" in entry["reason"]
     diagnosis_page(tmp_path / "page.html", told, PlatformView(rec, found))
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "Left out before anything was searched" in page and entry["reason"] in page and judged(told).state is State.CHECK
+    assert "Left out before anything was searched" in page and entry["reason"] in page and diagnosis_verdict(told).state is State.CHECK
 
 
 def test_a_pose_far_from_all_others_does_not_hide_itself(tmp_path, design):
@@ -104,7 +104,7 @@ def test_a_pose_far_from_all_others_does_not_hide_itself(tmp_path, design):
     poses = rec.poses.T_base_platform.as_matrix()
     poses[44, :3, 3] *= 1e-3
     bad = replace(rec, poses=replace(rec.poses, T_base_platform=type(rec.poses.T_base_platform).from_matrix(poses)))
-    found = diagnose(bad, ["backlash"])
+    found = diagnose_platform(bad, ["backlash"])
     assert [one.frame for one in found.wild.left_out] == [44] and names(found) == [] and found.left == []
 
 
@@ -113,7 +113,7 @@ def test_a_chain_with_wild_poses_is_diagnosed_as_without_them(tmp_path):
     case = draw(1037, "axis_coupling", "strong", "sobol", "chain", 80)
     bad, frames, _ = spoilt(case, 1037)
     rec, mask = recording_folder.load(record(bad, tmp_path / "wild")), ",".join(map(str, frames))
-    found, expected = (arm_diagnose(one, ["scale_error"]) for one in (rec, frame_mask.masked(rec, mask)))
+    found, expected = (arm_diagnose(one, ["scale_error"]) for one in (rec, frame_mask.remove_frames(rec, mask)))
     assert {one.frame for one in found.left_out} == set(frames.tolist()) and expected.left_out == ()
     told, without = (arm_report(one).tree()["findings"] for one in (found, expected))
     assert told == without and [f["effect"] for f in told] == ["scale_error"]
@@ -121,9 +121,9 @@ def test_a_chain_with_wild_poses_is_diagnosed_as_without_them(tmp_path):
 
 def test_many_rows_far_off_are_no_wild_rows(tmp_path, design):
     bad, frames = spoilt_poses(posed(tmp_path / "rec", design, [], 4), np.random.default_rng(4), 0.2)
-    told = report(diagnose(bad, ["backlash"]))
+    told = platform_report(diagnose_platform(bad, ["backlash"]))
     assert told.left_out == () and told.crowd is not None and told.crowd.count > MOST * told.crowd.of
-    assert told.unexplained is not None and judged(told).state is State.CHECK
+    assert told.unexplained is not None and diagnosis_verdict(told).state is State.CHECK
 
 
 def test_an_arms_wild_poses_are_left_out(tmp_path):
@@ -135,7 +135,7 @@ def test_an_arms_wild_poses_are_left_out(tmp_path):
     clean = arm_report(arm_diagnose(rec, ["scale_error"]))
     assert len(clean.left_out) <= 1
     for mask in ["", *masks(frames, rng, 1)]:
-        found = arm_report(arm_diagnose(frame_mask.masked(bad, mask) if mask else bad, ["scale_error"]))
+        found = arm_report(arm_diagnose(frame_mask.remove_frames(bad, mask) if mask else bad, ["scale_error"]))
         assert [(f.effect, f.place) for f in found.findings] == [("scale_error", "joint 4")] == [(f.effect, f.place) for f in clean.findings]
         gone = {one.frame for one in found.left_out}
         assert len(gone & set(frames.tolist())) + len(mask.split(",")) * bool(mask) >= len(frames) - 1
@@ -156,9 +156,9 @@ def test_what_an_arm_lists_as_left_out_is_what_its_last_search_left_out(tmp_path
 
 def test_a_misread_marker_is_left_out_alone(tmp_path, design):
     rec = recorded(tmp_path, design, [], route="sobol:60")
-    assert diagnose(rec, ["edge_bias"]).wild.left_out == ()
+    assert diagnose_platform(rec, ["edge_bias"]).wild.left_out == ()
     bad, frames = spoilt_corners(rec, np.random.default_rng(2))
-    found = diagnose(bad, ["edge_bias"])
+    found = diagnose_platform(bad, ["edge_bias"])
     assert {one.frame for one in found.wild.left_out} == set(frames.tolist()) and len(found.wild.left_out) == len(frames)
     assert all(one.what == "corners" and one.unit == "px" and "marker" in one.place for one in found.wild.left_out)
     assert names(found) == [] and len(found.selection.fit.refined.point.frames) == 60
@@ -169,7 +169,7 @@ def test_a_short_event_is_not_wild(tmp_path, design, text):
     """A jump before the last few exposures, a load in two of them."""
     rec = posed(tmp_path / "rec", design, [text], 5, "sobol:90,payload:2")
     assert np.count_nonzero(rec.exposures.times()[1] > 530) == 6
-    found = diagnose(rec, [text.split(":")[0]])
+    found = diagnose_platform(rec, [text.split(":")[0]])
     assert found.wild.left_out == () and names(found) == [(text.split(":")[0], text.split(":")[1].replace("strut", "strut "))]
 
 
@@ -180,33 +180,35 @@ def test_names_are_those_of_the_recording_without_wild_rows(tmp_path, design, se
     for text, expected in HIDDEN.items():
         clean = posed(tmp_path / text.split(":")[0], design, [text], seed)
         bad, frames = spoilt_poses(clean, rng)
-        assert names(diagnose(clean)) == expected
+        assert names(diagnose_platform(clean)) == expected
         for mask in masks(frames, rng, 3):
-            assert names(diagnose(frame_mask.masked(bad, mask))) == expected
+            assert names(diagnose_platform(frame_mask.remove_frames(bad, mask))) == expected
 
 
 def test_what_one_strut_does_alone_is_not_wild():
     left = np.random.default_rng(2).normal(size=(40, 6))
     left[7, 2] = 15.0
     left[9] += 15.0
-    assert np.flatnonzero(several(left, 7.0)).tolist() == [9]
+    assert np.flatnonzero(many_deviations(left, 7.0)).tolist() == [9]
 
 
 def test_a_platform_is_calibrated_with_wild_poses_as_without_them(tmp_path, design):
     """A recording whose fit would not even close from a start that wild poses weigh in."""
     bad, frames = spoilt_poses(posed(tmp_path / "rec", design, ["backlash:strut3:gap=6e-5"], 1), np.random.default_rng(1))
-    some, without = (sample_recording(rec).samples for rec in (bad, frame_mask.masked(bad, ",".join(map(str, frames)))))
+    some, without = (sample_recording(rec).samples for rec in (bad, frame_mask.remove_frames(bad, ",".join(map(str, frames)))))
     made, expected = (certify(samples, design.mechanism, np.random.default_rng(0)) for samples in (some, without))
     assert sorted(some.frame[~made.found.inliers]) == frames.tolist()
     assert made.held_out.after.position == pytest.approx(expected.held_out.after.position, rel=0.05)
-    assert promised(some, made, np.random.default_rng(0)).after[0] == pytest.approx(promised(without, expected, np.random.default_rng(0)).after[0])
+    assert workspace_claim_of(some, made, np.random.default_rng(0)).after[0] == pytest.approx(
+        workspace_claim_of(without, expected, np.random.default_rng(0)).after[0]
+    )
 
 
 def test_a_fit_starts_without_wild_poses_only_where_it_does_not_close_with_them(tmp_path, design, monkeypatch):
     starts, robust = [], Loops.agreeing
     monkeypatch.setattr(Loops, "agreeing", lambda *given: starts.append(robust(*given)) or starts[-1])
     bad, frames = spoilt_poses(posed(tmp_path / "rec", design, ["backlash:strut3:gap=6e-5"], 1), np.random.default_rng(1))
-    some, without = (sample_recording(rec).samples for rec in (bad, frame_mask.masked(bad, ",".join(map(str, frames)))))
+    some, without = (sample_recording(rec).samples for rec in (bad, frame_mask.remove_frames(bad, ",".join(map(str, frames)))))
     expected = identify(without, design.mechanism)
     assert not starts and expected.inliers.all()
     found = identify(some, design.mechanism)
@@ -219,7 +221,7 @@ def test_an_arm_is_calibrated_with_wild_poses_as_without_them(tmp_path):
     rng = np.random.default_rng(0)
     arm_worlds.write(tmp_path / "rec", UR10, arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, 120, rng))
     bad, frames = spoilt_poses(recording_folder.load(tmp_path / "rec"), rng)
-    some, without = (sample_recording(rec) for rec in (bad, frame_mask.masked(bad, ",".join(map(str, frames)))))
+    some, without = (sample_recording(rec) for rec in (bad, frame_mask.remove_frames(bad, ",".join(map(str, frames)))))
     made, expected = (arm_certify(s.samples, UR10, s.instrument, np.random.default_rng(0)) for s in (some, without))
     assert sorted(some.samples.frame[~made.found.inliers]) == frames.tolist()
     assert made.held_out.after.position[0] == pytest.approx(expected.held_out.after.position[0], rel=0.2)

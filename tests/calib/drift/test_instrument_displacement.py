@@ -4,40 +4,40 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.drift.instrument_displacement import placed
+from calib.drift.instrument_displacement import remove_instrument_displacement
 from rig.planning.layout import hexapod_layout
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.model.design import Instrument
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.model.pose import exp
-from rig.recording.combined_recordings import joined, unmoved
+from rig.recording.combined_recordings import join_recordings, stated_camera_owners
 from synthetic import recording_simulation, secret_machine
 
 MOVED = np.array([1e-3, -5e-4, 2e-3, 1e-3, 0, -2e-3])
 
 
 def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
-    text = hexapod_layout.layout(0.3) + '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nrotation_sigma = 2e-5\n'
+    text = hexapod_layout.hexapod_layout(0.3) + '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nrotation_sigma = 2e-5\n'
     rng = np.random.default_rng(3)
     stated = replace(design, instrument=Instrument("rig", "rig", 1e-5, 2e-5))
-    secret = secret_machine.draw(stated, rng)
+    secret = secret_machine.draw_machine(stated, rng)
     parts = []
     for k in range(2):
-        done = recording_simulation.simulate(secret, plan.build(stated, "sobol:40", seed=k), rng)
-        recording_simulation.write(done, tmp_path / f"rec{k}", text, rng, noise=0.04)
+        done = recording_simulation.simulate(secret, plan.build_plan(stated, "sobol:40", seed=k), rng)
+        recording_simulation.write_recording(done, tmp_path / f"rec{k}", text, rng, noise=0.04)
         parts.append(recording_folder.load(tmp_path / f"rec{k}"))
     moved = replace(parts[1], poses=replace(parts[1].poses, T_base_platform=exp(MOVED) * parts[1].poses.T_base_platform))
-    assert placed(joined(parts, unmoved(parts)))[1] == []
-    lags = replace(secret, effects=(parse("servo_lag:rig:time_constant=0.04"),))  # what one plan shows of the model is no place
+    assert remove_instrument_displacement(join_recordings(parts, stated_camera_owners(parts)))[1] == []
+    lags = replace(secret, effects=(parse_effect("servo_lag:rig:time_constant=0.04"),))  # what one plan shows of the model is no place
     turning = []
     for route in ("sobol:24", "moving:16"):
-        recording_simulation.write(
-            recording_simulation.simulate(lags, plan.build(stated, route, seed=1), rng), tmp_path / route, text, rng, noise=0.04
+        recording_simulation.write_recording(
+            recording_simulation.simulate(lags, plan.build_plan(stated, route, seed=1), rng), tmp_path / route, text, rng, noise=0.04
         )
         turning.append(recording_folder.load(tmp_path / route))
-    assert placed(joined(turning, unmoved(turning)))[1] == []
-    found, (place,) = placed(joined([parts[0], moved], unmoved(parts)))
+    assert remove_instrument_displacement(join_recordings(turning, stated_camera_owners(turning)))[1] == []
+    found, (place,) = remove_instrument_displacement(join_recordings([parts[0], moved], stated_camera_owners(parts)))
     assert place.recording == 1 and "rec1" in place.line("rec1")
     np.testing.assert_allclose(place.motion, MOVED, atol=3e-5)
     np.testing.assert_allclose(found.poses.T_base_platform[40:].translation, parts[1].poses.T_base_platform.translation, atol=5e-5)

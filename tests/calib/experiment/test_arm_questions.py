@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from calib.diagnose.problems.arm.joint_candidates import joint_candidate
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose
-from calib.diagnose.problems.arm.linearised_poses import planned
-from calib.experiment.experiment_choice import evaluate
+from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm
+from calib.diagnose.problems.arm.linearised_poses import linearise_planned_poses
+from calib.experiment.experiment_choice import evaluate_experiment
 from calib.experiment.arm_questions import arm_questions
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
@@ -16,9 +16,9 @@ from rig.planning import plan
 from rig.recording import recording_folder
 from rig.planning.layout import shipped_arms
 from rig.cli.command_line import main
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.effects.catalogue.time_offset import TimeOffset
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from synthetic import recording_simulation, secret_machine
 
 FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:gap=2e-4"
@@ -28,20 +28,20 @@ FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:
 def found(tmp_path_factory):
     """(Recording of a SCARA whose second joint sticks, its ArmDiagnosis)."""
     at = tmp_path_factory.mktemp("scara")
-    (at / "rig.toml").write_text(shipped_arms.design("scara"))
+    (at / "rig.toml").write_text(shipped_arms.shipped_arm_rig_toml("scara"))
     design, rng = design_file.load(at / "rig.toml"), np.random.default_rng(3)
-    strokes = plan.strokes_of(design)
-    straight = plan.settled(plan.low_discrepancy(strokes, 60, seed=871346366), strokes.mean(axis=1), plan.speed_of(design))
-    done = recording_simulation.simulate(secret_machine.draw(design, rng, 1.0, (parse(FRICTION),)), straight, rng)
-    recording_simulation.write(done, at / "rec", shipped_arms.design("scara"), rng)
+    strokes = plan.axis_strokes(design)
+    straight = plan.settled_plan(plan.low_discrepancy(strokes, 60, seed=871346366), strokes.mean(axis=1), plan.plan_speed(design))
+    done = recording_simulation.simulate(secret_machine.draw_machine(design, rng, 1.0, (parse_effect(FRICTION),)), straight, rng)
+    recording_simulation.write_recording(done, at / "rec", shipped_arms.shipped_arm_rig_toml("scara"), rng)
     read = recording_folder.load(at / "rec")
-    return read, diagnose(read)
+    return read, diagnose_arm(read)
 
 
 def test_a_plan_that_was_made_is_told_as_it_was_seen(found):
     """The first recording's own plan, told as one that is not there yet: the same freedoms and joints, and what effects move is the same."""
     read, d = found
-    again = planned(d.arms, d.geometry, read.commands, d.arms.t, d.arms.context.sensors)
+    again = linearise_planned_poses(d.arms, d.geometry, read.commands, d.arms.t, d.arms.context.sensors)
     np.testing.assert_allclose(again.q, d.arms.q)
     np.testing.assert_allclose(again.joints, d.arms.joints, atol=1e-12)
     np.testing.assert_allclose(again.freedoms, d.arms.freedoms, atol=1e-12)
@@ -53,7 +53,7 @@ def test_what_names_foretell_differs_as_the_machine_does(found):
     (question,) = arm_questions(d)
     assert {h.title for h in question.hypotheses} == {"backlash at joint 2", "hysteresis at joint 2", "something in no catalogue"}
     assert sum(h.odds for h in question.hypotheses) == pytest.approx(1)
-    route = plan.build(read.design, "zigzag:16", 1)
+    route = plan.build_plan(read.design, "zigzag:16", 1)
     told = question.foretold(route)
     each = question.per_frame(route)
     first, other = (next(k for k, h in enumerate(question.named) if h is one) for one in question.likeliest)
@@ -62,22 +62,22 @@ def test_what_names_foretell_differs_as_the_machine_does(found):
     design, sigma = d.arms.context.design, np.sqrt(np.diag(d.arms.own[0]) + d.fit.scatter**2)
     effects = [h.fitted.fit.terms[h.number].candidate.effect(h.fitted.fit.terms[h.number].node, h.fitted.fit.theta[h.fitted.fit.slices[h.number]])
                for h in (question.named[first], question.named[other])]
-    runs = [motion_simulation.run(design, route.commands, route.t, (effect,), None).T_base_platform for effect in effects]
-    apart = float(np.sum((difference(*runs) / sigma) ** 2))  # the geometry's own change is small beside it
+    runs = [motion_simulation.run_machine(design, route.commands, route.t, (effect,), None).T_base_platform for effect in effects]
+    apart = float(np.sum((pose_difference(*runs) / sigma) ** 2))  # the geometry's own change is small beside it
     assert each.of.sum() == pytest.approx(apart, rel=0.3)
 
 
 def test_a_clocks_offset_moves_an_arm_as_the_machine_has_it(found):
     """As one hypothesis of all joints: while it moved none, each joint got a lag of its own."""
     read, d = found
-    route = plan.build(read.design, "zigzag:16", 1)
-    there = planned(d.arms, d.geometry, route.commands, route.t, None)
+    route = plan.build_plan(read.design, "zigzag:16", 1)
+    there = linearise_planned_poses(d.arms, d.geometry, route.commands, route.t, None)
     candidate = joint_candidate((TimeOffset.candidates("clock", there.context)[0],), there)
     assert candidate.joint is None and candidate.grid[0] == {}
     moved = 1e-3 * candidate.weights(candidate.grid[0])[..., 0]
-    runs = [motion_simulation.run(there.context.design, route.commands, route.t, effects, None).T_base_platform for effects in
+    runs = [motion_simulation.run_machine(there.context.design, route.commands, route.t, effects, None).T_base_platform for effects in
             ((), (TimeOffset("clock", 1e-3),))]
-    expected = difference(*runs)
+    expected = pose_difference(*runs)
     assert np.abs(expected[:, :3]).max() > 1e-4
     np.testing.assert_allclose(moved, expected, atol=0.02 * np.abs(expected).max())
 
@@ -86,12 +86,12 @@ def test_what_turns_round_tells_play_from_friction_and_so_does_a_plan_of_balance
     """The recording went straight from one configuration to the next, in a Sobol sequence's own order, and left both names open."""
     read, d = found
     asked = arm_questions(d)
-    turning, standing = (evaluate(asked, read.design, text, 1) for text in ("zigzag:16", "sobol:12"))
+    turning, standing = (evaluate_experiment(asked, read.design, text, 1) for text in ("zigzag:16", "sobol:12"))
     assert min(turning.settles, standing.settles) > 0.9 and min(turning.bits, standing.bits) > 0.5
 
 
 def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
-    text = shipped_arms.design("puma560")
+    text = shipped_arms.shipped_arm_rig_toml("puma560")
     (tmp_path / "rig.toml").write_text(text[: text.index("[instrument]")])
     assert main(["investigate", str(tmp_path / "rig.toml"), "--by-hand", "--out", str(tmp_path / "out")]) == 1
     assert "takes an [instrument] that measures its poses" in capsys.readouterr().err
@@ -105,7 +105,7 @@ def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize(("effect", "name"), [(FRICTION, "hysteresis"), (PLAY, "backlash")])
 def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, name):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
-    rig.write_text(shipped_arms.design("scara"))
+    rig.write_text(shipped_arms.shipped_arm_rig_toml("scara"))
     assert main(["simulate", str(rig), "--plan", "sobol:3", "--effect", effect, "--seed", "3", "--out", str(tmp_path / "f"), "--truth",
                  str(truth)]) == 0
     assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--plan", "sobol:60", "--budget", "1h"]) == 0
@@ -122,7 +122,7 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
 @pytest.mark.slow
 def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
-    rig.write_text(shipped_arms.design("scara"))
+    rig.write_text(shipped_arms.shipped_arm_rig_toml("scara"))
     assert main(["simulate", str(rig), "--plan", "sobol:3", "--seed", "8", "--out", str(tmp_path / "f"), "--truth", str(truth)]) == 0
     assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--budget", "1h"]) == 0
     assert "Nothing is left out." in (out / "notebook.md").read_text() and not (out / "rec2").exists()

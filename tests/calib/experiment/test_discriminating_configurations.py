@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from calib.experiment.discriminating_configurations import apart, cameras, chosen
-from calib.experiment.experiment_choice import CHOSEN, kinds
-from calib.experiment.platform_prediction import PlatformQuestion, per_frame
+from calib.experiment.discriminating_configurations import discriminating_configurations, camera_shares, choose_exposures
+from calib.experiment.experiment_choice import CHOSEN, available_plans
+from calib.experiment.platform_prediction import PlatformQuestion, predict_outcomes_by_frame
 from calib.experiment.experiment_question import Hypothesis, PerFrame
-from rig.effects.texts.effect_text import parse
-from rig.planning.plan import build
+from rig.effects.texts.effect_text import parse_effect
+from rig.planning.plan import build_plan
 from tests.calib.recorded import recorded
 
 
@@ -31,8 +31,8 @@ def test_what_is_left_open_counts_for_nothing_however_large():
     """Three exposures differ most, by what one open number explains in all of them; two smaller ones it does not."""
     open_ones = 100 * np.array([[1.0], [1.0], [1.0], [0.0], [0.0], [1e-3]])
     one = frames([3.0, 3.0, 3.0, 1.0, 1.5, 0.1], open_ones)
-    assert chosen([one], 2).tolist() == [4, 3]
-    assert chosen([frames([3.0, 3.0, 3.0, 1.0, 1.5, 0.1], np.zeros((6, 1)))], 3).tolist() == [0, 1, 2]
+    assert choose_exposures([one], 2).tolist() == [4, 3]
+    assert choose_exposures([frames([3.0, 3.0, 3.0, 1.0, 1.5, 0.1], np.zeros((6, 1)))], 3).tolist() == [0, 1, 2]
 
 
 def test_the_best_pair_is_found_as_trying_all_finds_it():
@@ -43,7 +43,7 @@ def test_the_best_pair_is_found_as_trying_all_finds_it():
         X = N[list(pair)]
         return d[list(pair)] @ np.linalg.solve(np.eye(len(pair)) + X @ X.T, d[list(pair)])
 
-    first, second = chosen([frames(d, N)], 2).tolist()
+    first, second = choose_exposures([frames(d, N)], 2).tolist()
     assert first == max(range(8), key=lambda i: distance((i,)))
     assert second == max((i for i in range(8) if i != first), key=lambda i: distance((first, i)))
     assert told(frames(d, N)) == pytest.approx(distance(range(8)))
@@ -51,27 +51,27 @@ def test_the_best_pair_is_found_as_trying_all_finds_it():
 
 def test_more_than_there_are_cannot_be_chosen():
     with pytest.raises(ValueError, match="3 exposures are to be chosen of 2"):
-        chosen([frames([1.0, 1.0], np.zeros((2, 1)))], 3)
+        choose_exposures([frames([1.0, 1.0], np.zeros((2, 1)))], 3)
 
 
 def test_they_are_a_part_of_a_plan(design):
-    assert all(f"apart:{count}" in kinds((), True) for count in CHOSEN)
-    own = build(design, "sobol:2", 3).commands.values[-2:]
-    plan = build(design, "apart:2,ladder:1", own={"apart:2": own})
-    assert len(plan.t) == 2 + len(build(design, "ladder:1").t)
+    assert all(f"apart:{count}" in available_plans((), True) for count in CHOSEN)
+    own = build_plan(design, "sobol:2", 3).commands.values[-2:]
+    plan = build_plan(design, "apart:2,ladder:1", own={"apart:2": own})
+    assert len(plan.t) == 2 + len(build_plan(design, "ladder:1").t)
     np.testing.assert_allclose(plan.commands.at(plan.t[:2]), own)
 
 
 @pytest.mark.slow
 def test_configurations_are_chosen_by_the_images_and_the_cameras_that_see_it_are_told(tmp_path, design):
     """Whether the edges of one camera's images have shifted or that camera's focal length goes with the temperature."""
-    point = of_recording(recorded(tmp_path, design, ["edge_bias:camera cam1:bias=0.1"], route="sobol:20"))[0]
-    fits = [refine(point.with_effects([parse(text)]), Sensitivities(point))
+    point = operating_point_of_recording(recorded(tmp_path, design, ["edge_bias:camera cam1:bias=0.1"], route="sobol:20"))[0]
+    fits = [refine(point.with_effects([parse_effect(text)]), Sensitivities(point))
             for text in ("edge_bias:camera cam1:bias=0.1", "focal_drift:camera cam1:per_kelvin=1e-4")]
     asked = [PlatformQuestion(tuple(Hypothesis(fit.point.effects[0].name, "camera cam1", 0.5, fit, 0) for fit in fits))]
-    own = apart(asked, design, 8, seed=3)
-    plan = build(design, "apart:8", own={"apart:8": own})
-    seen = cameras(asked, plan)
+    own = discriminating_configurations(asked, design, 8, seed=3)
+    plan = build_plan(design, "apart:8", own={"apart:8": own})
+    seen = camera_shares(asked, plan)
     assert next(iter(seen)) == "cam1" and seen["cam1"] > 0.5 and sum(seen.values()) == pytest.approx(1)
-    anywhere = [told(per_frame(asked[0], build(design, "sobol:8", seed))) for seed in range(3)]
-    assert told(per_frame(asked[0], plan)) > 1.2 * max(anywhere)
+    anywhere = [told(predict_outcomes_by_frame(asked[0], build_plan(design, "sobol:8", seed))) for seed in range(3)]
+    assert told(predict_outcomes_by_frame(asked[0], plan)) > 1.2 * max(anywhere)

@@ -5,50 +5,54 @@ import pytest
 from scipy.stats import norm
 
 from calib.diagnose.engine.selection_policy import PLATFORM
-from calib.experiment.experiment_choice import Experiment, kinds, ranked
-from calib.experiment.experiment_question import Foretold
-from calib.experiment.experiment_information import worth
+from calib.experiment.experiment_choice import Experiment, available_plans, rank_experiments
+from calib.experiment.experiment_question import Prediction
+from calib.experiment.experiment_information import experiment_information
 
 HALF, NOTHING = np.array([0.5, 0.5]), np.zeros(2)
 
 
 def apart(distance, r=5):
-    """Foretold of two hypotheses whose means lie so many standard deviations apart."""
+    """Prediction of two hypotheses whose means lie so many standard deviations apart."""
     means = np.zeros((2, r))
     means[1, 2] = distance
-    return Foretold(means, np.tile(np.eye(r), (2, 1, 1)), np.zeros((2, 2)))
+    return Prediction(means, np.tile(np.eye(r), (2, 1, 1)), np.zeros((2, 2)))
 
 
 @pytest.mark.parametrize("d", [1.0, 2.0, 3.0, 5.0])
 def test_the_chance_is_that_of_two_gaussians(d):
     settles = norm.sf((PLATFORM.alike - d**2) / (2 * d)) + norm.cdf((-PLATFORM.alike - d**2) / (2 * d))
     right = norm.sf((PLATFORM.alike - d**2) / (2 * d))
-    found = worth(HALF, apart(d), NOTHING)
+    found = experiment_information(HALF, apart(d), NOTHING)
     np.testing.assert_allclose([found.settles, found.right], [settles, right], atol=0.06)
 
 
 def test_what_differs_in_nothing_tells_nothing_and_what_looks_the_same_stays_alike():
-    nothing = worth(HALF, apart(0.0), NOTHING)
+    nothing = experiment_information(HALF, apart(0.0), NOTHING)
     assert nothing.bits < 1e-9 and nothing.settles == 0
     far = apart(20.0)
-    assert worth(HALF, far, NOTHING).settles == pytest.approx(1) and worth(HALF, far, NOTHING).bits == pytest.approx(1.0)
+    assert experiment_information(HALF, far, NOTHING).settles == pytest.approx(1) and experiment_information(
+        HALF, far, NOTHING
+    ).bits == pytest.approx(1.0)
     near, unequal = apart(1.0), np.array([0.94, 0.06])  # what one costs more than the other settles nothing between two that do the same
-    same = Foretold(near.means, near.covariances, np.ones((2, 2)))
-    assert worth(unequal, same, NOTHING).settles < 0.05 < worth(unequal, near, NOTHING).settles
+    same = Prediction(near.means, near.covariances, np.ones((2, 2)))
+    assert experiment_information(unequal, same, NOTHING).settles < 0.05 < experiment_information(unequal, near, NOTHING).settles
     told_nearly = np.array([0.0, 5.5])  # by the data so far: little more is needed
-    assert worth(unequal, same, told_nearly).settles > 0.5
+    assert experiment_information(unequal, same, told_nearly).settles > 0.5
 
 
 def test_what_costs_less_comes_first_among_those_that_settle():
     def one(text, minutes, bits, settles):
         return Experiment(text, 1, None, minutes, bits, settles)
 
-    order = ranked([one("long", 60.0, 1.0, 1.0), one("short", 2.0, 0.9, 0.95), one("cheap", 0.5, 0.3, 0.1), one("dull", 1.0, 0.1, 0.0),
+    order = rank_experiments([one("long", 60.0, 1.0, 1.0), one("short", 2.0, 0.9, 0.95), one("cheap", 0.5, 0.3, 0.1), one("dull", 1.0, 0.1, 0.0),
                     one("telling", 1.0, 0.2, 0.0)])
     assert [e.text for e in order] == ["short", "cheap", "long", "telling", "dull"]
 
 
 def test_nothing_is_loaded_and_nothing_waits_unless_the_owner_allows():
-    assert not any("payload" in text or "wait" in text or "dwell" in text for text in kinds((), False))
-    assert any("payload" in text for text in kinds(("payload",), False)) and any("wait" in text for text in kinds(("wait",), False))
-    assert not any(text.startswith(("moving", "zigzag", "dwell", "payload")) for text in kinds(("wait", "payload"), True))
+    assert not any("payload" in text or "wait" in text or "dwell" in text for text in available_plans((), False))
+    assert any("payload" in text for text in available_plans(("payload",), False)) and any(
+        "wait" in text for text in available_plans(("wait",), False)
+    )
+    assert not any(text.startswith(("moving", "zigzag", "dwell", "payload")) for text in available_plans(("wait", "payload"), True))

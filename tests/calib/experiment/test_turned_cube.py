@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from calib.diagnose.problems.platform.linearised_corners import SEAT_LABELS, corner_rows
-from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from rig.planning.layout import hexapod_layout
 from rig.recording import recording_folder
 from rig.cli.command_line import main
-from rig.model.cube_quarter_turns import turned
+from rig.model.cube_quarter_turns import quarter_turns
 from vision.recording_measurement import measure_recording
-from vision.combined_recordings import together
+from vision.combined_recordings import combine_recordings
 
 FACE = "face_misplacement:marker 0:offset=4e-4/2e-4/0"
 CUBE = "cube_misplacement:target P1:motion=4e-4/3e-4/0/1e-3/0/1e-3"
@@ -33,7 +33,7 @@ def second(rig_text, tmp_path_factory):
 
 def test_a_recording_says_that_a_cube_was_put_back_and_its_faces_hold_no_pose(second):
     second = recording_folder.load(second)
-    assert turned(second.design) == {"P1": 1}
+    assert quarter_turns(second.design) == {"P1": 1}
     measured, _ = measure_recording(second)
     o, own = measured.observations, np.array([t == "P1" for t in marker_targets(measured)])
     loose = own[o.marker]
@@ -61,9 +61,9 @@ def test_the_seat_of_a_cube_moves_its_corners_as_the_forward_model_has_it(second
     at = second.parent
     assert main(["simulate", str(at / "rig.toml"), "--seed", "1", "--plan", "sobol:12", "--machine", str(at / "truth.json"), "--out",
                  str(at / "one")]) == 0
-    both = together([recording_folder.load(at / "one"), recording_folder.load(second)])
+    both = combine_recordings([recording_folder.load(at / "one"), recording_folder.load(second)])
     assert "cube P1 was put back turned by a quarter turn for two: it is target P1@2 here, its place its own" in both.lines()
-    point, _, _ = of_recording(both.recording)
+    point, _, _ = operating_point_of_recording(both.recording)
     (seat,) = point.seats
     assert seat.place == "target P1@2"
     rows, n = corner_rows(point), len(point.observed.observations)
@@ -87,7 +87,7 @@ def others(point):
 @pytest.mark.parametrize(("effect", "name"), [(FACE, "face_misplacement"), (CUBE, "cube_misplacement")])
 def test_a_face_is_told_from_its_cube_by_turning_it(tmp_path, capsys, effect, name):
     """One camera sees one face of a cube; a quarter turn brings both of its faces before it."""
-    text = hexapod_layout.layout(0.3, cameras=1)
+    text = hexapod_layout.hexapod_layout(0.3, cameras=1)
     start, end = text.index('name = "P1"'), text.index('name = "P2"')
     block = re.sub(r"faces = .*", 'faces = { "-y" = 0, "-x" = 1 }', text[start:end])
     block = re.sub(r"rotvec = \[0.0, 0.0, [\d.]+\]", "rotvec = [0.0, 0.0, 1.135]", block)

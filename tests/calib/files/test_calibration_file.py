@@ -8,9 +8,9 @@ import pytest
 
 from calib.files import calibration_file
 from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import certify, promised
+from calib.certify.platform_certification import certify, workspace_claim_of
 from rig.errors import FileError
-from rig.formats.json_positions import Places, doubled
+from rig.formats.json_positions import Places, repeated_key
 from rig.model.mechanisms import hexapod
 from tests.calib.correct.test_correction import wavy
 from tests.calib.worlds import sampled, workspace
@@ -20,7 +20,7 @@ from tests.calib.worlds import sampled, workspace
 def calibration(design):
     samples, _ = sampled(design, 5, count=150, deviation=wavy)
     done = certify(samples, design.mechanism, np.random.default_rng(0))
-    claim = promised(samples, done, np.random.default_rng(0))
+    claim = workspace_claim_of(samples, done, np.random.default_rng(0))
     return Calibration(done.correction, done.found.covariance, done.found.scatter, (1, 2), (3,), done.held_out, {"seed": 0}, claim)
 
 
@@ -40,7 +40,7 @@ def test_what_is_saved_corrects_as_before(calibration, design, tmp_path):
 def test_few_configurations_keep_the_files_shape(calibration, design, tmp_path):
     samples, _ = sampled(design, 6, count=5)
     done = certify(samples, design.mechanism, np.random.default_rng(0))
-    few = replace(calibration, correction=done.correction, held_out=done.held_out, claim=promised(samples, done, np.random.default_rng(0)))
+    few = replace(calibration, correction=done.correction, held_out=done.held_out, claim=workspace_claim_of(samples, done, np.random.default_rng(0)))
     calibration_file.save(tmp_path / "c.json", few)
     tree, again = json.loads((tmp_path / "c.json").read_text()), calibration_file.load(tmp_path / "c.json")
     assert tree["held_out"]["after"] == {"n": 0, "position": [None] * 3, "rotation": [None] * 3, "bias": [None] * 6, "mean": [None] * 2}
@@ -139,4 +139,4 @@ def test_places_of_a_json_text_are_those_of_its_values():
     found = Places(text)
     assert found[("a",)] == (1, 7) and found[("a", 1, "b\n")] == (1, 19) and found[("a", 2)] == (2, 3) and found[("a", 3)] == (2, 7)
     assert found[("c",)] == (2, 21) and found[()] == (None, None) and len(found) == 8
-    assert doubled('{"a": {"b": 1}, "c": {"b": 1,\n "b": [1]}}') == ("b", (2, 7)) and doubled(text) is None
+    assert repeated_key('{"a": {"b": 1}, "c": {"b": 1,\n "b": [1]}}') == ("b", (2, 7)) and repeated_key(text) is None

@@ -22,7 +22,7 @@ from rig.recording import recording_folder
 from rig.formats import csv_table
 from rig.planning.configuration_sets import low_discrepancy
 from rig.effects.framework.fit_coordinates import coordinates_of
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Sensors
@@ -34,7 +34,13 @@ def designed(folder, kind):
     """Design of a machine of a kind."""
     if kind == "chain":
         return chained.written(folder)
-    text = shipped_arms.design("puma560") if kind == "arm" else hexapod_layout.layout(0.3) if kind == "hexapod" else two_strut_layout.layout(0.3)
+    text = (
+        shipped_arms.shipped_arm_rig_toml("puma560")
+        if kind == "arm"
+        else hexapod_layout.hexapod_layout(0.3)
+        if kind == "hexapod"
+        else two_strut_layout.two_strut_layout(0.3)
+    )
     (folder / "rig.toml").write_text(text)
     return design_file.load(folder / "rig.toml")
 
@@ -57,14 +63,14 @@ def calibrated(design, *effects):
 
 def wanted_of(design, count=6):
     m = design.mechanism
-    return mechanisms.of(m).forward(low_discrepancy(mechanisms.of(m).travel(m), count, 0.5, 3), m)
+    return mechanisms.kinematics_of(m).forward(low_discrepancy(mechanisms.kinematics_of(m).travel(m), count, 0.5, 3), m)
 
 
 @pytest.mark.parametrize(("kind", "effects"), [("hexapod", ("backlash:strut3:gap=1e-4", "thermal_expansion:rig:coefficient=2e-5")),
                                                ("arm", ("backlash:joint 2:gap=4e-4", "scale_error:joint 1:scale=4e-4"))])
 def test_the_library_commands_what_the_command_line_does_and_refuses_to_leave_physics_out(tmp_path, capsys, kind, effects):
     design = designed(tmp_path, kind)
-    calibration, wanted = calibrated(design, *map(parse, effects)), wanted_of(design)
+    calibration, wanted = calibrated(design, *map(parse_effect, effects)), wanted_of(design)
     calibration_file.save(tmp_path / "c.json", calibration)
     write_poses(tmp_path / "w.csv", Poses(np.arange(len(wanted)), wanted, None))
     command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtri
 
 from calib.online import change_detection
-from calib.online.change_detection import WINDOW, Evidence, changes, jump_beyond, moved_beyond
+from calib.online.change_detection import WINDOW, Evidence, detect_changes, jump_threshold, likelihood_ratio_thresholds
 
 ALARM, TRIALS = 0.02, 3000
 
@@ -30,19 +30,19 @@ def jumps(evidence):
 def test_the_search_over_struts_and_onsets_is_paid_for():
     rng = np.random.default_rng(0)
     greatest = np.array([jumps(quiet(rng)) for _ in range(TRIALS)])
-    rate = (greatest > jump_beyond(ALARM)).mean()
+    rate = (greatest > jump_threshold(ALARM)).mean()
     assert ALARM / 3 < rate < ALARM + 3 * np.sqrt(ALARM / TRIALS), "the bound is not far above what there is"
     assert (greatest > -ndtri(ALARM / 2)).mean() > 5 * ALARM, "one look's threshold would be exceeded many times as often"
 
 
 def test_quiet_poses_are_no_change(monkeypatch):
-    monkeypatch.setattr(change_detection, "JUMP", jump_beyond(ALARM / 2))
-    monkeypatch.setattr(change_detection, "MOVED", moved_beyond(ALARM / 2))
+    monkeypatch.setattr(change_detection, "JUMP", jump_threshold(ALARM / 2))
+    monkeypatch.setattr(change_detection, "MOVED", likelihood_ratio_thresholds(ALARM / 2))
     rng = np.random.default_rng(1)
-    assert np.mean([bool(changes(quiet(rng))) for _ in range(TRIALS)]) < ALARM + 3 * np.sqrt(ALARM / TRIALS)
+    assert np.mean([bool(detect_changes(quiet(rng))) for _ in range(TRIALS)]) < ALARM + 3 * np.sqrt(ALARM / TRIALS)
 
 
 def test_thresholds_grow_with_what_is_looked_at():
-    assert jump_beyond(1e-6, 10) > jump_beyond(1e-6, 3) > jump_beyond(1e-5, 3)
-    assert moved_beyond(1e-6, 10)[3] > moved_beyond(1e-6, 3)[3]
+    assert jump_threshold(1e-6, 10) > jump_threshold(1e-6, 3) > jump_threshold(1e-5, 3)
+    assert likelihood_ratio_thresholds(1e-6, 10)[3] > likelihood_ratio_thresholds(1e-6, 3)[3]
     assert pytest.approx((5.31, 48.36), abs=0.01) == (change_detection.JUMP, change_detection.MOVED[6])

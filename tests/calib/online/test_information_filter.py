@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from calib.models.platform.identification import identify, parameters
-from calib.models.platform.parameter_observability import gauge
+from calib.models.platform.parameter_observability import frame_motion_columns
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, RigError
@@ -89,7 +89,7 @@ def test_a_knocked_frame_is_told_from_the_struts(design):
     changes = [c for u in updates for c in u.changes]
     assert [c.kind for c in changes] == ["frame"] and changes[0].onset == 150
     assert (np.abs(changes[0].size - moved) < 4 * changes[0].sigma).all()
-    assert off(learner, parameters(poses.after) + gauge(poses.after)[:, :6] @ moved) < 80
+    assert off(learner, parameters(poses.after) + frame_motion_columns(poses.after)[:, :6] @ moved) < 80
 
 
 def test_two_struts_at_once(design):

@@ -8,7 +8,7 @@ from calib.online import learner_file
 from calib.online.learners import Drifting, FirstOrder, Forgetting
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from tests.calib.streams import COVARIANCE, learnt, stream
 from tests.calib.worlds import OWN, rms, sampled, workspace
 
@@ -17,7 +17,7 @@ ALL = (Forgetting, Drifting, FirstOrder)
 
 def model_error(design, found, true):
     lengths = hexapod.inverse(workspace(design, 100), design.mechanism)
-    return rms(difference(hexapod.forward(lengths, true), hexapod.forward(lengths, found)))[0]
+    return rms(pose_difference(hexapod.forward(lengths, true), hexapod.forward(lengths, found)))[0]
 
 
 @pytest.mark.parametrize("way", ALL)

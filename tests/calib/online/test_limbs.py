@@ -18,7 +18,7 @@ from calib.samples.recording_samples import sample_recording
 from rig.recording import recording_folder
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from rig.planning.plan import low_discrepancy
 from rig.recording.recording_folder import Sensors
 
@@ -33,11 +33,11 @@ def by_vision(limbed):
 def accepted(limbed, by_vision):
     """Accepted limbs of the first recording."""
     design, read, _ = limbed
-    frames, lengths = measuring_limbs.readings(read)
-    samples, nominal = measuring_limbs.read(by_vision, frames, lengths), measuring_limbs.stated(design)
-    T, expected = measuring_limbs.held_out(samples, nominal, 1e-6)
-    found = measuring_limbs.agreement(samples.T_base_platform, T, expected, (5e-5, 3e-4))
-    return measuring_limbs_file.Accepted(measuring_limbs.calibrated(samples, nominal, 1e-6)[0], nominal, found, None, {"data": ["a"]})
+    frames, lengths = measuring_limbs.limb_readings(read)
+    samples, nominal = measuring_limbs.samples_by_limbs(by_vision, frames, lengths), measuring_limbs.limb_hexapod(design)
+    T, expected = measuring_limbs.held_out_limb_poses(samples, nominal, 1e-6)
+    found = measuring_limbs.limb_agreement(samples.T_base_platform, T, expected, (5e-5, 3e-4))
+    return measuring_limbs_file.Accepted(measuring_limbs.calibrate_limbs(samples, nominal, 1e-6)[0], nominal, found, None, {"data": ["a"]})
 
 
 @pytest.fixture(scope="module")
@@ -57,14 +57,14 @@ def slipped(read, limb, by, at):
 def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
     path = tmp_path / "limbs.json"
     measuring_limbs_file.save(path, accepted)
-    back = measuring_limbs_file.in_force(path, limbed[0])
+    back = measuring_limbs_file.accepted_limbs(path, limbed[0])
     np.testing.assert_array_equal(back.limbs.covariance, accepted.limbs.covariance)
     np.testing.assert_array_equal(back.limbs.hexapod.base_joints, accepted.limbs.hexapod.base_joints)
     np.testing.assert_array_equal(back.agreement.limits, accepted.agreement.limits)
     assert back.verdict == "accepted" and back.provenance == {"data": ["a"]}
-    measuring_limbs_file.save(path, measuring_limbs_file.withdrawn(back, "rec", 7, "it slipped"))
+    measuring_limbs_file.save(path, measuring_limbs_file.withdraw_acceptance(back, "rec", 7, "it slipped"))
     with pytest.raises(RigError, match="withdrawn at frame 7 of rec: it slipped"):
-        measuring_limbs_file.in_force(path, limbed[0])
+        measuring_limbs_file.accepted_limbs(path, limbed[0])
 
 
 @pytest.mark.parametrize("spoil, says", [
@@ -95,17 +95,17 @@ def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path
     measuring_limbs_file.save(path, accepted)
     moved = design.insitu.base_joints + 1e-4 * np.eye(6)[:, :1] * np.eye(3)[0]
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: base_joints of limb 1 differs by 0.1 mm"):
-        measuring_limbs_file.in_force(path, replace(design, insitu=replace(design.insitu, base_joints=moved)))
+        measuring_limbs_file.accepted_limbs(path, replace(design, insitu=replace(design.insitu, base_joints=moved)))
     refused = replace(accepted.agreement, tolerance=np.full(6, 1e-9))
     measuring_limbs_file.save(path, replace(accepted, agreement=refused))
     with pytest.raises(RigError, match="did not pass"):
-        measuring_limbs_file.in_force(path, design)
+        measuring_limbs_file.accepted_limbs(path, design)
 
 
 @pytest.mark.slow
 def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(accepted, again, limbed):
     nominal = limbed[0].mechanism
-    by_limbs = recorded_limb_poses.sampled(again, recorded_limb_poses.read(again, accepted)).samples
+    by_limbs = recorded_limb_poses.samples_of_limb_poses(again, recorded_limb_poses.limb_poses(again, accepted)).samples
     learners = [Online(nominal, samples.common.shape[2]) for samples in (by_limbs, sample_recording(again).samples)]
     for learner, samples in zip(learners, (by_limbs, sample_recording(again).samples)):
         for pose in zip(samples.commanded, samples.T_base_platform, samples.covariance, samples.common):
@@ -116,7 +116,7 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
     T = [hexapod.forward(low_discrepancy(nominal.strut_range, 30, 0.8), learner.hexapod) for learner in learners]
     to_pose = pose_jacobian(T[1], learners[1].hexapod)
     expected = np.sqrt(np.einsum("nij,jk,nik->ni", to_pose, covariance, to_pose))
-    left = difference(T[1], T[0])
+    left = pose_difference(T[1], T[0])
     assert (np.abs(left) < 4 * expected).all() and np.abs(left[:, :3]).max() < 3e-5
     assert (np.abs(np.einsum("nij,j->ni", to_pose, slip)) > 2 * expected).any(), "a strut that is off by 30 um would show"
 
@@ -125,7 +125,7 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
 def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, limb, every):
     at = 22
     read = slipped(again, limb, 3e-5, at)
-    found = recorded_limb_poses.check(read, accepted, recorded_limb_poses.read(read, accepted), every)
+    found = recorded_limb_poses.check_limb_poses(read, accepted, recorded_limb_poses.limb_poses(read, accepted), every)
     assert found.disagreement is not None and found.disagreement.limb == limb and at <= found.frame < at + 5
     assert abs(float(found.disagreement.reason.split("by ")[1].split(" ")[0]) - 30) < 10
 
@@ -135,18 +135,18 @@ def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, l
 def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(limbed, by_vision, limb, at):
     design, read, _ = limbed
     for by in (0.0, 3e-5):
-        samples = measuring_limbs.read(by_vision, *measuring_limbs.readings(slipped(read, limb, by, at)))
-        limbs, _ = measuring_limbs.calibrated(samples, measuring_limbs.stated(design), 1e-6)
-        found = measuring_limb_steps.slip(samples, limbs, 1e-6)
+        samples = measuring_limbs.samples_by_limbs(by_vision, *measuring_limbs.limb_readings(slipped(read, limb, by, at)))
+        limbs, _ = measuring_limbs.calibrate_limbs(samples, measuring_limbs.limb_hexapod(design), 1e-6)
+        found = measuring_limb_steps.detect_limb_slip(samples, limbs, 1e-6)
         assert (found is None) == (by == 0)
         assert found is None or (found.limb == limb and abs(found.frame - at) <= 2 and abs(found.size - by) < 4 * found.sigma < 2e-5)
 
 
 def test_limbs_that_stay_agree_and_few_poses_are_looked_at(accepted, again):
-    found = recorded_limb_poses.check(again, accepted, recorded_limb_poses.read(again, accepted), 5)
+    found = recorded_limb_poses.check_limb_poses(again, accepted, recorded_limb_poses.limb_poses(again, accepted), 5)
     assert found == recorded_limb_poses.Checked(8, None, None)
     unseen = replace(again, corners=None)
-    assert recorded_limb_poses.check(unseen, accepted, recorded_limb_poses.read(again, accepted), 5).count == 0
+    assert recorded_limb_poses.check_limb_poses(unseen, accepted, recorded_limb_poses.limb_poses(again, accepted), 5).count == 0
 
 
 def told(accepted, count, slip=0.0, at=10**9, wrong=()):

@@ -20,11 +20,11 @@ SIGMA = np.r_[np.full(3, 2e-6), np.full(3, 1e-5)]
 def machine(design):
     """(stated, true Hexapod, commands (60, 6) m, a function that measures a pose)"""
     rng = np.random.default_rng(8)
-    true = secret_machine.draw(design, rng).true.mechanism
+    true = secret_machine.draw_machine(design, rng).true.mechanism
     commands = low_discrepancy(design.mechanism.strut_range, 60, seed=2)
 
     def measured(command, longer=0.0):
-        return mechanisms.of(true).forward(command + longer, true) * exp(SIGMA * rng.normal(size=6))
+        return mechanisms.kinematics_of(true).forward(command + longer, true) * exp(SIGMA * rng.normal(size=6))
 
     return design.mechanism, true, commands, measured
 
@@ -52,13 +52,13 @@ def test_a_drift_from_the_calibration_is_said_once(machine):
 
 
 def test_limbs_that_go_astray_are_said(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_layout.layout(0.3, limbs=6))
+    (tmp_path / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=6))
     design = design_file.load(tmp_path / "rig.toml")
     rng = np.random.default_rng(8)
-    true = secret_machine.draw(design, rng).true
+    true = secret_machine.draw_machine(design, rng).true
     watch, said = LimbWatch(design), []
     for k, command in enumerate(low_discrepancy(design.mechanism.strut_range, 40, seed=2)):
-        T = mechanisms.of(true.mechanism).forward(command, true.mechanism)
+        T = mechanisms.kinematics_of(true.mechanism).forward(command, true.mechanism)
         legs = transform_points(T, true.insitu.platform_joints) - true.insitu.base_joints
         read = np.linalg.norm(legs, axis=1) - true.insitu.zeros + 1e-6 * rng.normal(size=6) + (2e-4 if k >= 33 else 0.0)
         if watch.take(read, T * exp(SIGMA * rng.normal(size=6)), np.diag(SIGMA**2)):

@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.two_strut.example_figures import figures
-from calib.two_strut.worked_example import L1, L2, NOMINAL, REAL, driven, grid, worked
+from calib.two_strut.example_figures import example_figures
+from calib.two_strut.worked_example import L1, L2, NOMINAL, REAL, corrected_hinge_positions, grid, worked_example
 
 FIGURES = Path(__file__).parents[3] / "docs" / "two-strut"
 
 
 @pytest.fixture(scope="module")
 def example():
-    return worked()
+    return worked_example()
 
 
 def test_the_figures_in_the_pages_are_drawn_by_this_code():
-    drawn = figures()
+    drawn = example_figures()
     assert sorted(drawn) == sorted(path.stem for path in FIGURES.glob("*.svg")) and len(drawn) == 8
     page = (FIGURES.parent / "two-strut.md").read_text()
     for name, text in drawn.items():
@@ -51,5 +51,5 @@ def test_the_functions_have_the_measured_values_at_the_four_samples_and_are_inte
 def test_one_step_takes_out_nearly_all(example):
     """[0090], [0091]: S1 + ds1 and S2 + ds2 give the wanted pose, but for what is negligible: here a thirtieth at the most."""
     wanted = grid()
-    before, after = (np.sqrt(((driven(c, wanted) - wanted) ** 2).sum(axis=1).mean()) for c in (None, example.correction))
+    before, after = (np.sqrt(((corrected_hinge_positions(c, wanted) - wanted) ** 2).sum(axis=1).mean()) for c in (None, example.correction))
     assert before > 1e-3 and after < before / 30

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from calib.models.arm.correction import ArmCorrection
-from calib.correct.correction import Correction, reachable
-from calib.workspace.reachable_poses import lost, owners, side
+from calib.correct.correction import Correction, require_reachable
+from calib.workspace.reachable_poses import is_pose_lost, uncorrected_machine, reachable_side
 from rig.planning.configuration_sets import low_discrepancy
 from rig.model.design import Planar2
 from rig.errors import Unreachable
 from rig.model.mechanisms import arm as arms
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from synthetic import secret_machine
 from tests.calib.arm_worlds import secret
 from tests.rig.arms import UR10
@@ -25,45 +25,48 @@ PLANAR = Planar2([[0.0, 0.0], [1.0, 0.0]], STROKES)
 @pytest.fixture(scope="module")
 def rough(design):
     """Correction of a hexapod ten times as far off as rigs are."""
-    true = secret_machine.draw(design, np.random.default_rng(2), 10.0).true.mechanism
+    true = secret_machine.draw_machine(design, np.random.default_rng(2), 10.0).true.mechanism
     return Correction(design.mechanism, true, (None,) * 6)
 
 
 def test_a_strut_that_is_longer_than_it_says_loses_its_short_end_and_gains_its_long_one():
     correction = Correction(PLANAR, Planar2(PLANAR.base_joints, STROKES, [0.03, 0.0]), (None, None))
     drawn = low_discrepancy(np.array(STROKES), 4096, 1.0)
-    believed, real = side(owners(correction), correction, drawn), side(correction, owners(correction), drawn)
+    believed, real = (
+        reachable_side(uncorrected_machine(correction), correction, drawn),
+        reachable_side(correction, uncorrected_machine(correction), drawn),
+    )
     np.testing.assert_array_equal(believed.out, believed.commands[:, 0] < 0.63)  # its command would be below 0.6 m
     np.testing.assert_array_equal(real.out, real.commands[:, 0] > 1.17)  # where the owner believes it longer than 1.2 m
     np.testing.assert_allclose(believed.needed, believed.commands - [0.03, 0.0], atol=1e-12)
-    np.testing.assert_array_equal(lost(correction, drawn), drawn[:, 0] < 0.63)
+    np.testing.assert_array_equal(is_pose_lost(correction, drawn), drawn[:, 0] < 0.63)
 
 
 def test_lost_are_the_poses_whose_corrected_commands_leave_the_strokes(rough, design):
     configurations = low_discrepancy(design.mechanism.strut_range, 300, 1.0)
-    out = lost(rough, configurations)
+    out = is_pose_lost(rough, configurations)
     T = hexapod.forward(configurations, design.mechanism)
     with pytest.raises(Unreachable) as refused:
-        reachable(rough.inverse(T), design.mechanism, [str(i) for i in range(300)])
+        require_reachable(rough.inverse(T), design.mechanism, [str(i) for i in range(300)])
     np.testing.assert_array_equal(np.flatnonzero(out), refused.value.index)
     assert 10 < out.sum() < 200
     kept = ~out
-    assert np.abs(difference(rough.predict(rough.inverse(T[kept])), T[kept])).max() < 1e-9
+    assert np.abs(pose_difference(rough.predict(rough.inverse(T[kept])), T[kept])).max() < 1e-9
 
 
 def test_what_closes_on_no_pose_is_lost_and_stops_nothing(rough, design):
     configurations = np.repeat(design.mechanism.strut_range.mean(axis=1)[None], 3, axis=0)
     configurations[1, 0] = 3.0  # no platform reaches so far
-    np.testing.assert_array_equal(lost(rough, configurations), [False, True, False])
+    np.testing.assert_array_equal(is_pose_lost(rough, configurations), [False, True, False])
 
 
 def test_an_arm_loses_poses_of_its_own_configuration_alone():
     true = secret(UR10, np.random.default_rng(0), size=3.0)
     correction = ArmCorrection(UR10, replace(true, base=UR10.base, tool=UR10.tool), (None,) * 6, np.zeros((1, 6)))
     q = low_discrepancy(UR10.limits, 64, 1.0)
-    out = lost(correction, q)
+    out = is_pose_lost(correction, q)
     needed = correction.near(arms.forward(q, UR10), q)
     inside = np.isfinite(needed).all(axis=1) & (arms.limits(np.nan_to_num(needed), UR10) == 0).all(axis=1)
     np.testing.assert_array_equal(out, ~inside)
     assert inside.sum() > 48
-    assert np.abs(difference(correction.predict(needed[inside]), arms.forward(q[inside], UR10))).max() < 1e-9
+    assert np.abs(pose_difference(correction.predict(needed[inside]), arms.forward(q[inside], UR10))).max() < 1e-9

@@ -11,9 +11,9 @@ from calib.models.arm.correction import ArmCorrection
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import model_covariance
 from calib.correct.correction import Correction, calibrate
-from calib.models.corrected_pose_covariance import with_workspace
+from calib.models.corrected_pose_covariance import add_workspace
 from calib.workspace import workspace_figures, workspace_sentences
-from calib.workspace.workspace_cells import workspace
+from calib.workspace.workspace_cells import map_workspace
 from calib.workspace.workspace_file import COLUMNS, workspace_rows
 from rig.model.design import Planar2
 from rig.errors import FileError
@@ -36,11 +36,11 @@ def same(T, commands):
 def calibrated(design):
     samples, _ = sampled(design, 3, 60)
     correction, found = calibrate(samples, design.mechanism)
-    return with_workspace(Calibration(correction, found.covariance, found.scatter, (), (), None, {"seed": 0}))
+    return add_workspace(Calibration(correction, found.covariance, found.scatter, (), (), None, {"seed": 0}))
 
 
 def test_shares_and_counts_are_those_of_the_plane():
-    w = workspace(Correction(PLANAR, Planar2(PLANAR.base_joints, STROKES, [0.03, -0.06]), (None, None)), same, 4096)
+    w = map_workspace(Correction(PLANAR, Planar2(PLANAR.base_joints, STROKES, [0.03, -0.06]), (None, None)), same, 4096)
     assert w.lost == pytest.approx(1 - 0.95 * 0.9, abs=2e-3) == w.gained  # one strut loses a twentieth of its stroke, the other a tenth
     assert w.flat and w.believed.sum() == w.reached.sum() == 4096 and w.lost_in.sum() == pytest.approx(4096 * w.lost)
     assert (w.lost_in <= w.believed).all() and (w.gained_in <= w.reached).all()
@@ -51,7 +51,7 @@ def test_shares_and_counts_are_those_of_the_plane():
 
 
 def test_nothing_is_lost_where_nothing_is_corrected():
-    w = workspace(Correction(PLANAR, PLANAR, (None, None)), same, 512)
+    w = map_workspace(Correction(PLANAR, PLANAR, (None, None)), same, 512)
     assert w.lost == w.gained == 0.0 and not w.lost_in.any() and not w.gained_in.any()
 
 
@@ -71,21 +71,21 @@ def test_bounds_are_the_covariance_of_the_poses_there(calibrated):
     cell = int(np.argmin(np.abs(w.centre - middle.translation).max(axis=1)))
     stated = 2 * np.sqrt(np.trace(model_covariance(calibrated, middle)[0, :3, :3]))
     assert stated < w.bound[cell, 0] < 5 * stated
-    looser = workspace(calibrated.correction, lambda T, q: 4 * model_covariance(calibrated, T))
+    looser = map_workspace(calibrated.correction, lambda T, q: 4 * model_covariance(calibrated, T))
     np.testing.assert_allclose(looser.bound, 2 * w.bound)
 
 
 def test_an_arm_has_cells_that_it_reaches_and_one_of_five_joints_no_share_of_lost():
     rng = np.random.default_rng(1)
     true = replace(secret(UR10, rng), base=UR10.base, tool=UR10.tool)
-    w = workspace(ArmCorrection(UR10, true, (None,) * 6, np.zeros((1, 6))), same, 256)
+    w = map_workspace(ArmCorrection(UR10, true, (None,) * 6, np.zeros((1, 6))), same, 256)
     assert 0 <= w.lost < 0.2 and 0 <= w.gained < 0.2 and w.reached.sum() == 256
     assert np.nanmin(w.room) >= 0 and 0 <= np.nanmin(w.singular) < np.nanmax(w.singular) < 1
-    assert not workspace_sentences.lines(w, "rad")[0].startswith("workspace: an arm of fewer")
+    assert not workspace_sentences.workspace_lines(w, "rad")[0].startswith("workspace: an arm of fewer")
     five = replace(UR10, joints=UR10.joints[:5], limits=UR10.limits[:5], slides=UR10.slides[:5])
-    w = workspace(ArmCorrection(five, replace(five, joints=true.rows[:5]), (None,) * 5, np.zeros((1, 5))), same, 128)
+    w = map_workspace(ArmCorrection(five, replace(five, joints=true.rows[:5]), (None,) * 5, np.zeros((1, 5))), same, 128)
     assert w.lost is None and w.gained is None and not w.lost_in.any() and w.reached.sum() == 128
-    assert workspace_sentences.lines(w, "rad")[0].startswith("workspace: an arm of fewer than six joints")
+    assert workspace_sentences.workspace_lines(w, "rad")[0].startswith("workspace: an arm of fewer than six joints")
 
 
 def test_a_calibration_keeps_its_workspace_and_one_without_is_still_read(calibrated, tmp_path):
@@ -120,20 +120,21 @@ def test_every_column_of_cells_is_drawn_and_written(calibrated):
         workspace_figures.POSITION,
         workspace_figures.ROTATION,
         workspace_figures.SINGULAR,
-        workspace_figures.room("m"),
+        workspace_figures.axis_margin_quantity("m"),
     ):
-        unit, seen = workspace_figures.views(w, q)
+        unit, seen = workspace_figures.cell_views(w, q)
         assert seen.count("<rect") == len(np.unique(w.index[:, :2], axis=0)) + len(np.unique(w.index[:, [0, 2]], axis=0))
         assert "nan" not in seen and "inf" not in seen
     column = (w.index[:, :2] == w.index[np.argmax(w.lost_in), :2]).all(axis=1)
     share = w.lost_in[column].sum() / w.believed[column].sum()
     assert (
-        f">{share * 100:.1f}</text>" in workspace_figures.views(w, workspace_figures.LOST)[1]
-        or f">{share * 100:.0f}</text>" in workspace_figures.views(w, workspace_figures.LOST)[1]
+        f">{share * 100:.1f}</text>" in workspace_figures.cell_views(w, workspace_figures.LOST)[1]
+        or f">{share * 100:.0f}</text>" in workspace_figures.cell_views(w, workspace_figures.LOST)[1]
     )
     coarse = replace(w, bound=w.bound * 1e3)
     assert (
-        workspace_figures.views(w, workspace_figures.POSITION)[0] == "um" and workspace_figures.views(coarse, workspace_figures.POSITION)[0] == "mm"
+        workspace_figures.cell_views(w, workspace_figures.POSITION)[0] == "um"
+        and workspace_figures.cell_views(coarse, workspace_figures.POSITION)[0] == "mm"
     ), "three digits fit into a cell"
 
 

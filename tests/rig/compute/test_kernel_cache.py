@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rig.compute import kernel_cache, numba_kernels
-from rig.cli.shared.progress_bars import Progress, compiling
+from rig.cli.shared.progress_bars import Progress, compilation_notice
 from tests.conftest import ROOT
 
 
@@ -128,8 +128,11 @@ def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
 
 
 def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_loaded(tmp_path):
-    code = ("from rig.compute.numba_kernels import saying; from rig.effects.framework import play_operator as play; import numpy as np\n"
-            "with saying(lambda: print('compiling')):\n    for values in (np.ones((3, 1)), np.ones((3, 1), np.float32)): play.play(values, 0.5)")
+    code = (
+        "from rig.compute.numba_kernels import announce_compilation as saying; from rig.effects.framework import play_operator as play; import "
+        "numpy as np\n"
+        "with saying(lambda: print('compiling')):\n    for values in (np.ones((3, 1)), np.ones((3, 1), np.float32)): play.play(values, 0.5)"
+    )
     told = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True,
                            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}).stdout for _ in range(2)]
     assert told == ["compiling\n", ""]
@@ -142,5 +145,5 @@ def test_a_compile_notice_is_for_terminals_or_where_lines_are_wanted(shown, term
     """In a pipe the first line is the command's own, however slow the machine compiles."""
     monkeypatch.setattr(Progress, "shown", shown)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
-    compiling()
+    compilation_notice()
     assert capsys.readouterr().err == words

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from rig.compute import parallel_map
-from calib.diagnose.problems.requested_effects import Asked
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
 from calib.diagnose.problems.platform.linearised_residuals import linearise
-from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.candidate_search import search
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from rig.compute.worker_processes import MOST, parts
+from rig.compute.worker_processes import MOST, work_parts
 from tests.calib.recorded import recorded
 
 
 @pytest.fixture(params=[1, 3])
 def processes(request, monkeypatch):
-    monkeypatch.setattr(parallel_map, "cores", lambda: request.param)
+    monkeypatch.setattr(parallel_map, "worker_count", lambda: request.param)
     return request.param
 
 
@@ -34,7 +34,7 @@ def test_results_come_in_order_and_progress_reaches_the_end(processes):
 @pytest.mark.parametrize("count", [1, 2, 7])
 def test_parts_hold_all_in_order_and_are_single_at_the_end(count):
     for many in (0, 1, 5, 999):
-        shares = parts(range(many), count)
+        shares = work_parts(range(many), count)
         assert [thing for share in shares for thing in share] == list(range(many))
         sizes = [len(share) for share in shares]
         assert all(1 <= size <= MOST for size in sizes) and sizes == sorted(sizes, reverse=True) and (many == 0 or sizes[-1] == 1)
@@ -52,12 +52,12 @@ def test_what_a_process_raises_is_raised_here(processes):
 
 
 def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design, monkeypatch):
-    point = of_recording(recorded(tmp_path, design, ["backlash:strut5:gap=6e-5"]))[0]
-    asked = Asked(("backlash", "camera_drift", "vibration", "face_misplacement"))
+    point = operating_point_of_recording(recorded(tmp_path, design, ["backlash:strut5:gap=6e-5"]))[0]
+    asked = RequestedEffects(("backlash", "camera_drift", "vibration", "face_misplacement"))
     model, (candidates, _) = linearise(point), platform_candidates(point, asked)
     both = []
     for count in (1, 3):
-        monkeypatch.setattr(parallel_map, "cores", lambda count=count: count)
+        monkeypatch.setattr(parallel_map, "worker_count", lambda count=count: count)
         sensitivities = Sensitivities(point)
         both.append((search(model, candidates, sensitivities), sensitivities.pixels))
     (one, pixels), (several, kept) = both

@@ -9,12 +9,12 @@ import time
 import pytest
 
 from rig.errors import FileError, NotConverged, RigError
-from rig.compute.worker_processes import cores, finished, pool_of
+from rig.compute.worker_processes import worker_count, run_child_process, process_pool
 from tests.conftest import ROOT
 
 POOL = """
 import multiprocessing, os, signal, sys, time
-from rig.compute.worker_processes import gathered, pool_of
+from rig.compute.worker_processes import executor_map as gathered, process_pool as pool_of
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's background job is begun deaf to
     with pool_of(2, sys.argv[1]) as pool:
@@ -24,8 +24,8 @@ if __name__ == "__main__":
 """
 CHILD = """
 import os, sys
-from rig.compute.worker_processes import finished
-finished([sys.executable, "-c", "import sys, time; from rig.compute.worker_processes import end_with; end_with(int(sys.argv[1]));"
+from rig.compute.worker_processes import run_child_process as finished
+finished([sys.executable, "-c", "import sys, time; from rig.compute.worker_processes import end_with_parent as end_with; end_with(int(sys.argv[1]));"
           "time.sleep(60)", str(os.getpid())], dict(os.environ))
 """
 
@@ -55,10 +55,10 @@ def started(code, *arguments):
 
 def test_cores_are_limited_as_threads_are(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    assert cores() == 1
+    assert worker_count() == 1
     monkeypatch.setenv("OMP_NUM_THREADS", "4,2")  # of nested threads, which there are none of here
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(3)), raising=False)
-    assert cores() == 3
+    assert worker_count() == 3
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
@@ -87,7 +87,7 @@ def test_no_child_that_is_waited_for_outlives_this_process():
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_a_worker_that_is_ended_is_said_in_a_line(method):
-    with pytest.raises(RigError, match="short of memory"), pool_of(1, method) as pool:
+    with pytest.raises(RigError, match="short of memory"), process_pool(1, method) as pool:
         pool.submit(os._exit, 9).result()
 
 
@@ -96,14 +96,14 @@ def fail(kind):
 
 
 def test_what_a_worker_raises_is_raised_with_all_it_says():
-    with pytest.raises(FileError, match="x.csv:3:4: is wrong") as raised, pool_of(1, "fork") as pool:
+    with pytest.raises(FileError, match="x.csv:3:4: is wrong") as raised, process_pool(1, "fork") as pool:
         pool.submit(fail, "file").result()
     assert (raised.value.path, raised.value.line, raised.value.column, raised.value.value) == ("x.csv", 3, 4, "value")
-    with pytest.raises(NotConverged, match="no pose") as raised, pool_of(1, "fork") as pool:
+    with pytest.raises(NotConverged, match="no pose") as raised, process_pool(1, "fork") as pool:
         pool.submit(fail, "pose").result()
     assert raised.value.residual == [3.0]
 
 
 def test_a_finished_child_gives_its_output_and_status():
-    done = finished([sys.executable, "-c", "import sys; print('out'); print('err', file=sys.stderr); sys.exit(3)"], dict(os.environ))
+    done = run_child_process([sys.executable, "-c", "import sys; print('out'); print('err', file=sys.stderr); sys.exit(3)"], dict(os.environ))
     assert (done.returncode, done.stdout, done.stderr) == (3, "out\n", "err\n")

@@ -14,7 +14,7 @@ from rig.driving import serial_port as ports
 from rig.driving.clock import SystemClock
 from rig.model.controller_settings import port_problem
 from rig.errors import LinkLost, RigError
-from rig.driving.controller_lock import Occupied, interrupt, lock_names
+from rig.driving.controller_lock import Occupied, stop_lock_holder, lock_names
 from rig.driving.serial_port import SerialPort
 from tests.conftest import ROOT
 
@@ -83,7 +83,7 @@ def test_processes_that_begin_at_once_are_one(device):
         for process in several:
             process.kill()
             process.communicate()
-    assert interrupt(device, SystemClock(), 0.0) is None
+    assert stop_lock_holder(device, SystemClock(), 0.0) is None
 
 
 def test_one_device_has_one_name_whatever_path_or_address_leads_there(device, tmp_path):
@@ -114,7 +114,7 @@ def test_a_killed_process_leaves_nothing(device):
     assert first.stdout.readline() == "held\n"
     first.kill()
     first.communicate()
-    assert interrupt(device, SystemClock(), 0.0) is None
+    assert stop_lock_holder(device, SystemClock(), 0.0) is None
     Occupied(device).__exit__()
 
 

@@ -150,7 +150,7 @@ def test_a_line_that_stays_cut_is_an_error_in_bounded_time(ready):
 def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monkeypatch):
     from types import SimpleNamespace
 
-    from rig.driving.serial_port import found
+    from rig.driving.serial_port import find_port
     from serial.tools import list_ports
 
     driver, emulator, clock = bench(driven_design, "struts", (), 1)
@@ -160,7 +160,7 @@ def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monke
     def opener():
         name = f"/dev/ttyACM{emulator.replugged}" if emulator.plugged else "/dev/none"
         monkeypatch.setattr(list_ports, "comports", lambda: here(name))
-        opened.append(found("/dev/ttyACM0", "A9"))
+        opened.append(find_port("/dev/ttyACM0", "A9"))
         return EmulatorPort(emulator, clock)
 
     driver = Driver(driven_design_with(driven_design, "struts"), clock, opener)
@@ -168,9 +168,9 @@ def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monke
     driver.home()
     order(emulator, "unplug")
     driver.move(home_lengths(driven_design.mechanism) + STEP)
-    assert opened[0] == "/dev/ttyACM0" and opened[-1] == "/dev/ttyACM1" and found("x", "2341:0042") == "/dev/ttyACM1"
+    assert opened[0] == "/dev/ttyACM0" and opened[-1] == "/dev/ttyACM1" and find_port("x", "2341:0042") == "/dev/ttyACM1"
     with pytest.raises(LinkLost, match="0 ports answer"):
-        found("/dev/ttyACM0", "B7")
+        find_port("/dev/ttyACM0", "B7")
 
 
 def driven_design_with(design, protocol):

@@ -7,15 +7,15 @@ from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout
 from rig.recording import recording_folder
 from rig.errors import ControllerFault, RigError, Stopped, Unreachable
-from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Resumed, read
-from rig.planning.plan import build
-from rig.driving.run_steps import check, steps
+from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Resumed, read_journal
+from rig.planning.plan import build_plan
+from rig.driving.run_steps import check_steps, steps_of_plan
 from tests.rig.room import RAMP, SPEED, Killed, Onlooker, Room
 
 
 @pytest.fixture
 def rig(tmp_path):
-    text = hexapod_layout.layout(0.3, cameras=1, width=64, height=48)
+    text = hexapod_layout.hexapod_layout(0.3, cameras=1, width=64, height=48)
     (tmp_path / "rec").mkdir()
     (tmp_path / "rec" / "rig.toml").write_text(text)
     return design_file.load(tmp_path / "rec" / "rig.toml")
@@ -29,7 +29,7 @@ def test_a_run_is_a_recording_as_any_other(rig, tmp_path):
     exposed = [k for k, step in enumerate(room.planned) for _ in range(step.frames)]
     np.testing.assert_allclose(commanded, [room.planned[k].goal for k in exposed], atol=2e-9)
     assert len(room.struts.visits) == len(room.planned), "places passed on the way are visited too"
-    rows = read(tmp_path / "rec" / "journal.jsonl")[0]
+    rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
     moves = [(a, b) for a, b in zip(rows, rows[1:]) if isinstance(a, Departure)]
     for departure, arrival in moves:  # half way in time is half way in length, and the first tenth is slow
         way = np.abs(np.array(departure.goal) - departure.start).max()
@@ -77,7 +77,7 @@ def test_killed_at_every_instant_it_goes_on_and_repeats_no_move(rig, tmp_path, h
             with open(folder / "journal.jsonl", "ab") as file:
                 file.write(b'{"row": 17, "kind": "depart')
         room.process()
-        rows = read(folder / "journal.jsonl")[0]
+        rows = read_journal(folder / "journal.jsonl")[0]
         assert all(row in rows for row in room.reported), "a row that was reported is there"
         broken = half and len(room.struts.visits) == len(room.planned) + 1  # it was begun, and stopped half way
         assert len(room.struts.visits) == len(room.planned) or broken, "no goal is gone to twice, unless the struts were found half way"
@@ -101,7 +101,7 @@ def test_what_stands_elsewhere_is_said_and_gone_back_to(rig, tmp_path):
     room.eye.grab = grab
     room.struts.at += 2e-3
     room.process()
-    rows = read(tmp_path / "rec" / "journal.jsonl")[0]
+    rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
     assert "2.000 mm from where they were left: somebody moved them" in next(row for row in rows if isinstance(row, Resumed)).found
     recording_folder.load(tmp_path / "rec")
 
@@ -128,12 +128,12 @@ def test_a_fault_stops_the_struts_and_is_written_down(rig, tmp_path):
     room.struts.move = fail
     with pytest.raises(ControllerFault):
         room.process()
-    rows = read(tmp_path / "rec" / "journal.jsonl")[0]
+    rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
     assert rows[-1].reason == "axis 4 in error" and room.struts.stops == 1
     assert isinstance(rows[-2], Arrival) and not rows[-2].reached
     room.struts.move = whole
     room.process()
-    assert read(tmp_path / "rec" / "journal.jsonl")[0][-1].reason == ""
+    assert read_journal(tmp_path / "rec" / "journal.jsonl")[0][-1].reason == ""
     with pytest.raises(RigError, match="silent|no frame"):
         other = Room(rig, tmp_path / "rec", "sobol:9")
         other.eye.fails = 3
@@ -163,18 +163,18 @@ def test_who_looks_on_can_stop_it_and_it_goes_on_later(rig, tmp_path):
 def test_a_plan_that_moves_while_exposing_or_loads_the_platform_is_refused(rig):
     for text, why in (("moving:5", "while the struts move"), ("zigzag:5", "while the struts move"), ("payload:3", "payload")):
         with pytest.raises(RigError, match=why):
-            steps(build(rig, text))
+            steps_of_plan(build_plan(rig, text))
 
 
 def test_every_place_is_checked_before_anything_moves(rig):
-    planned = steps(build(rig, "sobol:4"))
+    planned = steps_of_plan(build_plan(rig, "sobol:4"))
 
     def refuse(start, goal):
         if np.allclose(goal, planned[2].goal):
             raise Unreachable("not moved: the way comes too near a singularity", [0], ["20% along"])
 
     with pytest.raises(Unreachable, match="1 of 9 moves of the plan.*\n  step 2: .*singularity"):
-        check(planned, rig.mechanism.strut_range.mean(axis=1), refuse)
+        check_steps(planned, rig.mechanism.strut_range.mean(axis=1), refuse)
 
 
 def test_a_journal_of_another_plan_is_refused(rig, tmp_path):

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from rig.errors import FileError, RigError
-from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Journal, Readings, Remark, Resumed, line, read
+from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Journal, Readings, Remark, Resumed, journal_line, read_journal
 
 ROWS = [Began(0.0, 1.7e9, 2, "ab", (0.4,) * 6), Departure(1.0, 0, (0.4,) * 6, (0.41,) * 6),
         Arrival(2.5, 0, (0.41,) * 6, True, ((1.2, 0.1), (2.2, 0.9))), Exposed(3.0, 0, 0, (1e-3, 2e-3), ("cam0", "cam1"), ("a.png", "b.png")),
@@ -22,7 +22,7 @@ def write(path, rows):
 def test_rows_come_back_as_they_were(tmp_path):
     write(tmp_path / "j", ROWS[:4])
     write(tmp_path / "j", ROWS[4:])
-    assert read(tmp_path / "j") == (ROWS, os.path.getsize(tmp_path / "j"))
+    assert read_journal(tmp_path / "j") == (ROWS, os.path.getsize(tmp_path / "j"))
 
 
 def test_a_file_cut_off_anywhere_keeps_every_whole_row(tmp_path):
@@ -37,7 +37,7 @@ def test_a_file_cut_off_anywhere_keeps_every_whole_row(tmp_path):
             assert journal.rows == ROWS[:whole]
             assert journal.torn == size - ([0, *ends][whole])
             journal.append(Ended(10.0, "cut"))
-        assert read(path)[0] == [*ROWS[:whole], Ended(10.0, "cut")]
+        assert read_journal(path)[0] == [*ROWS[:whole], Ended(10.0, "cut")]
 
 
 def test_a_torn_line_of_rubbish_is_taken_away_and_damage_before_rows_is_named(tmp_path):
@@ -50,9 +50,9 @@ def test_a_torn_line_of_rubbish_is_taken_away_and_damage_before_rows_is_named(tm
     path.write_bytes(data.replace(b'"step": 0', b'"step": 1', 1))
     with pytest.raises(FileError, match="j:2: is damaged"):
         Journal(path)
-    path.write_bytes(line(0, ROWS[0]) + line(2, ROWS[1]) + line(2, ROWS[2]))
+    path.write_bytes(journal_line(0, ROWS[0]) + journal_line(2, ROWS[1]) + journal_line(2, ROWS[2]))
     with pytest.raises(FileError, match="j:2: is damaged"):
-        read(path)
+        read_journal(path)
 
 
 def test_one_process_at_a_time(tmp_path):

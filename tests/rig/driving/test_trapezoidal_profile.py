@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from rig.driving.trapezoidal_profile import trapezoid
+from rig.driving.trapezoidal_profile import trapezoidal_profile
 
 
 @pytest.mark.parametrize(("cruise", "ramp", "whole"), [(1.0, 0.2, 1.2), (1.0, 0.2, 1.5), (0.01, 0.2, 0.3), (1.0, None, 1.3), (1.0, None, 1.0),
                                                        (1.0, 0.0, 1.1)])
 def test_a_trapezoid_moves_evenly_and_arrives(cruise, ramp, whole):
-    way = trapezoid(5.0, 5.0 + whole, cruise, ramp)
+    way = trapezoidal_profile(5.0, 5.0 + whole, cruise, ramp)
     t, share = np.array([(5.0, 0.0), *way, (5.0 + whole, 1.0)]).T
     assert (np.diff(t) > 0).all() and (np.diff(share) >= 0).all()
     if ramp is None:

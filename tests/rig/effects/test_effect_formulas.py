@@ -9,21 +9,21 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.model import motion_simulation
 from rig.model.design import Camera, Platform
 from rig.effects.framework.cardan_twist import cardan_twist
-from rig.effects.texts.effect_text import parse
-from rig.effects.framework.play_operator import play
-from rig.effects.catalogue.servo_lag import lag
+from rig.effects.texts.effect_text import parse_effect
+from rig.effects.framework.play_operator import play_operator
+from rig.effects.catalogue.servo_lag import first_order_lag
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference, exp, pose
+from rig.model.pose import pose_difference, exp, pose
 from rig.recording.recording_folder import Commands, Sensors
-from vision.predict import State, facing, see
+from vision.predict import State, facing, predict_sightings
 from vision.targets import marker_map
 
 
 def moved(design, values, t, effect, sensors=None):
     """(n, 6) deviation of the struts along a path of commands (m, 6) at times 0, 1, .., exposed at t."""
     commands = Commands(np.arange(len(values), dtype=float), np.asarray(values, float))
-    return motion_simulation.run(design, commands, np.asarray(t, float), [effect], sensors).deviation
+    return motion_simulation.run_machine(design, commands, np.asarray(t, float), [effect], sensors).deviation
 
 
 @pytest.fixture
@@ -38,37 +38,37 @@ def out_and_back(home, reach, strut=2):
 
 
 def test_scale_error_by_hand(design, home):
-    found = moved(design, out_and_back(home, 0.01), [1], parse("scale_error:strut3:scale=1e-3"))
+    found = moved(design, out_and_back(home, 0.01), [1], parse_effect("scale_error:strut3:scale=1e-3"))
     np.testing.assert_allclose(found[0], [0, 0, 1e-5, 0, 0, 0], atol=1e-15)
 
 
 def test_cyclic_error_by_hand(design, home):
     lead = design.actuator.screw_lead
     quarter = (np.floor(home[2] / lead) + 1.25) * lead - home[2]
-    found = moved(design, out_and_back(home, quarter), [1], parse("cyclic_error:strut3:amplitude=7e-6"))
+    found = moved(design, out_and_back(home, quarter), [1], parse_effect("cyclic_error:strut3:amplitude=7e-6"))
     assert found[0, 2] == pytest.approx(7e-6, abs=1e-12)
 
 
 def test_transmission_error_by_hand(design, home):
     low, high = design.mechanism.strut_range[2]
-    found = moved(design, out_and_back(home, (low + high) / 2 - home[2]), [1], parse("transmission_error:strut3:profile=0/3e-5/0"))
+    found = moved(design, out_and_back(home, (low + high) / 2 - home[2]), [1], parse_effect("transmission_error:strut3:profile=0/3e-5/0"))
     assert found[0, 2] == pytest.approx(3e-5, abs=1e-12)
 
 
 def test_backlash_by_hand(design, home):
-    found = moved(design, out_and_back(home, 1e-3), [0, 1, 2], parse("backlash:strut3:gap=4e-5"))
+    found = moved(design, out_and_back(home, 1e-3), [0, 1, 2], parse_effect("backlash:strut3:gap=4e-5"))
     np.testing.assert_allclose(found[:, 2], [0, -2e-5, 2e-5], atol=1e-15)
-    small = moved(design, out_and_back(home, 1.5e-5), [1, 2], parse("backlash:strut3:gap=4e-5"))
+    small = moved(design, out_and_back(home, 1.5e-5), [1, 2], parse_effect("backlash:strut3:gap=4e-5"))
     np.testing.assert_allclose(small[:, 2], [-1.5e-5, 0], atol=1e-15)  # within the gap the strut does not move at all
 
 
 def test_hysteresis_by_hand(design, home):
-    found = moved(design, out_and_back(home, 0.02), [1, 2], parse("hysteresis:strut3:range=4e-3,weight=1e-2"))
+    found = moved(design, out_and_back(home, 0.02), [1, 2], parse_effect("hysteresis:strut3:range=4e-3,weight=1e-2"))
     np.testing.assert_allclose(found[:, 2], [-2e-5, 2e-5], rtol=1e-9)  # weight x half the range, on the mean of the plays
 
 
 def test_missed_steps_by_hand(design, home):
-    found = moved(design, np.tile(home, (4, 1)), [0.5, 1.5, 2.5], parse("missed_steps:strut3:jump=-4e-5,time=1"))
+    found = moved(design, np.tile(home, (4, 1)), [0.5, 1.5, 2.5], parse_effect("missed_steps:strut3:jump=-4e-5,time=1"))
     np.testing.assert_allclose(found[:, 2], [0, -4e-5, -4e-5], atol=1e-15)
 
 
@@ -76,7 +76,7 @@ def test_servo_lag_by_hand(design, home):
     values = np.tile(home, (2, 1))
     values[1, 2] += 0.01  # 10 mm/s
     commands = Commands(np.array([0.0, 1.0]), values)
-    motion = motion_simulation.motion(design, commands, np.array([0.5]), [parse("servo_lag:strut3:time_constant=0.02")])
+    motion = motion_simulation.motion_of_commands(design, commands, np.array([0.5]), [parse_effect("servo_lag:strut3:time_constant=0.02")])
     assert motion.lengths[0, 2] - home[2] == pytest.approx(0.005 - 0.01 * 0.02, rel=1e-9)
     assert motion.lengths[0, 1] == home[1]
 
@@ -85,21 +85,25 @@ def test_creep_by_hand(design, home):
     values = np.tile(home, (4, 1))
     values[1:, 2] += 0.01
     commands = Commands(np.array([0.0, 1e-6, 20.0, 1e4]), values)
-    found = motion_simulation.run(design, commands, np.array([1e-6, 20.0, 9e3]), [parse("creep:strut3:fraction=3e-3,time_constant=20")]).deviation
+    found = motion_simulation.run_machine(
+        design, commands, np.array([1e-6, 20.0, 9e3]), [parse_effect("creep:strut3:fraction=3e-3,time_constant=20")]
+    ).deviation
     np.testing.assert_allclose(found[:, 2], [-3e-5, -3e-5 / np.e, 0], rtol=1e-6, atol=1e-12)
 
 
 def test_thermal_expansion_by_hand(design, home):
     warm = Sensors(np.array([0.0, 9.0]), {f"strut{i}_temperature_C": np.full(2, 23.0) for i in range(1, 7)})
-    found = moved(design, np.tile(home, (2, 1)), [1], parse("thermal_expansion:rig:coefficient=1e-5"), warm)
+    found = moved(design, np.tile(home, (2, 1)), [1], parse_effect("thermal_expansion:rig:coefficient=1e-5"), warm)
     np.testing.assert_allclose(found[0], home * 3e-5)
     with pytest.raises(RigError, match="sensor channel 'strut1_temperature_C'"):
-        moved(design, np.tile(home, (2, 1)), [1], parse("thermal_expansion:rig:coefficient=1e-5"))
+        moved(design, np.tile(home, (2, 1)), [1], parse_effect("thermal_expansion:rig:coefficient=1e-5"))
 
 
 def test_warm_up_by_hand(design, home):
     commands = Commands(np.array([0.0, 1e5]), np.tile(home, (2, 1)))
-    found = motion_simulation.run(design, commands, np.array([0.0, 900.0, 9e4]), [parse("warm_up:strut3:amplitude=5e-5,time_constant=900")]).deviation
+    found = motion_simulation.run_machine(
+        design, commands, np.array([0.0, 900.0, 9e4]), [parse_effect("warm_up:strut3:amplitude=5e-5,time_constant=900")]
+    ).deviation
     np.testing.assert_allclose(found[:, 2], [0, 5e-5 * (1 - 1 / np.e), 5e-5], atol=1e-12)
 
 
@@ -110,13 +114,13 @@ def test_screw_coupling_by_hand(design):
     np.testing.assert_allclose(cardan_twist(pose([0, 0, 0.45], [0, 0, psi]), upright), psi, rtol=2e-3)
     T = design.mechanism.home * exp(np.array([0, 0, 0, 0, 0, psi]))
     lengths = hexapod.inverse(T, design.mechanism)
-    found = moved(design, [lengths, lengths], [1], parse("screw_coupling:rig:gain=0.5"))[0]
+    found = moved(design, [lengths, lengths], [1], parse_effect("screw_coupling:rig:gain=0.5"))[0]
     twist = cardan_twist(T, design.mechanism) - cardan_twist(design.mechanism.home, design.mechanism)
     np.testing.assert_allclose(found, 0.5 * design.actuator.screw_lead / (2 * np.pi) * twist, rtol=1e-3)
     assert (found > 0).all()  # a positive turn lengthens
     ball = replace(design, actuator=replace(design.actuator, joints="cardan-ball"))
     with pytest.raises(RigError, match="a ball turns freely"):
-        moved(ball, [lengths, lengths], [1], parse("screw_coupling:rig:gain=0.5"))
+        moved(ball, [lengths, lengths], [1], parse_effect("screw_coupling:rig:gain=0.5"))
 
 
 def loaded(design):
@@ -127,30 +131,32 @@ def loaded(design):
 def test_compliance_by_hand(design, home):
     upright = home[0] / (design.mechanism.home.translation[2])  # 1 / cosine of a strut's slope, alike for all six
     force = 12.0 * 9.80665 / 6 * upright
-    found = moved(loaded(design), np.tile(home, (2, 1)), [1], parse("compliance:rig:stiffness=5e6"))
+    found = moved(loaded(design), np.tile(home, (2, 1)), [1], parse_effect("compliance:rig:stiffness=5e6"))
     np.testing.assert_allclose(found[0], -force / 5e6, rtol=1e-4)
 
 
 def test_joint_clearance_by_hand(design, home):
-    found = moved(loaded(design), np.tile(home, (2, 1)), [1], parse("joint_clearance:strut3:gap=3e-5"))
+    found = moved(loaded(design), np.tile(home, (2, 1)), [1], parse_effect("joint_clearance:strut3:gap=3e-5"))
     np.testing.assert_allclose(found[0], [0, 0, -1.5e-5, 0, 0, 0], atol=1e-15)  # a strut that pushes
     pulled = replace(loaded(design), gravity=np.array([0, 0, 9.80665]))
-    assert moved(pulled, np.tile(home, (2, 1)), [1], parse("joint_clearance:strut3:gap=3e-5"))[0, 2] == pytest.approx(1.5e-5)
+    assert moved(pulled, np.tile(home, (2, 1)), [1], parse_effect("joint_clearance:strut3:gap=3e-5"))[0, 2] == pytest.approx(1.5e-5)
 
 
 def test_base_expansion_by_hand(design, home):
     warm = Sensors(np.array([0.0, 9.0]), {"ambient_temperature_C": np.full(2, 22.0)})
     m = design.mechanism
     commands = Commands(np.array([0.0, 1.0]), np.tile(home, (2, 1)))
-    T = motion_simulation.run(design, commands, np.array([1.0]), [parse("base_expansion:rig:coefficient=5e-5")], warm).T_base_platform
+    T = motion_simulation.run_machine(design, commands, np.array([1.0]), [parse_effect("base_expansion:rig:coefficient=5e-5")], warm).T_base_platform
     grown = replace(m, base_joints=m.base_joints * (1 + 5e-5 * 2))
-    np.testing.assert_allclose(difference(T[0], hexapod.forward(home, grown)), 0, atol=1e-11)
+    np.testing.assert_allclose(pose_difference(T[0], hexapod.forward(home, grown)), 0, atol=1e-11)
 
 
 def test_vibration_by_hand(design, home):
     commands = Commands(np.array([0.0, 1.0]), np.tile(home, (2, 1)))
-    T = motion_simulation.run(design, commands, np.array([0.25]), [parse("vibration:rig:amplitude=2e-5,frequency=1,mode=2")]).T_base_platform
-    np.testing.assert_allclose(difference(design.mechanism.home, T[0]), [0, 0, 2e-5, 0, 0, 0], atol=1e-12)
+    T = motion_simulation.run_machine(
+        design, commands, np.array([0.25]), [parse_effect("vibration:rig:amplitude=2e-5,frequency=1,mode=2")]
+    ).T_base_platform
+    np.testing.assert_allclose(pose_difference(design.mechanism.home, T[0]), [0, 0, 2e-5, 0, 0, 0], atol=1e-12)
 
 
 def test_the_clocks_by_hand(design, home):
@@ -159,7 +165,7 @@ def test_the_clocks_by_hand(design, home):
     commands = Commands(np.array([0.0, 100.0]), values)
 
     def at(text):
-        return motion_simulation.motion(design, commands, np.array([50.0]), [parse(text)]).lengths[0, 2] - home[2]
+        return motion_simulation.motion_of_commands(design, commands, np.array([50.0]), [parse_effect(text)]).lengths[0, 2] - home[2]
 
     assert at("time_offset:clock:offset=0.02") == pytest.approx(1e-4 * 50.02)
     assert at("time_offset:clock:offset=0.02,since=60") == pytest.approx(1e-4 * 50.0)  # a clock that has not jumped yet
@@ -177,11 +183,11 @@ def looking(design):
     rig = replace(design, cameras=(camera,), targets=(Target("t", "base", "DICT_5X5_100", listed=(one, two)),))
 
     def look(text=None, t=(0.0,), **channels):
-        effects = [parse(text)] if text else []
+        effects = [parse_effect(text)] if text else []
         state = State(rig.cameras, RigidTransform.concatenate([design.mechanism.home] * len(t)), {})
         sensors = Sensors(np.array([-1e9, 1e9]), {name: np.full(2, value) for name, value in channels.items()})
         found = facing(state, marker_map(rig))
-        return see(found, state, marker_map(rig), np.array(t), effects, sensors)[::2] - [639.5, 511.5]
+        return predict_sightings(found, state, marker_map(rig), np.array(t), effects, sensors)[::2] - [639.5, 511.5]
 
     np.testing.assert_allclose(look()[0], [[-50, -50], [50, -50], [50, 50], [-50, 50]], atol=1e-9)
     return look
@@ -206,13 +212,13 @@ def test_a_tilted_window_is_a_square_one_seen_from_aside():
     """Turning camera, window and points together changes nothing."""
     rng = np.random.default_rng(0)
     points, turn = np.r_[0, 0, 1.0] + 0.2 * rng.normal(size=(40, 3)), Rotation.from_rotvec([0.3, -0.4, 0.1])
-    square, normal = parse("refraction:cam1:thickness=0.01"), turn.apply([0, 0, 1.0])
-    tilted = parse(f"refraction:cam1:thickness=0.01,normal={normal[0]}/{normal[1]}/{normal[2]}")
+    square, normal = parse_effect("refraction:cam1:thickness=0.01"), turn.apply([0, 0, 1.0])
+    tilted = parse_effect(f"refraction:cam1:thickness=0.01,normal={normal[0]}/{normal[1]}/{normal[2]}")
     camera = Camera("cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
     np.testing.assert_allclose(tilted.bend(camera, turn.apply(points)), turn.apply(square.bend(camera, points)), atol=1e-14)
     assert np.abs(tilted.bend(camera, points) - square.bend(camera, points)).max() > 1e-4
     with pytest.raises(RigError, match="away from the camera"):
-        parse("refraction:cam1:thickness=0.01,normal=1/0/0.1")
+        parse_effect("refraction:cam1:thickness=0.01,normal=1/0/0.1")
 
 
 def test_a_slab_shifts_a_ray_as_snell_says():
@@ -220,7 +226,7 @@ def test_a_slab_shifts_a_ray_as_snell_says():
     camera = Camera("cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
     a, b = np.pi / 4, np.arcsin(np.sin(np.pi / 4) / 1.5)
     shift = 0.01 * np.sin(a - b) / np.cos(b)
-    window = parse("refraction:cam1:thickness=0.01,normal=0.7071067811865476/0/0.7071067811865476")
+    window = parse_effect("refraction:cam1:thickness=0.01,normal=0.7071067811865476/0/0.7071067811865476")
     seen = window.bend(camera, np.array([[shift, 0.0, 1.0]]))[0]  # its ray leaves the camera along the axis and bends towards the normal
     np.testing.assert_allclose(seen[:2] / seen[2], 0, atol=1e-12)
 
@@ -239,24 +245,24 @@ def test_camera_drift_and_focal_drift_by_hand(looking):
 def test_rolling_shutter_by_hand(setting):
     """A corner is where the platform takes it by the time its row is read."""
     design, commands, t, _ = setting
-    effect = parse("rolling_shutter:cameras:row_time=2e-5")
+    effect = parse_effect("rolling_shutter:cameras:row_time=2e-5")
     markers = marker_map(design)
-    run = motion_simulation.run(design, commands, t, rates=True)
+    run = motion_simulation.run_machine(design, commands, t, rates=True)
     state = State(design.cameras, run.T_base_platform, {})
     found = facing(state, markers)
-    uv = see(found, state, markers, t, [effect], None, run)
+    uv = predict_sightings(found, state, markers, t, [effect], None, run)
     k = np.flatnonzero(markers.on_platform[found.marker])[::29]
     late = 2e-5 * (uv[k, 0, 1] - 512)
     for j, seconds in zip(k, late):
-        then = motion_simulation.run(design, commands, np.array([t[found.frame[j]] + seconds])).T_base_platform
+        then = motion_simulation.run_machine(design, commands, np.array([t[found.frame[j]] + seconds])).T_base_platform
         one = type(found)(np.array([0]), found.camera[[j]], found.marker[[j]])
-        np.testing.assert_allclose(see(one, State(design.cameras, then, {}), markers)[0, 0], uv[j, 0], atol=0.02)
-    plain = see(found, state, markers)
+        np.testing.assert_allclose(predict_sightings(one, State(design.cameras, then, {}), markers)[0, 0], uv[j, 0], atol=0.02)
+    plain = predict_sightings(found, state, markers)
     assert np.abs(uv - plain).max() > 0.1
 
 
 def test_play_and_lag_by_hand():
     path = np.array([[0.0], [1.0], [0.9], [0.2], [0.5]])
-    np.testing.assert_allclose(play(path, 0.1)[:, 0], [0, 0.9, 0.9, 0.3, 0.4])
+    np.testing.assert_allclose(play_operator(path, 0.1)[:, 0], [0, 0.9, 0.9, 0.3, 0.4])
     t = np.array([0.0, 1.0, 3.0])
-    np.testing.assert_allclose(lag(t, np.array([[0.0], [1.0], [1.0]]), 1.0)[:, 0], [0, 1 / np.e, 1 - (1 - 1 / np.e) / np.e**2])
+    np.testing.assert_allclose(first_order_lag(t, np.array([[0.0], [1.0], [1.0]]), 1.0)[:, 0], [0, 1 / np.e, 1 - (1 - 1 / np.e) / np.e**2])

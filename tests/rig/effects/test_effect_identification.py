@@ -8,7 +8,7 @@ import pytest
 
 from rig.planning import plan
 from rig.model.design import Planar2
-from rig.effects.texts.effect_text import asked, from_dict, parse, placed
+from rig.effects.texts.effect_text import require_known_effect, effect_from_dict, parse_effect, require_place
 from rig.errors import RigError
 
 
@@ -20,14 +20,14 @@ from rig.errors import RigError
 ])
 def test_places_that_the_rig_lacks_are_refused(design, text, says):
     with pytest.raises(RigError, match=says):
-        placed(parse(text), design)
+        require_place(parse_effect(text), design)
 
 
 def test_a_planar_rig_has_two_struts(design):
     planar = replace(design, mechanism=Planar2([[0.0, 0.0], [1.0, 0.0]], [[0.5, 1.5], [0.5, 1.5]]))
-    assert placed(parse("backlash:strut2:gap=1e-5"), planar).place == "strut 2"
+    assert require_place(parse_effect("backlash:strut2:gap=1e-5"), planar).place == "strut 2"
     with pytest.raises(RigError, match="it has 1, 2$"):
-        placed(parse("backlash:strut3:gap=1e-5"), planar)
+        require_place(parse_effect("backlash:strut3:gap=1e-5"), planar)
 
 
 @pytest.mark.parametrize(("text", "says"), [
@@ -35,9 +35,9 @@ def test_a_planar_rig_has_two_struts(design):
     ("backlash camera cam0", "cannot sit"), ("camera_bump camera cam9", "no camera 'cam9'"),
 ])
 def test_a_diagnosis_is_asked_only_for_what_can_be(design, text, says):
-    assert asked("backlash strut 2", design) and asked("marker_swap", design)
+    assert require_known_effect("backlash strut 2", design) and require_known_effect("marker_swap", design)
     with pytest.raises(RigError, match=says):
-        asked(text, design)
+        require_known_effect(text, design)
 
 
 @pytest.mark.parametrize("tree", [
@@ -50,7 +50,7 @@ def test_a_diagnosis_is_asked_only_for_what_can_be(design, text, says):
 ])
 def test_what_is_no_effect_is_refused(tree):
     with pytest.raises(RigError):
-        from_dict(tree)
+        effect_from_dict(tree)
 
 
 @pytest.mark.parametrize("text", ["grid:30", "sobol:10000000", "ladder:99999999", "sobol:\u00b2", "sobol:" + "9" * 5000, "sobol:00000000000009999999",
@@ -58,5 +58,5 @@ def test_what_is_no_effect_is_refused(tree):
 def test_plans_are_bounded_with_a_word(design, text):
     start = time.monotonic()
     with pytest.raises(RigError, match="exposes|whole number"):
-        plan.build(design, text)
-    assert time.monotonic() - start < 5 and np.isfinite(plan.build(design, "sobol:00004").t).all()
+        plan.build_plan(design, text)
+    assert time.monotonic() - start < 5 and np.isfinite(plan.build_plan(design, "sobol:00004").t).all()

@@ -7,12 +7,12 @@ import pytest
 
 from rig.model import motion_simulation
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_validity import check
-from rig.effects.texts.effect_text import from_dict, parse, to_dict
+from rig.effects.framework.effect_validity import check_effect
+from rig.effects.texts.effect_text import effect_from_dict, parse_effect, effect_to_dict
 from rig.errors import RigError
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
-from vision.predict import State, facing, see
+from vision.predict import State, facing, predict_sightings
 from vision.targets import marker_map
 
 PLACES = {"axis": "strut 3", "rig": "rig", "clock": "clock", "camera": "camera cam1", "cameras": "cameras", "marker": "marker 4",
@@ -36,10 +36,10 @@ SOME = {  # one instance of each, of a size that rigs show
 def corners(setting, effects):
     """All corners that face a camera, through machine and cameras with the effects."""
     design, commands, t, sensors = setting
-    clean = motion_simulation.run(design, commands, t)
+    clean = motion_simulation.run_machine(design, commands, t)
     found = facing(State(design.cameras, clean.T_base_platform, {}), marker_map(design))
-    run = motion_simulation.run(design, commands, t, effects, sensors, rates=True)
-    return see(found, State(design.cameras, run.T_base_platform, {}), marker_map(design), t, effects, sensors, run)
+    run = motion_simulation.run_machine(design, commands, t, effects, sensors, rates=True)
+    return predict_sightings(found, State(design.cameras, run.T_base_platform, {}), marker_map(design), t, effects, sensors, run)
 
 
 def test_the_catalogue_is_whole():
@@ -55,30 +55,30 @@ def test_the_catalogue_is_whole():
 
 @pytest.mark.parametrize("kind, place", EVERYWHERE, ids=[f"{kind.name} at {place}" for kind, place in EVERYWHERE])
 def test_zero_parameters_change_nothing(setting, kind, place):
-    np.testing.assert_allclose(corners(setting, [check(kind(place))]), corners(setting, []), atol=1e-9)
+    np.testing.assert_allclose(corners(setting, [check_effect(kind(place))]), corners(setting, []), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", SOME)
 def test_some_of_it_changes_something_finite_and_keeps_shapes(setting, name):
-    clean, with_it = corners(setting, []), corners(setting, [parse(f"{name}:{SOME[name]}")])
+    clean, with_it = corners(setting, []), corners(setting, [parse_effect(f"{name}:{SOME[name]}")])
     assert with_it.shape == clean.shape and np.isfinite(with_it).all() and np.abs(with_it - clean).max() > 1e-4
 
 
 @pytest.mark.parametrize("name", SOME)
 def test_halving_the_step_of_the_history_changes_nothing(setting, name):
     design, commands, t, sensors = setting
-    effect = parse(f"{name}:{SOME[name]}")
+    effect = parse_effect(f"{name}:{SOME[name]}")
     halves = (commands.t[1:] + commands.t[:-1]) / 2
     finer = np.sort(np.r_[commands.t, halves])
     fine = Commands(finer, commands.at(finer))
-    one, two = (motion_simulation.run(design, c, t, [effect], sensors).T_base_platform for c in (commands, fine))
-    np.testing.assert_allclose(difference(one, two), 0, atol=1e-11)
+    one, two = (motion_simulation.run_machine(design, c, t, [effect], sensors).T_base_platform for c in (commands, fine))
+    np.testing.assert_allclose(pose_difference(one, two), 0, atol=1e-11)
 
 
 @pytest.mark.parametrize("name", SOME)
 def test_text_and_dict_say_the_same(name):
-    effect = parse(f"{name}:{SOME[name]}")
-    assert from_dict(to_dict(effect)) == effect
+    effect = parse_effect(f"{name}:{SOME[name]}")
+    assert effect_from_dict(effect_to_dict(effect)) == effect
 
 
 @pytest.mark.parametrize("text, says", [
@@ -88,23 +88,23 @@ def test_text_and_dict_say_the_same(name):
 ])
 def test_what_is_no_effect_is_refused_by_name(text, says):
     with pytest.raises(RigError, match=says):
-        parse(text)
+        parse_effect(text)
 
 
 def test_effects_act_together(setting):
     """Several at once is not the sum of each alone, but nearly: effects are small."""
     design, commands, t, sensors = setting
-    clean = motion_simulation.run(design, commands, t).T_base_platform
-    both = [parse("compliance:rig:stiffness=5e6"), parse("screw_coupling:rig:gain=0.5")]
-    alone = sum(difference(clean, motion_simulation.run(design, commands, t, [e], sensors).T_base_platform) for e in both)
-    together = difference(clean, motion_simulation.run(design, commands, t, both, sensors).T_base_platform)
+    clean = motion_simulation.run_machine(design, commands, t).T_base_platform
+    both = [parse_effect("compliance:rig:stiffness=5e6"), parse_effect("screw_coupling:rig:gain=0.5")]
+    alone = sum(pose_difference(clean, motion_simulation.run_machine(design, commands, t, [e], sensors).T_base_platform) for e in both)
+    together = pose_difference(clean, motion_simulation.run_machine(design, commands, t, both, sensors).T_base_platform)
     np.testing.assert_allclose(together, alone, atol=0.01 * np.abs(alone).max())
 
 
 def test_forces_balance_the_weight(setting):
     design, commands, t, sensors = setting
-    state = motion_simulation.motion(design, commands, t, (), sensors)
-    run = motion_simulation.run(design, commands, t)
+    state = motion_simulation.motion_of_commands(design, commands, t, (), sensors)
+    run = motion_simulation.run_machine(design, commands, t)
     forces = replace(state, T=run.T_base_platform).loads()
     tips = run.T_base_platform.as_matrix()[:, None, :3, :3] @ design.mechanism.platform_joints[..., None]
     tips = tips[..., 0] + run.T_base_platform.translation[:, None]

@@ -9,13 +9,13 @@ from rig.model import motion_simulation, mechanisms
 from rig.model.design import Actuator, Arm, Design, Planar2, Platform
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Context
-from rig.effects.framework.effect_validity import check
+from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.random_effects import Drawing
 from rig.effects.framework.machine_motion import Path
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.effects.catalogue.vibration import one_direction
 from rig.errors import RigError
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 from tests.rig.arms import UR10
 
@@ -33,7 +33,7 @@ def setting_of(design, kind):
     else:
         mechanism = Arm(UR10.joints, [[-2.5, 2.5]] * 6) if kind == "arm" else design.mechanism
     design = Design(kind, gravity, mechanism, None, Actuator(0.004, "cardan-cardan", None), platform, (), ())
-    low, high = mechanisms.of(mechanism).travel(mechanism).T
+    low, high = mechanisms.kinematics_of(mechanism).travel(mechanism).T
     rng = np.random.default_rng(5)
     t = np.cumsum(np.r_[0.0, rng.uniform(0.5, 4, 80)])
     values = (low + high) / 2 + 0.6 * (high - low) / 2 * rng.uniform(-1, 1, (81, len(low)))
@@ -45,8 +45,8 @@ def setting_of(design, kind):
 
 def context_of(setting):
     design, commands, t, sensors = setting
-    T = motion_simulation.run(design, commands, t).T_base_platform
-    return Context(design, t, sensors, replace(motion_simulation.motion(design, commands, t, (), sensors), T=T))
+    T = motion_simulation.run_machine(design, commands, t).T_base_platform
+    return Context(design, t, sensors, replace(motion_simulation.motion_of_commands(design, commands, t, (), sensors), T=T))
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -58,8 +58,8 @@ def there(request, design):
 
 def test_an_interface_is_kept_by_every_mechanism(there):
     kind, (design, *_), context = there
-    module, m = mechanisms.of(design.mechanism), context.motion
-    assert mechanisms.places(design.mechanism) == tuple(f"{module.AXIS} {i + 1}" for i in range(len(m.home)))
+    module, m = mechanisms.kinematics_of(design.mechanism), context.motion
+    assert mechanisms.axis_places(design.mechanism) == tuple(f"{module.AXIS} {i + 1}" for i in range(len(m.home)))
     power = module.loads(m.T, m.lengths, design.mechanism, np.zeros((60, 6)))
     assert power.shape == m.lengths.shape and not power.any()
 
@@ -71,14 +71,14 @@ def test_zero_changes_nothing_and_a_drawn_one_something(there, kind):
         with pytest.raises(RigError, match=f"{kind.name} takes"):
             kind.sites(context)
         return
-    clean = motion_simulation.run(design, commands, t, (), sensors).T_base_platform
+    clean = motion_simulation.run_machine(design, commands, t, (), sensors).T_base_platform
     rng = np.random.default_rng(1)
     drawing = Drawing(design, t, context.motion, lambda effect, camera: 1.0)
     for place in kind.sites(context)[-2:]:
-        zero = motion_simulation.run(design, commands, t, [_other(check(kind(place)), context)], sensors)
-        np.testing.assert_allclose(difference(zero.T_base_platform, clean), 0, atol=1e-9)
-        found = motion_simulation.run(design, commands, t, [check(kind.drawn(place, drawing, rng))], sensors)
-        moved = np.abs(difference(found.T_base_platform, clean))
+        zero = motion_simulation.run_machine(design, commands, t, [_other(check_effect(kind(place)), context)], sensors)
+        np.testing.assert_allclose(pose_difference(zero.T_base_platform, clean), 0, atol=1e-9)
+        found = motion_simulation.run_machine(design, commands, t, [check_effect(kind.drawn(place, drawing, rng))], sensors)
+        moved = np.abs(pose_difference(found.T_base_platform, clean))
         assert moved.shape == (60, 6) and np.isfinite(moved).all() and 1e-9 < moved.max() < 0.5
 
 
@@ -99,7 +99,7 @@ def test_columns_are_the_derivatives_of_the_model(there, kind):
             columns = candidate.deviation(shape, context.motion)
             assert columns.shape == (*context.motion.lengths.shape, max(len(candidate.linear), 1))
             coefficients = np.array([column.step for column in candidate.linear]) * rng.uniform(0.5, 2, len(candidate.linear))
-            effect = check(candidate.effect(shape, coefficients))
+            effect = check_effect(candidate.effect(shape, coefficients))
             told = columns @ (coefficients if len(coefficients) else np.ones(1))
             np.testing.assert_allclose(effect.deviation(context.motion), told, rtol=1e-6, atol=1e-3 * np.abs(told).max() * 1e-3)
 
@@ -121,7 +121,7 @@ def test_what_a_machine_lacks_is_said(design):
                        ("screw_coupling:rig:gain=0.5", "takes a hexapod"), ("backlash:strut2:gap=1e-5", "axes are joint 1 to joint 6"),
                        ("axis_coupling:joint2:scale=1e-3,other=9", "1 to 6"), ("axis_coupling:joint2:scale=1e-3,other=2", "than its own")):
         with pytest.raises(RigError, match=says):
-            motion_simulation.run(*bare[:3], [parse(text)], bare[3])
+            motion_simulation.run_machine(*bare[:3], [parse_effect(text)], bare[3])
     found = [c for name in ("compliance", "joint_clearance") for kind in ALL if kind.name == name for c in kind.candidates("joint 2", context)]
     assert len(found) == 2 and all(c.grid for c in found)  # the weight of its links is linear in what is not stated
 
@@ -143,7 +143,7 @@ def test_a_joint_holds_its_links_as_newton_and_euler_say(design):
     rng, mechanism = np.random.default_rng(4), Arm(UR10.joints, UR10.limits)
     q, mass, centre = rng.uniform(-2, 2, (20, 6)), rng.uniform(1, 5, 6), rng.uniform(-0.1, 0.1, (6, 3))
     own = np.column_stack([mass, mass[:, None] * centre]).ravel()
-    torque = arm_dynamics.torques(q, np.zeros(6), np.zeros(6), mechanism, arm_dynamics.Links(mass, centre, np.zeros((6, 3, 3))), design.gravity)
+    torque = arm_dynamics.joint_torques(q, np.zeros(6), np.zeros(6), mechanism, arm_dynamics.Links(mass, centre, np.zeros((6, 3, 3))), design.gravity)
     np.testing.assert_allclose(arm.links(None, q, mechanism, design.gravity) @ own, torque, atol=1e-9)
 
 
@@ -152,7 +152,7 @@ def test_links_that_grow_move_the_hand_as_longer_links_do():
 
     q, grown = np.random.default_rng(6).uniform(-2, 2, (10, 6)), replace(UR10, joints=UR10.rows * [1, 1 + 1e-6, 1 + 1e-6, 1, 1])
     sway = arm.grown(None, q, UR10, np.full((10, 6), 1e-6))[1]
-    np.testing.assert_allclose(sway, difference(arm.forward(q, UR10), arm.forward(q, grown)), atol=1e-11)
+    np.testing.assert_allclose(sway, pose_difference(arm.forward(q, UR10), arm.forward(q, grown)), atol=1e-11)
 
 
 def test_a_shaking_has_one_notation(design):
@@ -160,7 +160,7 @@ def test_a_shaking_has_one_notation(design):
     setting = setting_of(design, "hexapod")
     motion = context_of(setting).motion
     texts = ("mode=0.6/0/0.8/0.5/0/0,phase=1", "mode=1.2/0/1.6/1/0/0,phase=1", f"mode=-0.6/0/-0.8/-0.5/0/0,phase={1 - np.pi}")
-    shakes = [parse(f"vibration:rig:amplitude=2e-5,frequency=3.3,{text}") for text in texts]
+    shakes = [parse_effect(f"vibration:rig:amplitude=2e-5,frequency=3.3,{text}") for text in texts]
     for shake in shakes:
         np.testing.assert_allclose(shake.sway(motion), shakes[0].sway(motion), atol=1e-18)
         np.testing.assert_allclose(shake.written().sway(motion), shakes[0].sway(motion), atol=1e-18)

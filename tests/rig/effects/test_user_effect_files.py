@@ -10,8 +10,8 @@ import pytest
 from rig.model import motion_simulation
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_text import from_dict, parse, to_dict
-from rig.effects.texts.user_effect_files import catalogue, load
+from rig.effects.texts.effect_text import effect_from_dict, parse_effect, effect_to_dict
+from rig.effects.texts.user_effect_files import catalogue_with_files, load_effect_file
 from rig.errors import FileError
 from tests.rig.effects.test_effects_of_all_machines import context_of, setting_of
 
@@ -76,13 +76,13 @@ def written(folder, old="", new=""):
 
 def test_a_sound_file_is_an_effect_like_any_other(tmp_path, design):
     path = written(tmp_path)
-    plugin = load(path)
-    known = catalogue((plugin,))
+    plugin = load_effect_file(path)
+    known = catalogue_with_files((plugin,))
     assert list(known) == [*(kind.name for kind in ALL), "mine"] and plugin.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    effect = parse("mine:strut3:size=2e-5", known)
-    assert from_dict(to_dict(effect), known) == effect
+    effect = parse_effect("mine:strut3:size=2e-5", known)
+    assert effect_from_dict(effect_to_dict(effect), known) == effect
     setting = setting_of(design, "hexapod")
-    done = motion_simulation.run(*setting[:3], [effect], setting[3])
+    done = motion_simulation.run_machine(*setting[:3], [effect], setting[3])
     stroke = context_of(setting).moved().stroke
     np.testing.assert_allclose(done.deviation, 2e-5 * np.sin(90 * stroke[:, [1]]) * (np.arange(6) == 2), atol=1e-18)
 
@@ -90,12 +90,12 @@ def test_a_sound_file_is_an_effect_like_any_other(tmp_path, design):
 @pytest.mark.parametrize("old, new, said", WRONG, ids=[said for *_, said in WRONG])
 def test_what_is_wrong_with_a_file_is_told_with_its_line(tmp_path, old, new, said):
     with pytest.raises(FileError, match=said):
-        load(written(tmp_path, old, new))
+        load_effect_file(written(tmp_path, old, new))
 
 
 @pytest.mark.parametrize("model, said", FAILS, ids=[said for _, said in FAILS])
 def test_a_model_that_fails_is_told_with_its_line(tmp_path, design, model, said):
-    (kind,) = load(written(tmp_path, HOOK, model)).kinds
+    (kind,) = load_effect_file(written(tmp_path, HOOK, model)).kinds
     context = context_of(setting_of(design, "hexapod"))
     with pytest.raises(FileError, match=said) as told:
         kind("strut 1", 1e-5).deviation(context.moved())
@@ -104,18 +104,18 @@ def test_a_model_that_fails_is_told_with_its_line(tmp_path, design, model, said)
 
 
 def test_two_files_do_not_share_a_name(tmp_path):
-    first = load(written(tmp_path))
+    first = load_effect_file(written(tmp_path))
     (tmp_path / "other.py").write_text(SOUND)
     with pytest.raises(FileError, match="other.py:12: there is an effect 'mine' already, in .*mine.py"):
-        catalogue((first, load(tmp_path / "other.py")))
+        catalogue_with_files((first, load_effect_file(tmp_path / "other.py")))
 
 
 def test_a_file_that_is_none_is_refused(tmp_path):
     with pytest.raises(FileError, match="nothing.py: cannot be read: No such file"):
-        load(tmp_path / "nothing.py")
+        load_effect_file(tmp_path / "nothing.py")
     (tmp_path / "half.py").write_bytes(SOUND[:900].encode() + b"\n\xff")
     with pytest.raises(FileError, match=r"half.py:\d+: is no text in UTF-8"):
-        load(tmp_path / "half.py")
+        load_effect_file(tmp_path / "half.py")
 
 
 def test_commands_take_the_file(tmp_path, rig_text, capsys):

@@ -7,12 +7,12 @@ import pytest
 from rig.formats import csv_table
 from rig.cli.command_line import main
 from rig.cli import certify
-from rig.cli.go import pose_of
-from rig.effects.texts.effect_text import parse
+from rig.cli.go import parse_pose
+from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError
 from rig.formats.importers.csv_dialect import NUMBER
-from rig.recording.frame_mask import ranges
-from rig.formats.number_parsing import NotFinite, number, whole
+from rig.recording.frame_mask import parse_frame_ranges
+from rig.formats.number_parsing import NotFinite, parse_number, parse_whole_number
 from vision.lenses import calibration_board
 
 NONE = ("1_0", "1_000.5", "\uff11", "\u0661", "1\u00b2", " 1", "1 ", "1\n", "\u00a01", "0x10", "1e5_0", "", "+", ".", "e5", "1e", "--1", "1.2.3",
@@ -22,18 +22,18 @@ UNBOUNDED = ("nan", "NaN", "-nan", "inf", "-Infinity", "1e999", "-1e400")
 
 @pytest.mark.parametrize(("text", "value"), [("1", 1.0), ("-1.5e-3", -1.5e-3), ("+.5", 0.5), ("5.", 5.0), ("0e0", 0.0), ("1E5", 1e5), ("007", 7.0)])
 def test_plain_decimals_are_numbers(text, value):
-    assert number(text) == value
+    assert parse_number(text) == value
 
 
 @pytest.mark.parametrize("text", [*NONE, *UNBOUNDED])
 def test_anything_else_is_none_wherever_it_stands(text, tmp_path, capsys):
     with pytest.raises(NotFinite if text in UNBOUNDED else ValueError):
-        number(text)
+        parse_number(text)
     with pytest.raises(ValueError):
-        whole(text)
+        parse_whole_number(text)
     assert not NUMBER["point"].fullmatch(text) or text in UNBOUNDED or len(text) > 100
     with pytest.raises(RigError):
-        parse(f"backlash:strut2:gap={text or ' '}")
+        parse_effect(f"backlash:strut2:gap={text or ' '}")
     with pytest.raises(RigError):
         calibration_board.parse(f"charuco:8x6:{text}:0.022:DICT_5X5_100")
     for option in ("--speed", "--seed"):
@@ -50,18 +50,24 @@ def test_anything_else_is_none_wherever_it_stands(text, tmp_path, capsys):
 def test_spaces_around_a_cell_are_left_out_and_frames_are_counted_in_ascii(tmp_path):
     (tmp_path / "t.csv").write_text("a\n 1 \n2\t\n")
     assert csv_table.read(tmp_path / "t.csv", ("a",)).numbers("a").tolist() == [1.0, 2.0]
-    assert ranges(" 3, 7 - 9") == ((3, 3), (7, 9))
+    assert parse_frame_ranges(" 3, 7 - 9") == ((3, 3), (7, 9))
     with pytest.raises(RigError):
-        ranges("\u0663")
+        parse_frame_ranges("\u0663")
 
 
 def test_poses_on_the_command_line():
     with pytest.raises(RigError, match="six figures"):
-        pose_of("1_0,2,3,4,5,6")
+        parse_pose("1_0,2,3,4,5,6")
 
 
-@pytest.mark.parametrize(("read", "good", "bad"), [(certify.share, "0.9999", ("0.4", "1", "1_0")), (certify.relative, "0", ("0.1", "-1e-9", "1_0")),
-                                                   (certify.load, "12.5", ("1e6", "-1", "1_0", "nan"))])
+@pytest.mark.parametrize(
+    ("read", "good", "bad"),
+    [
+        (certify.parse_share, "0.9999", ("0.4", "1", "1_0")),
+        (certify.parse_relative_uncertainty, "0", ("0.1", "-1e-9", "1_0")),
+        (certify.parse_load, "12.5", ("1e6", "-1", "1_0", "nan")),
+    ],
+)
 def test_what_a_certificate_is_asked_for_is_a_number_within_its_bounds(read, good, bad):
     assert read(good) == float(good)
     for text in bad:

@@ -18,7 +18,7 @@ from tests.conftest import BENCH
 def kept():
     """A function that keeps a folder in memory; what is there is forgotten at the end."""
     memory = fsspec.filesystem("memory")
-    remote_folders.look_anew()
+    remote_folders.clear_listing_cache()
 
     def put(folder, place="/bucket/rec"):
         for path in folder.rglob("*"):
@@ -29,7 +29,7 @@ def kept():
     yield put
     memory.store.clear()
     memory.pseudo_dirs[:] = [""]
-    remote_folders.look_anew()
+    remote_folders.clear_listing_cache()
 
 
 def test_a_recording_behind_a_url_is_the_one_in_the_folder(kept, recording_folder, tmp_path, capsys):
@@ -98,7 +98,7 @@ def test_a_place_that_refuses_is_said(kept, recording_folder, monkeypatch):
     with pytest.raises(FileError, match="rig.toml: cannot be read: no credentials"):
         read_text(recording.Path(address) / "rig.toml")
     monkeypatch.setattr(type(fsspec.filesystem("memory")), "ls", refuse)
-    remote_folders.look_anew()
+    remote_folders.clear_listing_cache()
     with pytest.raises(FileError, match="bucket/rec: cannot be read: no credentials"):
         recording.load(address)
 

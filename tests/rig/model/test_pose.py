@@ -2,7 +2,7 @@ import numpy as np
 
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.pose import angle_sigmas, covariance_from_triangle, difference, exp, log, pose, roll_pitch_yaw, transform_points, vector
+from rig.model.pose import angle_sigmas, covariance_from_triangle, pose_difference, exp, log, pose, roll_pitch_yaw, transform_points, pose_to_vector
 from tests.numeric import jacobian
 
 
@@ -15,13 +15,13 @@ def test_exp_and_log_undo_each_other_over_batch_shapes():
 
 def test_translation_comes_first():
     np.testing.assert_allclose(exp(np.array([1, 2, 3, 0, 0, 0.0])).translation, [1, 2, 3])
-    np.testing.assert_allclose(vector(pose([1, 2, 3], [0.1, 0.2, 0.3])), [1, 2, 3, 0.1, 0.2, 0.3], atol=1e-15)
+    np.testing.assert_allclose(pose_to_vector(pose([1, 2, 3], [0.1, 0.2, 0.3])), [1, 2, 3, 0.1, 0.2, 0.3], atol=1e-15)
 
 
 def test_difference_is_the_small_motion_on_the_right():
     T = pose([0.3, -0.2, 0.5], [0.4, 0.1, -0.7])
     xi = np.array([1e-6, -2e-6, 3e-6, 4e-6, 5e-6, -6e-6])
-    np.testing.assert_allclose(difference(T, T * exp(xi)), xi, atol=1e-11)
+    np.testing.assert_allclose(pose_difference(T, T * exp(xi)), xi, atol=1e-11)
 
 
 def test_transform_points_is_apply_for_batches():

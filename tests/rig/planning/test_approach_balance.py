@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.samples.measuring_conditions import approach_direction
-from calib.samples.confounded_conditions import Confounds, of_configurations, of_design
+from calib.samples.confounded_conditions import Confounds, confounds_of_configurations, confounds_of_design
 from rig.model import mechanisms
 from rig.planning import plan
 from rig.planning.approach_balance import REACHES, balanced_order
@@ -15,10 +15,10 @@ SCATTERED = ("sobol:14", "sobol:40", "grid:2", "simplices:2", "division:1", "axe
 
 
 def _confounds(design: Design, text: str, seed: int) -> Confounds:
-    found = plan.build(design, text, seed)
+    found = plan.build_plan(design, text, seed)
     mass = found.payload[np.searchsorted(found.payload[:, 0], found.t, side="right") - 1, 1]
-    return of_design(found.commands.at(found.t), approach_direction(found.commands, found.t), found.t, {PAYLOAD: mass},
-                     mechanisms.places(design.mechanism))
+    return confounds_of_design(found.commands.at(found.t), approach_direction(found.commands, found.t), found.t, {PAYLOAD: mass},
+                     mechanisms.axis_places(design.mechanism))
 
 
 @pytest.mark.parametrize("text", SCATTERED)
@@ -33,7 +33,7 @@ def test_neither_direction_nor_time_nor_load_is_a_function_of_place(design: Desi
 
 
 def test_configurations_are_those_that_were_asked_for(design: Design) -> None:
-    found, wanted = plan.build(design, "sobol:40", 5), plan.low_discrepancy(plan.strokes_of(design), 40,
+    found, wanted = plan.build_plan(design, "sobol:40", 5), plan.low_discrepancy(plan.axis_strokes(design), 40,
                                                                              seed=int(np.random.default_rng(5).integers(1 << 30)))
     visited = found.commands.at(found.t)
     assert len(found.t) == 40
@@ -44,8 +44,8 @@ def test_configurations_are_those_that_were_asked_for(design: Design) -> None:
 
 def test_last_moves_are_long_and_short_from_either_side(design: Design) -> None:
     """What follows the size of a move is told from what follows its direction, and neither is a function of place."""
-    found = plan.build(design, "sobol:60")
-    extent = np.ptp(plan.strokes_of(design), axis=1)
+    found = plan.build_plan(design, "sobol:60")
+    extent = np.ptp(plan.axis_strokes(design), axis=1)
     rows = np.searchsorted(found.commands.t, found.t)
     last = (found.commands.values[rows - 1] - found.commands.values[rows - 2]) / extent
     place = found.commands.at(found.t)
@@ -56,29 +56,29 @@ def test_last_moves_are_long_and_short_from_either_side(design: Design) -> None:
 
 
 def test_an_axis_at_its_end_comes_from_within(design: Design) -> None:
-    found = plan.build(design, "division:1@1")
-    low, high = plan.strokes_of(design).T
+    found = plan.build_plan(design, "division:1@1")
+    low, high = plan.axis_strokes(design).T
     assert (found.commands.values > low - 1e-6).all() and (found.commands.values < high + 1e-6).all()
 
 
 def test_a_one_sided_plan_comes_from_below_everywhere(design: Design) -> None:
-    found = plan.build(design, "sobol:20,repeat:6", one_sided=True)
+    found = plan.build_plan(design, "sobol:20,repeat:6", one_sided=True)
     assert (approach_direction(found.commands, found.t) == 1).all()
 
 
 def test_an_order_alone_balances_what_it_can(design: Design) -> None:
     """Configurations that are visited straight from one to the next, as a table has them: an end is always reached from within."""
-    strokes = plan.strokes_of(design)
+    strokes = plan.axis_strokes(design)
     values = plan.low_discrepancy(strokes, 60, seed=3)
     start = strokes.mean(axis=1)
-    before = of_configurations(values, start, design.mechanism)
-    after = of_configurations(values[balanced_order(values, np.random.default_rng(0), start)], start, design.mechanism)
+    before = confounds_of_configurations(values, start, design.mechanism)
+    after = confounds_of_configurations(values[balanced_order(values, np.random.default_rng(0), start)], start, design.mechanism)
     assert before.serious and not after.serious
     assert max(row.share for row in after.rows) < 0.35
 
 
 @pytest.mark.parametrize("count", [3, 5, 8])
 def test_few_configurations_are_balanced_too(design: Design, count: int) -> None:
-    found = plan.build(design, f"sobol:{count}", 1)
+    found = plan.build_plan(design, f"sobol:{count}", 1)
     sides = approach_direction(found.commands, found.t)
     assert np.abs(sides.sum(axis=0)).max() <= 2 and np.ptp(sides, axis=0).min() == 2

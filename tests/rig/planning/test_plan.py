@@ -6,7 +6,7 @@ import pytest
 from rig.planning import plan
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 EXPECTED = {"sobol": 100, "grid": 64, "division": 729, "simplices": 89, "axes": 54, "combined": 108, "iso9283": 150, "ladder": 96,
             "payload": 36, "moving": 60, "zigzag": 60, "warmup": 48, "repeat": 30, "dwell": 20}
@@ -14,40 +14,40 @@ EXPECTED = {"sobol": 100, "grid": 64, "division": 729, "simplices": 89, "axes": 
 
 @pytest.mark.parametrize("part", [name for name in plan.PARTS if name not in ("commands", "wait", "turn")])
 def test_every_part_stays_in_reach_and_in_time(design, part):
-    found = plan.build(design, part, seed=3)
+    found = plan.build_plan(design, part, seed=3)
     assert len(found.t) == EXPECTED[part]
     assert not hexapod.limits(found.commands.values, design.mechanism).any()
     assert (np.diff(found.commands.t) > 0).all() and (np.diff(found.t) > 0).all()
     assert found.t[0] > found.commands.t[0] and found.t[-1] < found.commands.t[-1]
     speed = np.abs(np.diff(found.commands.values, axis=0)).max(axis=1) / np.diff(found.commands.t)
     assert speed.max() <= 1.01 * design.actuator.max_speed
-    again = plan.build(design, part, seed=3)
+    again = plan.build_plan(design, part, seed=3)
     assert (again.commands.values == found.commands.values).all()
 
 
 def test_a_wait_moves_nothing_and_ends(design):
-    bare, waited = plan.build(design, "sobol:4"), plan.build(design, "sobol:2,wait:20,sobol:2")
+    bare, waited = plan.build_plan(design, "sobol:4"), plan.build_plan(design, "sobol:2,wait:20,sobol:2")
     assert waited.t[2] - waited.t[1] > 1200 > bare.t[-1] and len(waited.t) == 4
     with pytest.raises(RigError, match="600 minutes at the most, not for 601"):
-        plan.build(design, "sobol:2,wait:601")
+        plan.build_plan(design, "sobol:2,wait:601")
 
 
 def test_parts_join(design):
-    assert len(plan.build(design, "sobol:5,ladder:1,moving:7").t) == 5 + 24 + 7
+    assert len(plan.build_plan(design, "sobol:5,ladder:1,moving:7").t) == 5 + 24 + 7
 
 
 def test_settled_exposures_stand_still(design):
-    found = plan.build(design, "sobol:20")
+    found = plan.build_plan(design, "sobol:20")
     np.testing.assert_allclose(found.commands.at(found.t - 1), found.commands.at(found.t + 0.5), atol=1e-12)
 
 
 def test_moving_exposures_move(design):
-    found = plan.build(design, "moving:20")
+    found = plan.build_plan(design, "moving:20")
     assert np.abs(found.commands.at(found.t + 0.05) - found.commands.at(found.t - 0.05)).max(axis=1).min() > 1e-5
 
 
 def test_a_ladder_approaches_every_length_from_both_sides(design):
-    found = plan.build(design, "ladder:2")
+    found = plan.build_plan(design, "ladder:2")
     lengths = found.commands.at(found.t)
     middle = design.mechanism.strut_range.mean(axis=1)
     for strut in range(6):
@@ -56,29 +56,29 @@ def test_a_ladder_approaches_every_length_from_both_sides(design):
 
 
 def test_iso_9283_visits_the_cubes_middle_and_four_corners_of_a_plane_in_turn(design):
-    poses = plan.iso9283(design)
+    poses = plan.iso9283_test_poses(design)
     p = hexapod.forward(poses, design.mechanism).translation
     arms = p[1:] - p[0]
     half = np.abs(arms).max()
     assert p[0] == pytest.approx(design.mechanism.home.translation, abs=1e-9) and np.abs(arms) == pytest.approx(half, abs=1e-9) and half > 0.005
     assert arms[:, 1] == pytest.approx(arms[:, 2], abs=1e-9) and np.ptp(arms, axis=0) == pytest.approx(2 * half, abs=1e-9)
-    found = plan.build(design, "iso9283:3")
+    found = plan.build_plan(design, "iso9283:3")
     rows = np.searchsorted(found.commands.t, found.t) - 1
     assert np.abs(found.commands.values[rows] - np.tile(poses[::-1], (3, 1))).max() < 1e-6
 
 
 def test_axes_translate_along_and_turn_about_the_axes(design):
-    found = plan.along_and_about(design, 5)
+    found = plan.axis_moves(design, 5)
     T = hexapod.forward(found, design.mechanism)
-    moved = difference(design.mechanism.home, T).reshape(6, 5, 6)
+    moved = pose_difference(design.mechanism.home, T).reshape(6, 5, 6)
     for axis in range(6):
         off = np.delete(moved[axis], axis, axis=1)
         assert np.abs(off).max() < 1e-9 and np.ptp(moved[axis][:, axis]) > 0.02
 
 
 def test_combined_plans_turn_while_they_move_along_every_pair_of_axes(design):
-    T = hexapod.forward(plan.combined(design, 4), design.mechanism)
-    moved = difference(design.mechanism.home, T).reshape(3, 3, 2, 4, 6)
+    T = hexapod.forward(plan.combined_moves(design, 4), design.mechanism)
+    moved = pose_difference(design.mechanism.home, T).reshape(3, 3, 2, 4, 6)
     for i in range(3):
         for j in range(3):
             for k, sign in enumerate((1, -1)):
@@ -102,11 +102,11 @@ def test_low_discrepancy_covers_evenly(design):
 
 
 def test_payload_steps_are_logged(design):
-    from synthetic.secret_machine import temperatures
+    from synthetic.secret_machine import draw_temperatures
 
-    found = plan.build(design, "payload:4")
-    _, log = temperatures(found.commands.t[-1], np.random.default_rng(0))
-    sensors = plan.logged(found, log)
+    found = plan.build_plan(design, "payload:4")
+    _, log = draw_temperatures(found.commands.t[-1], np.random.default_rng(0))
+    sensors = plan.add_payload_channel(found, log)
     load = sensors.at(found.t, "payload_mass_kg")
     assert load[:4].tolist() == [0] * 4 and (load[4:8] > 1).all() and load[8:].tolist() == [0] * 4
 
@@ -116,11 +116,11 @@ def test_commands_come_from_a_file(design, tmp_path):
     rows = ["frame,l1,l2,l3,l4,l5,l6"] + [f"{k}," + ",".join(f"{v + 1e-3 * k:.9f}" for v in middle) for k in range(3)]
     path = tmp_path / "commands.csv"
     path.write_text("\n".join(rows) + "\n")
-    found = plan.build(design, f"commands:{path}")
+    found = plan.build_plan(design, f"commands:{path}")
     np.testing.assert_allclose(found.commands.at(found.t), middle + 1e-3 * np.arange(3)[:, None], atol=1e-7)
     path.write_text("\n".join(rows[:2] + ["5," + ",".join(["9.9"] * 6)]) + "\n")
     with pytest.raises(FileError, match="strut 1 is commanded out of its range") as caught:
-        plan.build(design, f"commands:{path}")
+        plan.build_plan(design, f"commands:{path}")
     assert caught.value.line == 3
 
 
@@ -128,4 +128,4 @@ def test_commands_come_from_a_file(design, tmp_path):
                                         ("grid:1", "at least 2"), ("commands:nowhere.csv", "no such file")])
 def test_what_is_no_plan_is_refused(design, text, says):
     with pytest.raises(RigError, match=says):
-        plan.build(design, text)
+        plan.build_plan(design, text)

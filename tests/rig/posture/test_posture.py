@@ -13,7 +13,7 @@ from rig.formats.rig_toml import design_file
 from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics
-from rig.model.pose import difference, vector
+from rig.model.pose import pose_difference, pose_to_vector
 from rig.posture import force_transmission, posture_transition, null_space_search, wrench_estimate
 from rig.posture.force_transmission import Wish
 from tests.numeric import jacobian
@@ -28,18 +28,19 @@ WISHES = [Wish(("fy",)), Wish(("fy",), np.inf), Wish(("fx", "mz"), length=0.3), 
 def test_slope_of_the_measure_agrees_with_differences(wish):
     for arm in (PANDA, random_arm(np.random.default_rng(3), 8)):
         q = configurations(arm, 4, np.random.default_rng(0), 0.8)
-        for one, slope in zip(q, force_transmission.gradient(q, arm, wish)):
-            np.testing.assert_allclose(slope, jacobian(lambda x, arm=arm: force_transmission.value(x, arm, wish), one), atol=1e-7)
+        for one, slope in zip(q, force_transmission.transmission_gradient(q, arm, wish)):
+            np.testing.assert_allclose(slope, jacobian(lambda x, arm=arm: force_transmission.transmission_measure(x, arm, wish), one), atol=1e-7)
 
 
 def test_measures_are_hand_worked():
     """Two links of 1 m in line along x, as three joints about z and one above: a force along the line is not felt by any."""
     arm = type(PANDA)([[0, 0, 1.0, 0], [0, 0, 1.0, 0]], [[-3, 3]] * 2)
-    np.testing.assert_allclose(force_transmission.columns(np.zeros(2), arm, Wish()), [0, np.sqrt(5), 0, 0, 0, np.sqrt(2)], atol=1e-15)
+    np.testing.assert_allclose(force_transmission.direction_norms(np.zeros(2), arm, Wish()), [0, np.sqrt(5), 0, 0, 0, np.sqrt(2)], atol=1e-15)
     assert (
-        force_transmission.value(np.zeros(2), arm, Wish(("fx", "fy"))) == 0 and force_transmission.value(np.zeros(2), arm, Wish(("fy",), np.inf)) == 2
+        force_transmission.transmission_measure(np.zeros(2), arm, Wish(("fx", "fy"))) == 0
+        and force_transmission.transmission_measure(np.zeros(2), arm, Wish(("fy",), np.inf)) == 2
     )
-    assert force_transmission.value(np.zeros(2), arm, Wish(("mz",), length=0.1)) == pytest.approx(0.1 * np.sqrt(2))
+    assert force_transmission.transmission_measure(np.zeros(2), arm, Wish(("mz",), length=0.1)) == pytest.approx(0.1 * np.sqrt(2))
 
 
 @pytest.mark.parametrize("wish", [Wish(("fy",)), Wish(("fx", "mz"), np.inf), Wish()], ids=str)
@@ -50,8 +51,8 @@ def test_searches_leave_the_hand_and_keep_the_limits(wish):
     best = null_space_search.global_search(q, PANDA, wish)
     for found in (gradient, sampled, best):
         assert found.moved.max() < 1e-9 and (mechanism.limits(found.q, PANDA) == 0).all() and (found.value >= found.start).all()
-        np.testing.assert_allclose(found.value, force_transmission.value(found.q, PANDA, wish), rtol=1e-12)
-        np.testing.assert_allclose(difference(mechanism.forward(q, PANDA), mechanism.forward(found.q, PANDA)), 0, atol=1e-9)
+        np.testing.assert_allclose(found.value, force_transmission.transmission_measure(found.q, PANDA, wish), rtol=1e-12)
+        np.testing.assert_allclose(pose_difference(mechanism.forward(q, PANDA), mechanism.forward(found.q, PANDA)), 0, atol=1e-9)
     assert (gradient.value <= best.value * (1 + 1e-7)).all() and np.median(gradient.value / best.value) > 0.99
     assert np.median(best.value / gradient.start) > 1.02
 
@@ -60,24 +61,24 @@ def test_global_search_is_the_best_of_the_traced_self_motion():
     q = configurations(PANDA, 3, np.random.default_rng(3), 0.8)
     wish = Wish(("fz",))
     for one, value in zip(q, null_space_search.global_search(q, PANDA, wish).value):
-        path = null_space_search.trace(one, PANDA)
+        path = null_space_search.trace_self_motion(one, PANDA)
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 2 * null_space_search.TRACE
         ends = [np.abs(mechanism.limits(path[k] + 1.01 * (path[k] - path[k + (1 if k == 0 else -1)]) * 2, PANDA)).max() > 0 for k in (0, -1)]
         assert all(ends) or np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < 2 * null_space_search.TRACE
-        reached = force_transmission.value(path, PANDA, wish).max()
+        reached = force_transmission.transmission_measure(path, PANDA, wish).max()
         assert reached <= value <= reached * 1.001
 
 
 def test_a_full_turn_of_the_elbow_is_traced_once():
     round_ = type(SEVEN)(SEVEN.joints, [[-50, 50]] * 7)
-    path = null_space_search.trace(np.array([0.3, 0.7, 0.2, 1.2, 0.4, 0.9, 0.1]), round_)
+    path = null_space_search.trace_self_motion(np.array([0.3, 0.7, 0.2, 1.2, 0.4, 0.9, 0.1]), round_)
     assert np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < null_space_search.TRACE and len(path) * null_space_search.TRACE > np.pi
 
 
 def test_a_limit_suffices():
     q = configurations(PANDA, 20, np.random.default_rng(4), 0.9)
     wish = Wish(("fy",))
-    limit = float(np.median(force_transmission.value(q, PANDA, wish)))
+    limit = float(np.median(force_transmission.transmission_measure(q, PANDA, wish)))
     found = null_space_search.gradient_search(q, PANDA, wish, above=limit)
     already = found.start > limit
     assert (found.q[already] == q[already]).all() and already.any() and (found.value[~already] > found.start[~already]).any()
@@ -114,21 +115,21 @@ def test_weight_and_motion_agree_with_pinocchio():
     data = model.createData()
     q, v, a = rng.normal(size=(3, 20, 7))
     theirs = [pinocchio.rnea(model, data, *state) for state in zip(q, v, a)]
-    np.testing.assert_allclose(arm_dynamics.torques(q, v, a, arm, own, gravity), theirs, atol=1e-10)
+    np.testing.assert_allclose(arm_dynamics.joint_torques(q, v, a, arm, own, gravity), theirs, atol=1e-10)
 
 
 def test_stated_covariance_of_a_wrench_covers_its_scatter():
     rng = np.random.default_rng(7)
     count, own, gravity = 4000, links(rng), np.array([0, 0, -9.80665])
     q = configurations(PANDA, count, rng, 0.8)
-    q = q[force_transmission.value(q, PANDA, Wish()) > 1e-4]
+    q = q[force_transmission.transmission_measure(q, PANDA, Wish()) > 1e-4]
     v, a = rng.normal(size=(2, *q.shape))
     true = rng.normal(size=(len(q), 6)) * [20, 20, 20, 3, 3, 3]
     half = 0.1 * (np.eye(7) + 0.3 * rng.normal(size=(7, 7)))
     noise = rng.normal(size=q.shape) @ half.T
     pushed = np.einsum("mai,ma->mi", mechanism.jacobian(q, PANDA, "base"), true)
-    measured = arm_dynamics.torques(q, v, a, PANDA, own, gravity) - pushed + noise
-    found = wrench_estimate.estimate(wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T)
+    measured = arm_dynamics.joint_torques(q, v, a, PANDA, own, gravity) - pushed + noise
+    found = wrench_estimate.estimate_wrench(wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T)
     error = found.value - true
     inside = np.einsum("mi,mij,mj->m", error, np.linalg.inv(found.covariance), error) < chi2.ppf(0.95, 6)
     each = np.abs(error) < 1.96 * np.sqrt(np.einsum("mii->mi", found.covariance))
@@ -139,33 +140,33 @@ def test_stated_covariance_of_a_wrench_covers_its_scatter():
 def test_equal_sensors_give_the_plain_pseudo_inverse():
     q = configurations(PANDA, 1, np.random.default_rng(8), 0.7)[0]
     tau = np.arange(7.0)
-    found = wrench_estimate.estimate(tau, q, PANDA, 0.01 * np.eye(7))
+    found = wrench_estimate.estimate_wrench(tau, q, PANDA, 0.01 * np.eye(7))
     np.testing.assert_allclose(found.value, np.linalg.pinv(mechanism.jacobian(q, PANDA, "base").T) @ tau, rtol=1e-9)
 
 
 def test_a_blind_posture_names_what_it_does_not_feel():
     stretched = np.zeros(7)  # every axis meets the line of the arm
     with pytest.raises(RigError, match=r"posture 0 is blind to \("):
-        wrench_estimate.estimate(np.zeros(7), stretched, SEVEN, np.eye(7))
+        wrench_estimate.estimate_wrench(np.zeros(7), stretched, SEVEN, np.eye(7))
 
 
 def test_motions_end_in_the_posture():
     rng = np.random.default_rng(9)
     q = configurations(PANDA, 1, rng, 0.6)[0]
     goal = null_space_search.global_search(q, PANDA, Wish(("fy",))).q[0]
-    rows = posture_transition.at_the_end(q, goal, PANDA)
-    np.testing.assert_allclose(difference(mechanism.forward(q, PANDA), mechanism.forward(rows, PANDA)), 0, atol=1e-9)
+    rows = posture_transition.motion_with_hand_still(q, goal, PANDA)
+    np.testing.assert_allclose(pose_difference(mechanism.forward(q, PANDA), mechanism.forward(rows, PANDA)), 0, atol=1e-9)
     assert (rows[0] == q).all() and (rows[-1] == goal).all() and np.abs(np.diff(rows, axis=0)).max() < 0.03
     before = np.clip(q + 0.15 * rng.normal(size=7), *PANDA.limits.T)
-    way = posture_transition.on_the_way(before, goal, PANDA)
+    way = posture_transition.motion_with_straight_hand(before, goal, PANDA)
     hand = mechanism.forward(way, PANDA).translation
     a, b = hand[0], hand[-1]
     line = (b - a) / np.linalg.norm(b - a)
     assert np.linalg.norm(np.cross(hand - a, line), axis=1).max() < 1e-8 and (way[-1] == goal).all()
-    t = posture_transition.timed(way, 0.5)
+    t = posture_transition.row_times(way, 0.5)
     assert (np.diff(t) > 0).all() and (np.abs(np.diff(way, axis=0)).max(axis=1) / np.diff(t)).max() < 0.5 * (1 + 1e-9)
     with pytest.raises(RigError, match="no motion of the elbow alone"):
-        posture_transition.at_the_end(q, goal + 0.3, PANDA)
+        posture_transition.motion_with_hand_still(q, goal + 0.3, PANDA)
 
 
 POSE = "0.4,0.1,0.5,3.0,0.2,0"
@@ -176,8 +177,8 @@ def test_the_command_finds_and_certifies(capsys, tmp_path):
     assert command_line.main(["posture", "panda", "--pose", POSE, "--force", "y", "--norm", "2", "--json", "--out", str(out)]) == 0
     tree = json.loads(capsys.readouterr().out)
     q = np.array(tree["q"])
-    np.testing.assert_allclose(vector(mechanism.forward(q, PANDA)), np.array(POSE.split(","), float), atol=1e-9)
-    assert tree["value"] == pytest.approx(force_transmission.value(q, PANDA, Wish(("fy",)))) and tree["value"] > tree["start"]["value"]
+    np.testing.assert_allclose(pose_to_vector(mechanism.forward(q, PANDA)), np.array(POSE.split(","), float), atol=1e-9)
+    assert tree["value"] == pytest.approx(force_transmission.transmission_measure(q, PANDA, Wish(("fy",)))) and tree["value"] > tree["start"]["value"]
     assert tree["certificate"]["reached_over_best_of_all_self_motions"] > 0.999 and tree["hand_moved"]["position"] < 1e-9
     lines = out.read_text().splitlines()
     assert lines[0] == "t,q1,q2,q3,q4,q5,q6,q7" and np.allclose([float(x) for x in lines[-1].split(",")[1:]], q, atol=1e-9)
@@ -208,7 +209,7 @@ def test_an_arm_on_a_rail_is_told_in_mm_and_newton_where_it_slides(tmp_path, cap
     (tmp_path / "rail.toml").write_text(RAIL)
     arm = design_file.load(tmp_path / "rail.toml").mechanism
     q = np.array([[0.1, 0.4, 0.5, -0.6, 0.7, 0.3, 0.2], [0.7, 0.4, 0.5, -0.6, 0.7, 0.3, 0.2]])
-    at, beyond = (",".join(map(repr, row)) for row in vector(mechanism.forward(q, arm)).tolist())
+    at, beyond = (",".join(map(repr, row)) for row in pose_to_vector(mechanism.forward(q, arm)).tolist())
     words = ["posture", str(tmp_path / "rail.toml"), "--force", "z", "--above", "0", "--exert", "0,0,-30", "--pose", at]
     assert command_line.main(words) == 0
     said = capsys.readouterr().out

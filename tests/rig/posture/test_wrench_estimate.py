@@ -15,7 +15,7 @@ from rig.cli.wrench import SETTLED
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics as dynamics, arm_momentum
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from rig.posture import exertable_wrench, posture_transition, momentum_observer, null_space_search
 from rig.posture.exertable_wrench import Exertion, Strength
 from rig.posture.force_transmission import DIRECTIONS, Wish
@@ -38,7 +38,7 @@ def moved(rng, records, count, dt=4e-3):
     q, v, a = (part.sum(axis=1) for part in (size * np.sin(angle), size * rate * np.cos(angle), -size * rate**2 * np.sin(angle)))
     q = q + PANDA.limits.mean(axis=1)
     wrench = (RATES * np.sqrt(dt) * rng.normal(size=(records, count, 6))).cumsum(axis=1) + rng.normal(size=(records, 1, 6)) * RATES
-    torque = dynamics.torques(q, v, a, PANDA, LINKS, GRAVITY) - np.einsum("mkai,mka->mki", mechanism.jacobian(q, PANDA, "base"), wrench)
+    torque = dynamics.joint_torques(q, v, a, PANDA, LINKS, GRAVITY) - np.einsum("mkai,mka->mki", mechanism.jacobian(q, PANDA, "base"), wrench)
     noise = [sigma * rng.normal(size=q.shape) for sigma in SIGMAS]
     return t, q + noise[1], v + noise[2], torque + noise[0], wrench
 
@@ -46,7 +46,9 @@ def moved(rng, records, count, dt=4e-3):
 def coverage(records, seed):
     """(share of 95 % regions that hold the wrench, and of each direction's intervals) at three moments far apart of so many records."""
     t, q, v, torque, wrench = moved(np.random.default_rng(seed), records, 90)
-    seen = momentum_observer.observe(momentum_observer.model(momentum_observer.Motion(t, q, v, True, torque), PANDA, LINKS, GRAVITY, SIGMAS), RATES)
+    seen = momentum_observer.observe_wrench(
+        momentum_observer.observer_model(momentum_observer.Motion(t, q, v, True, torque), PANDA, LINKS, GRAVITY, SIGMAS), RATES
+    )
     at = [29, 59, 89]
     error, covariance = (seen.value - wrench)[:, at], seen.covariance[:, at]
     inside = np.einsum("mki,mkij,mkj->mk", error, np.linalg.inv(covariance), error) < chi2.ppf(0.95, 6)
@@ -77,8 +79,8 @@ def test_momentum_changes_by_what_is_said():
         return np.einsum("mij,mj->mi", arm_momentum.mass_matrix(q + s * v + s**2 / 2 * a, PANDA, LINKS), v + s * a)
 
     change = (moments(1e-5) - moments(-1e-5)) / 2e-5
-    torque = dynamics.torques(q, v, a, PANDA, LINKS, GRAVITY)
-    np.testing.assert_allclose(torque + arm_momentum.drift(q, v, PANDA, LINKS, GRAVITY), change, atol=1e-6)
+    torque = dynamics.joint_torques(q, v, a, PANDA, LINKS, GRAVITY)
+    np.testing.assert_allclose(torque + arm_momentum.momentum_drift(q, v, PANDA, LINKS, GRAVITY), change, atol=1e-6)
     M = arm_momentum.mass_matrix(q, PANDA, LINKS)
     np.testing.assert_allclose(M, np.swapaxes(M, 1, 2), atol=1e-12)
     assert np.linalg.eigvalsh(M).min() > 0
@@ -97,23 +99,23 @@ def test_greatest_forces_are_those_of_linear_programming():
         low, high = STRENGTH.box(one, PANDA)
         assert (low < 0).all() and (high > 0).all()
         A = mechanism.jacobian(one, PANDA, "base").T[:, :3]
-        every = exertable_wrench.corners(A, low, high)
+        every = exertable_wrench.force_polytope_corners(A, low, high)
         for direction in rng.normal(size=(4, 3)):
             assert (every @ direction).max() == pytest.approx(programmed(A, low, high, direction), rel=1e-9)
             wrench = np.r_[direction, 0, 0, 0]
             along = programmed((A @ direction)[:, None], low, high, np.ones(1))
             assert Exertion(wrench, STRENGTH).value(one, PANDA) == pytest.approx(along, rel=1e-9)
-        least, weak = exertable_wrench.weakest(A, low, high)
-        rays = exertable_wrench.greatest(np.vstack([rng.normal(size=(2000, 3)), weak]) @ A.T, low, high) * np.r_[np.ones(2000), 1.0]
-        assert exertable_wrench.greatest(A @ weak, low, high) == pytest.approx(least, rel=1e-9) == pytest.approx(rays[-1], rel=1e-9)
+        least, weak = exertable_wrench.weakest_force_direction(A, low, high)
+        rays = exertable_wrench.greatest_load_multiple(np.vstack([rng.normal(size=(2000, 3)), weak]) @ A.T, low, high) * np.r_[np.ones(2000), 1.0]
+        assert exertable_wrench.greatest_load_multiple(A @ weak, low, high) == pytest.approx(least, rel=1e-9) == pytest.approx(rays[-1], rel=1e-9)
         unit = rng.normal(size=(2000, 3))
         unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-        assert exertable_wrench.greatest(unit @ A.T, low, high).min() >= least * (1 - 1e-12)
+        assert exertable_wrench.greatest_load_multiple(unit @ A.T, low, high).min() >= least * (1 - 1e-12)
 
 
 def test_a_posture_is_found_that_exerts_more_and_its_slope_is_that_of_differences():
     wish, q = Exertion(np.array([0, 0, -30.0, 0, 0, 0]), STRENGTH), configurations(PANDA, 4, np.random.default_rng(3), 0.7)
-    np.testing.assert_allclose(STRENGTH.weight(q, PANDA), dynamics.torques(q, 0 * q, 0 * q, PANDA, LINKS, GRAVITY), atol=1e-9)
+    np.testing.assert_allclose(STRENGTH.weight(q, PANDA), dynamics.joint_torques(q, 0 * q, 0 * q, PANDA, LINKS, GRAVITY), atol=1e-9)
     for one in q:
         np.testing.assert_allclose(wish.slope(one, PANDA), jacobian(lambda x: wish.value(x, PANDA), one), atol=1e-4)
     found = null_space_search.global_search(q, PANDA, wish)
@@ -125,15 +127,15 @@ def test_a_weight_that_cannot_be_held_is_negative_and_said():
     q = np.array([0, 0.5, 0, -1.5, 0, 1.5, 0.0])
     assert Exertion(np.eye(6)[2], feeble).value(q, PANDA) < 0
     with pytest.raises(RigError, match="bears any force along"):
-        exertable_wrench.corners(np.eye(7, 3) * [1, 1, 0], -np.ones(7), np.ones(7))
+        exertable_wrench.force_polytope_corners(np.eye(7, 3) * [1, 1, 0], -np.ones(7), np.ones(7))
 
 
 def test_the_hand_may_move_while_its_orientation_is_held():
     q = configurations(UR10, 4, np.random.default_rng(5), 0.3)
     found = null_space_search.gradient_search(q, UR10, Wish(("fy",)), held="orientation")
     assert found.moved[:, 1].max() < 1e-9 and found.moved[:, 0].min() > 1e-3 and (found.value > found.start).all()
-    rows = posture_transition.at_the_end(q[0], found.q[0], UR10, "orientation")
-    turned = difference(mechanism.forward(q[0], UR10), mechanism.forward(rows, UR10))[:, 3:]
+    rows = posture_transition.motion_with_hand_still(q[0], found.q[0], UR10, "orientation")
+    turned = pose_difference(mechanism.forward(q[0], UR10), mechanism.forward(rows, UR10))[:, 3:]
     assert np.abs(turned).max() < 1e-8 and (rows[0] == q[0]).all() and (rows[-1] == found.q[0]).all()
 
 
@@ -172,7 +174,7 @@ def recorded(folder, q):
 
 def test_the_best_of_postures_visited_is_gone_back_to_the_way_it_came(tmp_path, capsys):
     start = configurations(PANDA, 1, np.random.default_rng(8), 0.5)[0]
-    path = null_space_search.trace(start, PANDA)
+    path = null_space_search.trace_self_motion(start, PANDA)
     visited = np.vstack([path[:: max(len(path) // 9, 1)], start + 0.1])  # the last with the hand elsewhere
     recorded(tmp_path / "rec", visited)
     out = tmp_path / "back.csv"
@@ -180,7 +182,7 @@ def test_the_best_of_postures_visited_is_gone_back_to_the_way_it_came(tmp_path, 
     tree = json.loads(capsys.readouterr().out)
     from rig.posture import force_transmission
 
-    value = force_transmission.value(visited[:-1], PANDA, Wish(("fz",)))
+    value = force_transmission.transmission_measure(visited[:-1], PANDA, Wish(("fz",)))
     assert tree["frame"] == value.argmax() and tree["value"] == pytest.approx(value.max(), rel=1e-6) and tree["elsewhere"] == 1
     rows = csv_table.read(out, ("t", *PANDA.axes)).matrix(PANDA.axes)
     np.testing.assert_allclose(rows[[0, -1]], visited[[-1, value.argmax()]], atol=1e-8)

@@ -12,11 +12,11 @@ from rig.model import motion_simulation
 from rig.recording import recording_folder as recording
 from rig.cli.command_line import main
 from rig.effects.framework.random_effects import Drawing
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.recording.exposures import Exposures
-from rig.model.pose import exp, pose, vector
+from rig.model.pose import exp, pose, pose_to_vector
 from rig.recording.recording_folder import Commands, Recording
-from rig.recording.combined_recordings import joined, unmoved
+from rig.recording.combined_recordings import join_recordings, stated_camera_owners
 from tests.rig.effects.test_effects_of_all_machines import MOVING, context_of, setting_of
 
 OWN_CLOCK = ("moment", "phase")  # roles of parameters that are told by one recording's clock
@@ -33,7 +33,7 @@ def two(design):
     exposures = Exposures(np.arange(len(t)), t, [""] * len(t), [""] * len(t))
     parts = [Recording(Path(f"/rec{k}"), rig, Commands(commands.t, np.roll(commands.values, 17 * k, axis=0)), exposures,
                        replace(sensors, channels={n: v + k for n, v in sensors.channels.items()}), None, None) for k in range(2)]
-    return parts, joined(parts, unmoved(parts))
+    return parts, join_recordings(parts, stated_camera_owners(parts))
 
 
 @pytest.mark.parametrize("kind", BOTH, ids=lambda kind: kind.name)
@@ -52,14 +52,16 @@ def test_an_effect_knows_nothing_of_the_recording_before(two, kind):
 @pytest.mark.parametrize("text", REMEMBER)
 def test_had_it_gone_on_remembering_that_would_show(two, text):
     _, both = two
-    effect = parse(text)
+    effect = parse_effect(text)
     apart = positions(both, both.commands, effect) - positions(both, replace(both.commands, starts=np.zeros(0)), effect)
     assert np.abs(apart[:60]).max() == 0 and np.abs(apart[60:]).max() > 1e-6
 
 
 def positions(recorded, commands, effect):
     """(n, 3) m where the platform of a recording's rig stands at its exposures."""
-    return motion_simulation.run(recorded.design, commands, recorded.exposures.times()[1], (effect,), recorded.sensors).T_base_platform.translation
+    return motion_simulation.run_machine(
+        recorded.design, commands, recorded.exposures.times()[1], (effect,), recorded.sensors
+    ).T_base_platform.translation
 
 
 def test_frames_times_and_logs_stand_apart(two):
@@ -100,8 +102,8 @@ def test_a_camera_stated_with_another_lens_is_another_camera(recording_folder, t
     text = (tmp_path / "again" / "rig.toml").read_text()
     (tmp_path / "again" / "rig.toml").write_text(text.replace("[-0.1, 0.08,", "[-0.12, 0.08,", 1))
     parts = [recording.load(recording_folder), recording.load(tmp_path / "again")]
-    assert unmoved(parts)[1] == {"cam0": 1, "cam1": 0, "cam2": 0}
-    both = joined(parts, unmoved(parts))
+    assert stated_camera_owners(parts)[1] == {"cam0": 1, "cam1": 0, "cam2": 0}
+    both = join_recordings(parts, stated_camera_owners(parts))
     assert [c.name for c in both.design.cameras] == ["cam0", "cam1", "cam2", "cam0@2"]
     assert set(np.array(both.corners.camera)[both.corners.frame >= 10]) == {"cam0@2", "cam1", "cam2"}
 
@@ -116,7 +118,7 @@ def test_a_moved_camera_is_told_and_the_diagnosis_is_of_both(tmp_path, capsys, r
                  "--truth", str(tmp_path / "truth.json")]) == 0
     truth = json.loads((tmp_path / "truth.json").read_text())
     at = np.array(truth["cameras"][1]["pose"])
-    truth["cameras"][1]["pose"] = vector(pose(at[:3], at[3:]) * exp(np.array([2e-3, 0, 1e-3, 3e-3, 0, 0]))).tolist()
+    truth["cameras"][1]["pose"] = pose_to_vector(pose(at[:3], at[3:]) * exp(np.array([2e-3, 0, 1e-3, 3e-3, 0, 0]))).tolist()
     (tmp_path / "moved.json").write_text(json.dumps(truth))
     assert main(["simulate", rig, "--plan", "sobol:40,moving:10", "--machine", str(tmp_path / "moved.json"), "--seed", "2", "--out", two]) == 0
     capsys.readouterr()

@@ -23,21 +23,21 @@ def two(tmp_path_factory, design, rig_text):
 
 
 def of(folder):
-    return data_provenance.marks(recording_folder.load(folder))
+    return data_provenance.content_marks(recording_folder.load(folder))
 
 
 def known(folder):
-    return data_provenance.flat(of(folder))
+    return data_provenance.marks_of_frames(of(folder))
 
 
 def test_another_recording_by_the_same_commands_shares_nothing(two):
-    assert not data_provenance.shared(of(two / "check"), known(two / "fit"))
+    assert not data_provenance.frames_with_known_data(of(two / "check"), known(two / "fit"))
 
 
 def test_what_was_measured_is_what_it_was_measured_from(two):
     frames = list(range(30))
-    assert data_provenance.shared(of(two / "measured"), known(two / "fit")) == frames
-    assert data_provenance.shared(of(two / "fit"), known(two / "measured")) == frames
+    assert data_provenance.frames_with_known_data(of(two / "measured"), known(two / "fit")) == frames
+    assert data_provenance.frames_with_known_data(of(two / "fit"), known(two / "measured")) == frames
 
 
 def test_a_copy_cut_short_renumbered_and_by_another_clock_is_known_again(two, tmp_path):
@@ -55,7 +55,7 @@ def test_a_copy_cut_short_renumbered_and_by_another_clock_is_known_again(two, tm
         if head.startswith("frame"):
             cells = [row for row in cells if int(row[0]) < 112]
         (folder / name).write_text("\n".join([head, *map(",".join, cells)]) + "\n")
-    assert data_provenance.shared(of(folder), known(two / "fit")) == list(range(100, 112))
+    assert data_provenance.frames_with_known_data(of(folder), known(two / "fit")) == list(range(100, 112))
 
 
 @pytest.mark.slow
@@ -63,9 +63,9 @@ def test_images_and_what_was_measured_from_them_are_the_same_data(tmp_path):
     assert command_line.main(["measure", str(BENCH / "check"), "--out", str(tmp_path / "m")]) == 0
     shutil.copytree(BENCH / "check", tmp_path / "copy")
     frames = recording_folder.load(BENCH / "check").exposures.times()[0].tolist()
-    assert data_provenance.shared(of(tmp_path / "copy"), known(tmp_path / "m")) == frames
-    assert data_provenance.shared(of(tmp_path / "m"), known(BENCH / "check")) == frames
-    assert not data_provenance.shared(of(BENCH / "fit"), known(tmp_path / "m"))
+    assert data_provenance.frames_with_known_data(of(tmp_path / "copy"), known(tmp_path / "m")) == frames
+    assert data_provenance.frames_with_known_data(of(tmp_path / "m"), known(BENCH / "check")) == frames
+    assert not data_provenance.frames_with_known_data(of(BENCH / "fit"), known(tmp_path / "m"))
 
 
 def test_poses_are_data_and_what_repeats_is_no_mark(two, tmp_path):
@@ -76,7 +76,7 @@ def test_poses_are_data_and_what_repeats_is_no_mark(two, tmp_path):
     head, *rows = (folder / "poses.csv").read_text().splitlines()
     rows[5] = ",".join([rows[5].split(",")[0], *rows[4].split(",")[1:]])  # two readings alike
     (folder / "poses.csv").write_text("\n".join([head, *rows]) + "\n")
-    assert data_provenance.shared(of(folder), known(two / "measured")) == [k for k in range(30) if k not in (4, 5)]
+    assert data_provenance.frames_with_known_data(of(folder), known(two / "measured")) == [k for k in range(30) if k not in (4, 5)]
 
 
 @pytest.mark.parametrize("name", ["fit", "measured"])

@@ -9,8 +9,8 @@ import pytest
 from rig.recording import corner_and_pose_tables, recording_folder as recording, recording_tables
 from rig.formats import csv_table
 from rig.errors import FileError, RigError
-from rig.recording.frame_mask import masked
-from rig.model.pose import difference, pose
+from rig.recording.frame_mask import remove_frames
+from rig.model.pose import pose_difference, pose
 from tests.conftest import BENCH, SHARED
 
 
@@ -155,7 +155,7 @@ def test_commands_are_linear_between_rows_and_dwell_after_the_last():
 def test_frames_that_are_masked_are_in_no_poses():
     poses = corner_and_pose_tables.Poses(np.arange(4), pose(np.zeros((4, 3)), np.zeros((4, 3))), np.tile(np.eye(6), (4, 1, 1)))
     whole = replace(recording.load(BENCH / "check"), poses=poses, stages={1: poses})
-    left = masked(whole, "1-2")
+    left = remove_frames(whole, "1-2")
     for own in (left.poses, left.stages[1]):
         assert own.frame.tolist() == [0, 3] and len(own.T_base_platform) == len(own.covariance) == 2
     assert not np.isin(left.exposures.frame, (1, 2)).any()
@@ -170,7 +170,7 @@ def test_poses_survive_writing(tmp_path):
     recording_tables.write_poses(tmp_path / "poses.csv", poses)
     again = recording.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
     assert again.frame.tolist() == [0, 2, 3, 9]
-    assert np.abs(difference(again.T_base_platform, poses.T_base_platform)).max() < 2e-10
+    assert np.abs(pose_difference(again.T_base_platform, poses.T_base_platform)).max() < 2e-10
     np.testing.assert_allclose(again.covariance, poses.covariance, rtol=1e-6)
 
 

@@ -8,14 +8,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
-from rig.model.pose import difference, exp, log
+from rig.model.pose import pose_difference, exp, log
 from tests.vision.scenes import known, scene
-from vision.bundle.bundle_adjustment import adjust
-from vision.bundle.observability import determined
+from vision.bundle.bundle_adjustment import adjust_bundle
+from vision.bundle.observability import determined_combinations
 from vision.bundle.normal_equations import linearise
-from vision.bundle.estimate_update import aligned, move, offset
-from vision.bundle.unknown_priors import TERM_PRIOR, unknowns
-from vision.corner_observations import correlation_of, whitener
+from vision.bundle.estimate_update import align_points, update_estimate, offset_from_stated
+from vision.bundle.unknown_priors import TERM_PRIOR, adjustment_unknowns
+from vision.corner_observations import corner_correlation, whitener
 from vision.predict import State, predict
 from vision.targets import marker_map
 
@@ -50,18 +50,18 @@ def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     observations, stated, true, T = setting
     if correlated:
         root = np.random.default_rng(8).normal(size=(len(observations) // 4, 8, 8)) + 3 * np.eye(8)
-        observations = replace(observations, correlation=correlation_of(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8))
+        observations = replace(observations, correlation=corner_correlation(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8))
         observations = observations.take(np.arange(len(observations)) % 7 != 0)
     state = with_markers(start(stated, true, T), stated)
     if moving:
         state = replace(state, moving={1: RigidTransform.concatenate([state.cameras[1].pose] * 6)})
-    u, estimate = unknowns(observations, state, replace(state, markers=marker_map(stated)), free)
+    u, estimate = adjustment_unknowns(observations, state, replace(state, markers=marker_map(stated)), free)
     rng = np.random.default_rng(1)
-    estimate = move(estimate, u, 1e-3 * rng.normal(size=u.shared), np.zeros((6, u.local)))  # not where moves are still zero
+    estimate = update_estimate(estimate, u, 1e-3 * rng.normal(size=u.shared), np.zeros((6, u.local)))  # not where moves are still zero
     _, found = linearise(observations, estimate, u, whitener(observations))
     shared, local = rng.normal(size=u.shared), rng.normal(size=(6, u.local))
     h = 1e-5
-    up, down = (whitened(observations, move(estimate, u, s * h * shared, s * h * local).state) for s in (1, -1))
+    up, down = (whitened(observations, update_estimate(estimate, u, s * h * shared, s * h * local).state) for s in (1, -1))
     expected = np.zeros_like(up)
     for d in found.values():
         frame, marker = observations.frame[d.rows], observations.marker[d.rows]
@@ -74,12 +74,12 @@ def test_optimum_equals_scipys(setting, free):
     observations, stated, true, T = setting
     observations = observations.take((observations.frame < 3) & (observations.camera < 2))
     state = replace(start(stated, true, T), markers=marker_map(stated))
-    result = adjust(observations, state, free)
-    u, estimate = unknowns(observations, result.state, state, free)
+    result = adjust_bundle(observations, state, free)
+    u, estimate = adjustment_unknowns(observations, result.state, state, free)
 
     def residual(p):
-        moved = move(estimate, u, u.basis @ p[: u.basis.shape[1]], p[u.basis.shape[1] :].reshape(6, 6))
-        return np.r_[whitened(observations, moved.state).ravel(), (u.prior * offset(moved, state, u))[u.prior > 0]]
+        moved = update_estimate(estimate, u, u.basis @ p[: u.basis.shape[1]], p[u.basis.shape[1] :].reshape(6, 6))
+        return np.r_[whitened(observations, moved.state).ravel(), (u.prior * offset_from_stated(moved, state, u))[u.prior > 0]]
 
     zero = np.zeros(u.basis.shape[1] + 36)
     other = least_squares(residual, zero, method="trf", x_scale="jac", max_nfev=2)
@@ -95,7 +95,7 @@ def test_markers_and_targets_off_their_places_are_found(setting):
     noise = 0.04 * np.random.default_rng(2).normal(size=uv.shape)
     shifted = replace(observations, uv=uv + noise, covariance=np.tile(0.04**2 * np.eye(2), (len(uv), 1, 1)))
     state = replace(start(stated, true, T, seed=3), markers=marker_map(stated))
-    result = adjust(shifted, state, ("poses", "lenses", "markers"))
+    result = adjust_bundle(shifted, state, ("poses", "lenses", "markers"))
     assert result.cost / result.dof == pytest.approx(1, abs=4 * np.sqrt(2 / result.dof))
     found, before, seen = result.state.markers, state.markers, result.unknowns.seen
     for on in (False, True):
@@ -103,9 +103,9 @@ def test_markers_and_targets_off_their_places_are_found(setting):
         gone = (found.corners - before.corners)[rows].reshape(-1, 3)
         arms = before.corners[rows].reshape(-1, 3)
         assert np.abs(gone.sum(axis=0)).max() < 1e-12 and np.abs(np.cross(found.corners[rows].reshape(-1, 3), arms).sum(axis=0)).max() < 1e-12
-    freed = adjust(shifted, true_state, ("poses", "lenses", "markers"), stated=state)  # another start, the same optimum
+    freed = adjust_bundle(shifted, true_state, ("poses", "lenses", "markers"), stated=state)  # another start, the same optimum
     np.testing.assert_allclose(freed.state.markers.corners[seen], found.corners[seen], atol=1e-7)
-    shift = {on: aligned(true_state.markers.corners[rows].reshape(-1, 3), before.corners[rows].reshape(-1, 3)) for on in (False, True)
+    shift = {on: align_points(true_state.markers.corners[rows].reshape(-1, 3), before.corners[rows].reshape(-1, 3)) for on in (False, True)
              for rows in [seen[before.on_platform[seen] == on]]}
     columns = np.concatenate([np.arange(c.start, c.stop) for c in result.unknowns.markers.values()])
     scale = result.unknowns.scale[columns]
@@ -115,19 +115,19 @@ def test_markers_and_targets_off_their_places_are_found(setting):
     free = values > 1e-12 * values.max()
     assert free.sum() == len(columns) - 12  # the datums take six of each body
     assert np.mean((vectors.T @ errors)[free] ** 2 / values[free]) == pytest.approx(1, abs=4 * np.sqrt(2 / free.sum()))
-    fits = adjust(shifted, state, ("poses", "lenses", "targets"))
+    fits = adjust_bundle(shifted, state, ("poses", "lenses", "targets"))
     assert fits.cost > 2 * result.cost and all(row not in fits.unknowns.markers for row in seen)
 
 
 def test_what_is_held_stays(setting):
     observations, stated, true, T = setting
     state = start(stated, true, T)
-    lenses = adjust(observations, state, free=("lenses",))
-    poses = adjust(observations, state, free=("poses",))
-    none = adjust(observations, state, free=())
+    lenses = adjust_bundle(observations, state, free=("lenses",))
+    poses = adjust_bundle(observations, state, free=("poses",))
+    none = adjust_bundle(observations, state, free=())
     for before, a, b, c in zip(state.cameras, lenses.state.cameras, poses.state.cameras, none.state.cameras):
         assert a.pose is before.pose and (b.matrix == before.matrix).all() and c is before
-        assert (a.matrix != before.matrix).any() and np.abs(difference(before.pose, b.pose)).max() > 0
+        assert (a.matrix != before.matrix).any() and np.abs(pose_difference(before.pose, b.pose)).max() > 0
     assert none.platform_common.shape == (6, 6, 0)
 
 
@@ -135,16 +135,16 @@ def test_without_base_targets_the_stated_cameras_hold_the_frame(setting):
     observations, stated, true, T = setting
     platform = observations.take(observations.on_platform)
     state = start(stated, true, T)
-    result = adjust(platform, state)
+    result = adjust_bundle(platform, state)
     moves = np.zeros(6)
     for before, after in zip(state.cameras, result.state.cameras):
-        step = difference(before.pose, after.pose)
+        step = pose_difference(before.pose, after.pose)
         R = before.pose.rotation.as_matrix()
         moves += np.r_[R @ step[:3], R @ step[3:]]
     np.testing.assert_allclose(moves, 0, atol=1e-6)
     one = platform.take(platform.camera == 0)
-    alone = adjust(one, state)
-    assert np.abs(difference(state.cameras[0].pose, alone.state.cameras[0].pose)).max() < 1e-9
+    alone = adjust_bundle(one, state)
+    assert np.abs(pose_difference(state.cameras[0].pose, alone.state.cameras[0].pose)).max() < 1e-9
 
 
 def test_a_term_that_nothing_shows_stays_put(setting):
@@ -152,34 +152,34 @@ def test_a_term_that_nothing_shows_stays_put(setting):
     observations, stated, true, T = setting
     centre = np.linalg.norm(observations.uv - [640, 512], axis=1) < 250
     state = start(stated, true, T)
-    result = adjust(observations.take(centre), state)
+    result = adjust_bundle(observations.take(centre), state)
     sigma = dict(zip(result.shared_names, np.sqrt(np.diag(result.shared_covariance))))
     for before, after in zip(state.cameras, result.state.cameras):
         assert abs(after.distortion[4] - before.distortion[4]) < 0.05
         assert sigma[after.name, "k3"] == pytest.approx(TERM_PRIOR["k3"], rel=0.05)
-    weak = determined(result).undetermined
+    weak = determined_combinations(result).undetermined
     assert {name for _, names in weak for name in names} >= {f"{camera.name} k3" for camera in state.cameras}
-    assert "not determined by this recording" in "\n".join(determined(result).lines())
+    assert "not determined by this recording" in "\n".join(determined_combinations(result).lines())
 
 
 def test_moving_camera_is_found_in_every_frame(setting):
     observations, stated, true, T = setting
     state = start(stated, true, T)
     state = State(state.cameras, state.platform, {0: RigidTransform.concatenate([state.cameras[0].pose] * 6) * exp(1e-3 * np.ones((6, 6)))})
-    result = adjust(observations, state)
-    wander = difference(RigidTransform.concatenate([true.cameras[0].pose] * 6), result.state.moving[0])
+    result = adjust_bundle(observations, state)
+    wander = pose_difference(RigidTransform.concatenate([true.cameras[0].pose] * 6), result.state.moving[0])
     assert np.abs(wander[:, :3]).max() < 2e-3 and np.abs(wander).max() > 0
 
 
 def test_too_few_corners_are_refused(setting):
     observations, stated, true, T = setting
     with pytest.raises(NotEnoughData, match="cannot determine"):
-        adjust(observations.take(np.arange(5)), start(stated, true, T))
+        adjust_bundle(observations.take(np.arange(5)), start(stated, true, T))
 
 
 def test_free_takes_what_it_knows(setting):
     observations, stated, true, T = setting
     with pytest.raises(ValueError, match="poses"):
-        adjust(observations, start(stated, true, T), free=("faces",))
+        adjust_bundle(observations, start(stated, true, T), free=("faces",))
     with pytest.raises(ValueError, match="markers"):
-        adjust(observations, start(stated, true, T), free=("targets",))
+        adjust_bundle(observations, start(stated, true, T), free=("targets",))

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from rig.formats.rig_toml import design_file
-from rig.model.pose import difference, log
+from rig.model.pose import pose_difference, log
 from tests.vision.tumbling import scene
-from vision.bundle.bundle_adjustment import adjust
+from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.held_out_frames import crossvalidate
-from vision.bundle.observability import determined
-from vision.bundle.marker_displacements import listed, places
-from vision.bundle.estimate_update import aligned
+from vision.bundle.observability import determined_combinations
+from vision.bundle.marker_displacements import adjusted_markers, marker_places
+from vision.bundle.estimate_update import align_points
 from vision.recording_adjustment import measure
-from vision.recording_measurement import refused
+from vision.recording_measurement import unsolved_frames
 from vision.targets import marker_map
 
 FREE = ("lenses", "markers")
@@ -31,14 +31,14 @@ def datums(measured, true):
     a = measured.adjustment
     seen, stated = a.unknowns.seen, a.stated.markers
     on = stated.on_platform[seen]
-    return [aligned(true.markers.corners[rows].reshape(-1, 3), stated.corners[rows].reshape(-1, 3)) for rows in (seen[~on], seen[on])]
+    return [align_points(true.markers.corners[rows].reshape(-1, 3), stated.corners[rows].reshape(-1, 3)) for rows in (seen[~on], seen[on])]
 
 
 def test_frames_are_solved_and_their_covariance_is_true(worked):
     observations, stated, true, t, m = worked
     assert len(m.frames) >= 0.9 * len(t)
     base, platform = datums(m, true)
-    errors = difference(m.T_base_platform, base * true.platform[m.frames] * platform.inv())
+    errors = pose_difference(m.T_base_platform, base * true.platform[m.frames] * platform.inv())
     assert np.abs(errors[:, 3:]).max() < 0.1 and np.linalg.norm(errors[:, :3], axis=1).max() < 0.02  # no flip
     square = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(m.covariance), errors)
     assert np.median(square) == pytest.approx(5.35, rel=0.35)
@@ -46,7 +46,7 @@ def test_frames_are_solved_and_their_covariance_is_true(worked):
 
 def test_tags_off_their_places_are_found_within_their_intervals(worked):
     observations, stated, true, t, m = worked
-    found = places(m, t)
+    found = marker_places(m, t)
     base, platform = datums(m, true)
     inside = []
     markers = m.adjustment.stated.markers
@@ -66,19 +66,19 @@ def test_held_out_frames_are_as_far_off_as_the_covariance_says(worked):
     held = crossvalidate(m.used(), m.adjustment)
     assert held.ratio == pytest.approx(1, abs=0.12) and held.corners == m.inliers.sum()
     a = m.adjustment
-    unmoved = adjust(m.used(), replace(a.state, markers=a.stated.markers), ("lenses",), stated=a.stated)
+    unmoved = adjust_bundle(m.used(), replace(a.state, markers=a.stated.markers), ("lenses",), stated=a.stated)
     assert crossvalidate(m.used(), unmoved).ratio > 2  # places as stated do not describe these images
 
 
 def test_the_statement_names_who_holds_the_frames(worked):
-    lines = "\n".join(determined(worked[-1].adjustment).lines())
+    lines = "\n".join(determined_combinations(worked[-1].adjustment).lines())
     assert "base frame is held by the stated places of its markers, taken together" in lines and "camera poses as stated" in lines
 
 
 def test_stated_places_that_contradict_are_told(worked):
     observations, stated, true, t, _ = worked
     m = measure(observations, stated, marker_map(stated), ("lenses",), t=t)
-    assert len(refused(m)) > 0.05 * len(t) and len(m.frames) < len(worked[-1].frames)
+    assert len(unsolved_frames(m)) > 0.05 * len(t) and len(m.frames) < len(worked[-1].frames)
 
 
 def test_one_sighting_counts_only_where_neighbours_confirm_it(worked):
@@ -92,7 +92,7 @@ def test_one_sighting_counts_only_where_neighbours_confirm_it(worked):
     untimed = measure(alone, stated, marker_map(stated), FREE)
     assert f in timed.frames and "single sighting" in untimed.unsolved[f]
     k, j = timed.frames.tolist().index(f), m.frames.tolist().index(f)
-    assert np.linalg.norm(difference(timed.T_base_platform[k], m.T_base_platform[j])[3:]) < 0.2
+    assert np.linalg.norm(pose_difference(timed.T_base_platform[k], m.T_base_platform[j])[3:]) < 0.2
 
 
 def test_places_are_written_into_rig_toml_and_read_back(worked, tmp_path):
@@ -101,6 +101,6 @@ def test_places_are_written_into_rig_toml_and_read_back(worked, tmp_path):
         f'[[target]]\nname = "{target.name}"\nbody = "{target.body}"\ndictionary = "{target.dictionary}"\nedge = 1.0\nmarker = 0.5\n'
         'faces = {"+x" = 0}\npose = { position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }' for target in m.design.targets])
     path = tmp_path / "rig.toml"
-    path.write_text(design_file.with_places(text, listed(m)))
+    path.write_text(design_file.with_places(text, adjusted_markers(m)))
     again = marker_map(design_file.load(path))
     np.testing.assert_allclose(again.corners, m.adjustment.state.markers.corners, atol=1e-8)

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from rig.model.manufacturing_tolerances import PLACES, SIDES
 from tests.numeric import jacobian
 from tests.vision.scenes import nees, scene, standing
 from tests.vision.test_recording_adjustment import joint_chi2
-from vision.bundle.estimate_update import move, offset
+from vision.bundle.estimate_update import update_estimate, offset_from_stated
 from vision.bundle.normal_equations import linearise
 from vision.bundle.printing_errors import Printing
-from vision.bundle.unknown_priors import unknowns
+from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.recording_adjustment import measure
 from vision.corner_observations import whitener
 from vision.predict import State, predict
@@ -43,11 +43,11 @@ def off_recording(design, seed, frames=24, noise=NOISE, **off):
 def test_derivatives_of_prints_agree_with_differences(design):
     observations, stated, _ = off_recording(design, 3, frames=3)
     state = State(stated.cameras, scene(design, 3, frames=3)[3], {}, printed(design, np.random.default_rng(1)))
-    u, estimate = unknowns(observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(1.0, 0.5, 1.0, 1.0))
+    u, estimate = adjustment_unknowns(observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(1.0, 0.5, 1.0, 1.0))
     W, rng = whitener(observations), np.random.default_rng(2)
     _, found = linearise(observations, estimate, u, W)
     shared, local, h = rng.normal(size=u.shared), np.zeros((3, u.local)), 1e-3
-    up, down = (W(observations.uv - predict(observations, move(estimate, u, s * h * shared, local).state)[0]) for s in (1, -1))
+    up, down = (W(observations.uv - predict(observations, update_estimate(estimate, u, s * h * shared, local).state)[0]) for s in (1, -1))
     expected = np.zeros_like(up)
     for d in found.values():
         expected[d.rows] = (d.shared @ shared[d.shared_columns[observations.marker[d.rows]]][..., None])[..., 0]
@@ -58,8 +58,8 @@ def test_the_common_part_of_the_sides_is_what_the_priors_make_likeliest(design):
     """Of each marker's side only the whole shows; no other split of it between its own and all together's costs less."""
     observations, stated, T = off_recording(design, 4, frames=3)
     state = State(stated.cameras, T, {}, printed(design, np.random.default_rng(1)))
-    u, estimate = unknowns(observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(0.0, 0.0, 0.0, 1.0))
-    away = offset(estimate, replace(state, markers=marker_map(stated)), u)
+    u, estimate = adjustment_unknowns(observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(0.0, 0.0, 0.0, 1.0))
+    away = offset_from_stated(estimate, replace(state, markers=marker_map(stated)), u)
     own = np.concatenate([np.arange(c.start, c.stop) for c in u.prints.rows.values()])
 
     def cost(common):
@@ -75,7 +75,7 @@ def test_poses_own_up_to_how_markers_are_printed(design):
     for seed in range(200, 206):
         observations, stated, T = off_recording(design, seed)
         m = measure(observations, stated, marker_map(stated))
-        errors = difference(m.T_base_platform, T[m.frames])
+        errors = pose_difference(m.T_base_platform, T[m.frames])
         chi2, count = chi2 + joint_chi2(m, errors), count + len(errors)
         alone.append(np.mean(nees(errors, m.covariance)) / 6)
         assert m.noise == pytest.approx(NOISE, rel=0.06)
@@ -91,7 +91,7 @@ def test_prints_are_told_from_what_the_pixel_grid_does_to_corners_that_stand_sti
     for seed in range(200, 203):
         observations, stated, T = off_recording(design, seed)
         m = measure(standing(observations, np.random.default_rng(seed), 0.006), stated, marker_map(stated))
-        chi2, count = chi2 + joint_chi2(m, difference(m.T_base_platform, T[m.frames])), count + len(T)
+        chi2, count = chi2 + joint_chi2(m, pose_difference(m.T_base_platform, T[m.frames])), count + len(T)
         assert m.standing == pytest.approx(0.006, rel=0.15)
         assert m.adjustment.printing.place == pytest.approx(0.6, rel=0.25) and not m.adjustment.printing.turn
     assert chi2 / count == pytest.approx(6, rel=0.16)  # 432 numbers leave 7 % to chance

@@ -7,11 +7,11 @@ import pytest
 
 from tests.vision.scenes import known, scene
 from vision.bundle import bundle_adjustment as adjusting
-from vision.bundle.repeated_corners import condensed
-from vision.bundle.estimate_update import offset
+from vision.bundle.repeated_corners import merge_repeated_corners
+from vision.bundle.estimate_update import offset_from_stated
 from vision.bundle.normal_equations import linearise, normal_equations
-from vision.bundle.unknown_priors import unknowns
-from vision.corner_observations import correlation_of, whitener
+from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.corner_observations import corner_correlation, whitener
 from vision.predict import State
 
 
@@ -26,13 +26,13 @@ def setting(design):
 
 def test_cost_and_normal_equations_are_the_same(setting):
     observations, state = setting
-    few, spare = condensed(observations, state)
+    few, spare = merge_repeated_corners(observations, state)
     assert len(few) < 0.8 * len(observations) and (~few.on_platform).sum() * 4 < (~observations.on_platform).sum()
-    u, estimate = unknowns(observations, state, state, ("poses", "lenses"))
+    u, estimate = adjustment_unknowns(observations, state, state, ("poses", "lenses"))
     both = []
     for o, rest in ((observations, 0.0), (few, spare)):
         residual, derivatives = linearise(o, estimate, u, whitener(o))
-        both.append((normal_equations(o, derivatives, u, offset(estimate, state, u)), float((residual**2).sum()) + rest))
+        both.append((normal_equations(o, derivatives, u, offset_from_stated(estimate, state, u)), float((residual**2).sum()) + rest))
     (whole, cost), (short, same) = both
     assert same == pytest.approx(cost, rel=1e-12)
     for name in ("local", "cross", "shared", "own", "common"):
@@ -41,9 +41,9 @@ def test_cost_and_normal_equations_are_the_same(setting):
 
 def test_an_adjustment_is_the_same(setting, monkeypatch):
     observations, state = setting
-    quick = adjusting.adjust(observations, state)
-    monkeypatch.setattr(adjusting, "condensed", lambda observations, state: (observations, 0.0))
-    slow = adjusting.adjust(observations, state)
+    quick = adjusting.adjust_bundle(observations, state)
+    monkeypatch.setattr(adjusting, "merge_repeated_corners", lambda observations, state: (observations, 0.0))
+    slow = adjusting.adjust_bundle(observations, state)
     assert quick.cost == pytest.approx(slow.cost, rel=1e-11) and quick.dof == pytest.approx(slow.dof, rel=1e-9)
     np.testing.assert_allclose(quick.state.platform.as_matrix(), slow.state.platform.as_matrix(), atol=1e-10)
     np.testing.assert_allclose(quick.platform_given_cameras, slow.platform_given_cameras, rtol=1e-8, atol=1e-16)
@@ -53,9 +53,9 @@ def test_an_adjustment_is_the_same(setting, monkeypatch):
 def test_what_hangs_together_and_what_moves_stays_as_it_is(setting):
     observations, state = setting
     m = -(-len(observations) // 4)
-    tied = replace(observations, correlation=correlation_of(np.tile(np.eye(8), (m, 1, 1))).reshape(-1, 2, 8)[: len(observations)])
-    assert condensed(tied, state) == (tied, 0.0)
+    tied = replace(observations, correlation=corner_correlation(np.tile(np.eye(8), (m, 1, 1))).reshape(-1, 2, 8)[: len(observations)])
+    assert merge_repeated_corners(tied, state) == (tied, 0.0)
     moving = replace(state, moving={0: state.platform})
-    few, _ = condensed(observations, moving)
+    few, _ = merge_repeated_corners(observations, moving)
     for camera, same in ((0, True), (1, False)):
         assert ((few.camera == camera).sum() == (observations.camera == camera).sum()) == same

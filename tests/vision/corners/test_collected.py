@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from vision.corners.edge_pixels import MEETS, NONE, NOWHERE, VIEWS, outlook
-from vision.corners.order_statistics import ranked
+from vision.corners.edge_pixels import MEETS, NONE, NOWHERE, VIEWS, pixel_edge_kinds
+from vision.corners.order_statistics import order_statistic
 from vision.targets import marker_cells
 
 LEFT, RIGHT, TOP, BOTTOM = 1, 2, 4, 8
 
 
 def told(cells, row, column, sides):
-    return int(outlook(np.array(cells, float))[(row * 16 + column) * VIEWS + sides])
+    return int(pixel_edge_kinds(np.array(cells, float))[(row * 16 + column) * VIEWS + sides])
 
 
 def test_pixels_are_taken_for_what_they_see():
@@ -25,9 +25,9 @@ def test_pixels_are_taken_for_what_they_see():
 
 
 def test_what_is_out_of_reach_is_nothing_and_large_markers_are_refused():
-    assert outlook(marker_cells("DICT_7X7_50", 3))[NOWHERE] == NONE
+    assert pixel_edge_kinds(marker_cells("DICT_7X7_50", 3))[NOWHERE] == NONE
     with pytest.raises(ValueError, match="16 cells"):
-        outlook(np.ones((17, 17)))
+        pixel_edge_kinds(np.ones((17, 17)))
 
 
 def test_ranks_are_those_of_sorting():
@@ -35,5 +35,5 @@ def test_ranks_are_those_of_sorting():
     for size in (1, 2, 7, 300):
         values = rng.normal(0, 20, size)
         for rank in {0, size // 2, size - 1}:
-            assert ranked(values, rank) == pytest.approx(np.sort(values)[rank], abs=np.ptp(values) / 16000 + 1e-12)
-    assert ranked(np.zeros(0), 0) == 0
+            assert order_statistic(values, rank) == pytest.approx(np.sort(values)[rank], abs=np.ptp(values) / 16000 + 1e-12)
+    assert order_statistic(np.zeros(0), 0) == 0

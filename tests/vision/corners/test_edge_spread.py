@@ -6,10 +6,10 @@ from scipy.special import ndtr
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import SIZE, camera, picture, quad
-from vision.corners.marker_detection import place
+from vision.corners.marker_detection import fit_read_markers
 from vision.corners.cell_whiteness import GRID
 from vision.corners.marker_reader import Read
-from vision.corners.edge_spread import PLAIN, WIDTHS, empty_profile, learn
+from vision.corners.edge_spread import PLAIN, WIDTHS, empty_profile, learn_edge_spread
 
 
 def test_plain_edges_are_odd_and_their_slope_is_theirs():
@@ -41,7 +41,7 @@ def test_what_a_camera_does_to_edges_is_learnt(design):
 
     def fit(spread):
         profile = empty_profile()
-        found = [place(image, camera(), markers, Read([k], corners[None]), spread=spread, profile=profile)
+        found = [fit_read_markers(image, camera(), markers, Read([k], corners[None]), spread=spread, profile=profile)
                  for k, (image, corners) in enumerate(zip(images, truth))]
         error = np.concatenate([f.corners[0] - corners for f, corners in zip(found, truth)])
         return profile, np.median([f.noise[0] for f in found]), np.sqrt(np.mean(error**2)), np.median([f.blur[0] for f in found])
@@ -50,7 +50,7 @@ def test_what_a_camera_does_to_edges_is_learnt(design):
     _, noise_before, error_before, _ = fit(spread)
     for _ in range(4):
         profile, _, _, width = fit(spread)
-        spread = learn(spread, profile, width)
+        spread = learn_edge_spread(spread, profile, width)
     _, noise_after, error_after, _ = fit(spread)
     assert noise_after < 0.5 * noise_before and error_after < error_before
 
@@ -58,4 +58,4 @@ def test_what_a_camera_does_to_edges_is_learnt(design):
 def test_too_few_pixels_teach_nothing():
     profile = empty_profile()
     profile[0, 10] = 5, 1.0, 1.0
-    assert learn(PLAIN, profile, 0.7) is PLAIN
+    assert learn_edge_spread(PLAIN, profile, 0.7) is PLAIN

@@ -19,7 +19,7 @@ def test_it_is_the_lens_along_the_sides_of_a_large_marker(distortion, quad):
     middle = quad.mean(axis=0)
     scale = np.abs(quad - middle).max()
     terms = np.empty((1, 2, local_lens.TERMS))
-    local_lens.polynomials(local_lens.table(camera), np.array([[*middle, scale]]), terms)
+    local_lens.polynomials(local_lens.ideal_coordinate_table(camera), np.array([[*middle, scale]]), terms)
     share = np.linspace(0, 1, 9)[:, None]
     along = np.concatenate([a + share * (b - a) for a, b in zip(quad, np.roll(quad, -1, axis=0))])
     exact = lens.undistort(along, camera.matrix, camera.distortion) - lens.undistort(middle, camera.matrix, camera.distortion)

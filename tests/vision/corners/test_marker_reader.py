@@ -6,10 +6,10 @@ import pytest
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import quad
-from vision.corners.marker_bits import codes, identified
-from vision.corners.quadrangle_candidates import Candidates, candidates
-from vision.corners.dark_pixels import BY, WINDOWS, darker
-from vision.corners.marker_reader import quadrangles, search
+from vision.corners.marker_bits import marker_codes, identify_markers
+from vision.corners.quadrangle_candidates import Candidates, marker_candidates
+from vision.corners.dark_pixels import BY, WINDOWS, mark_dark_pixels
+from vision.corners.marker_reader import dark_quadrangles, read_markers
 from vision.targets import marker_cells
 
 FINE = 12  # texture pixels to a cell
@@ -82,7 +82,7 @@ def compared(design, rng, name, count, width, height):
     markers = sheet(design, name, numbers)
     for k in range(count):
         image, true = photograph(rng, name, range(25), width, height)
-        theirs, ours = by_opencv(image, name, numbers), search(image, markers)
+        theirs, ours = by_opencv(image, name, numbers), read_markers(image, markers)
         found = dict(zip(ours.marker.tolist(), ours.corners))
         for number, corners in theirs.items():
             assert number in found, (name, k, number)
@@ -110,7 +110,7 @@ def test_what_opencv_reads_is_read_at_the_same_pixels_in_every_family(design, na
 def test_what_is_darker_than_its_surroundings_is_marked(window, shape):
     image = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
     out, r = np.zeros((shape[0] + 2, shape[1] + 2), np.uint8), window // 2
-    darker(image, window, out)
+    mark_dark_pixels(image, window, out)
     around = np.lib.stride_tricks.sliding_window_view(np.pad(image, r, mode="edge").astype(int), (window, window))
     np.testing.assert_array_equal(out[1:-1, 1:-1], np.rint(around.mean(axis=(2, 3))) - image >= BY)
     assert not out[[0, -1]].any() and not out[:, [0, -1]].any()
@@ -122,7 +122,7 @@ def test_outlines_of_what_is_dark_and_of_what_is_bright_in_it_are_found():
     image[40:101, 30:111] = 20
     image[60:81, 60:81] = 200
     cv2.circle(image, (150, 150), 30, 20, -1)
-    found = quadrangles(image)
+    found = dark_quadrangles(image)
     assert {tuple(q.min(axis=0)) + tuple(q.max(axis=0)) for q in found} >= {(30, 40, 110, 100), (59, 59, 81, 81)}
     assert found[..., 1].max() < 120  # the disc is none
 
@@ -130,12 +130,12 @@ def test_outlines_of_what_is_dark_and_of_what_is_bright_in_it_are_found():
 def test_outlines_of_three_hundredths_of_the_longer_side_are_the_shortest():
     image = np.full((200, 1000), 200, np.uint8)
     image[50:58, 100:108] = image[50:59, 300:309] = 20  # 28 and 32 pixels around
-    assert {tuple(q.min(axis=0)) + tuple(q.max(axis=0)) for q in quadrangles(image)} == {(300, 50, 308, 58)}
+    assert {tuple(q.min(axis=0)) + tuple(q.max(axis=0)) for q in dark_quadrangles(image)} == {(300, 50, 308, 58)}
 
 
 @pytest.mark.parametrize("turn", range(4))
 def test_a_code_is_told_however_it_lies_and_with_as_many_errors_as_are_corrected(turn):
-    wanted = codes(NAME, (3, 8))
+    wanted = marker_codes(NAME, (3, 8))
     cells = marker_cells(NAME, 8)[1:-1, 1:-1]
     quads = Candidates(np.array([[[20, 20], [103, 20], [103, 103], [20, 103]]], float), np.array([0]), np.array([0, 1]))
     first = np.roll(quads.quads[0], -turn, axis=0)[0]
@@ -144,7 +144,7 @@ def test_a_code_is_told_however_it_lies_and_with_as_many_errors_as_are_corrected
         shown[1, 1 : 1 + errors] = 1 - shown[1, 1 : 1 + errors]
         image = np.full((124, 124), 200, np.uint8)
         image[20:104, 20:104] = np.kron(20 + 180 * np.rot90(shown, -turn), np.ones((12, 12)))
-        rows, corners = identified(image, quads, wanted)
+        rows, corners = identify_markers(image, quads, wanted)
         assert rows.tolist() == ([1] if errors <= wanted.wrong else [])
         if len(rows):
             np.testing.assert_array_equal(corners[0, 0], first)
@@ -154,6 +154,6 @@ def test_of_one_place_the_largest_is_read_first_and_what_the_border_may_cut_off_
     at = np.array([[0, 0], [70, 0], [70, 70], [0, 70]])
     inset = 35 + (at - 35) * 50 // 70
     quads = np.array([inset + 50, at + 50, at + [200, 50], at + [1, 200], at + [50, 51]], np.int32)
-    first, tries, starts = candidates(quads, (300, 400), 7)
+    first, tries, starts = marker_candidates(quads, (300, 400), 7)
     np.testing.assert_array_equal(first[tries[:2]], quads[[1, 0]])  # the fifth is the second's, a pixel off
     assert starts.tolist() == [0, 2, 3] and (first[tries[2]] == quads[2]).all()

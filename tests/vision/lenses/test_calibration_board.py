@@ -15,7 +15,7 @@ from rig.model.pose import pose, transform_points
 from tests.numeric import jacobian
 from vision import lens
 from vision.lenses import chessboard_corner
-from vision.lenses.calibration_board import parse, see
+from vision.lenses.calibration_board import parse, find_board_corners
 
 TEXT = "charuco:5x7:0.036:0.018:DICT_6X6_250"
 PINHOLE = Camera("cam", 420, 460, [[500, 0, 210], [0, 500, 230], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
@@ -54,7 +54,7 @@ def draw(board, camera, T_camera_board, noise=1.5, blur=0.8, seed=0, finer=3):
 def test_corners_lie_where_they_are_within_their_covariance(camera, turn):
     board = parse(TEXT)
     image, true = draw(board, camera, pose([-0.085, -0.12, 0.38], turn))
-    view = see(image, board, camera)
+    view = find_board_corners(image, board, camera)
     assert len(view.corner) >= 20 and not set(view.corner) & {row for row, _ in view.left_out}
     errors = view.uv - true[view.corner]
     assert np.sqrt((errors**2).mean()) < 0.02
@@ -65,7 +65,10 @@ def test_corners_lie_where_they_are_within_their_covariance(camera, turn):
 def test_a_lens_that_is_not_taken_out_bends_the_corners():
     board = parse(TEXT)
     image, true = draw(board, BENT, pose([-0.085, -0.12, 0.38], [0.2, 0.1, 0.1]))
-    rms = [np.sqrt(((view.uv - true[view.corner]) ** 2).mean()) for view in (see(image, board, PINHOLE), see(image, board, BENT))]
+    rms = [
+        np.sqrt(((view.uv - true[view.corner]) ** 2).mean())
+        for view in (find_board_corners(image, board, PINHOLE), find_board_corners(image, board, BENT))
+    ]
     assert rms[1] < rms[0]
 
 
@@ -87,12 +90,12 @@ def test_what_is_no_corner_gives_a_reason():
     image, true = draw(board, PINHOLE, pose([-0.085, -0.12, 0.38], [0.2, 0.1, 0.1]))
     u, v = true[8].astype(int)
     image[v - 6 : v + 40, u - 6 : u + 40] = 128
-    view = see(image, board, PINHOLE)
+    view = find_board_corners(image, board, PINHOLE)
     assert 8 not in view.corner and dict(view.left_out)[8]
-    empty = see(np.full((460, 420), 128, np.uint8), board, PINHOLE)
+    empty = find_board_corners(np.full((460, 420), 128, np.uint8), board, PINHOLE)
     assert len(empty.corner) == 0 and empty.left_out == ()
     noise = np.random.default_rng(0).integers(0, 255, (460, 420)).astype(np.uint8)
-    assert len(see(noise, board, PINHOLE).corner) == 0
+    assert len(find_board_corners(noise, board, PINHOLE).corner) == 0
 
 
 def test_a_grid_of_markers_is_read_too():
@@ -102,7 +105,7 @@ def test_a_grid_of_markers_is_read_too():
     np.testing.assert_allclose(np.array(grid.getObjPoints()), board.marker_corners(), atol=1e-8)
     image = cv2.copyMakeBorder(grid.generateImage((451, 331)), 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
     camera = Camera("cam", 571, 451, [[800, 0, 300], [0, 800, 230], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
-    view = see(cv2.GaussianBlur(image, (0, 0), 0.8), board, camera)
+    view = find_board_corners(cv2.GaussianBlur(image, (0, 0), 0.8), board, camera)
     assert len(view.corner) == 48
     H, _ = cv2.findHomography(board.points[view.corner, :2], view.uv)
     there = cv2.perspectiveTransform(board.points[view.corner, None, :2], H)[:, 0]

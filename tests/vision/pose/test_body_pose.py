@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.model.design import Marker, Target
-from rig.model.pose import difference, pose
+from rig.model.pose import pose_difference, pose
 from tests.vision import tumbling
 from tests.vision.scenes import known, nees, scene
 from vision.pose.body_pose import View, locate, undistorted
@@ -38,7 +38,7 @@ def test_poses_and_covariances_are_true(setting):
     for f in range(200):
         found = locate(*view_of(observations, design, f))
         assert found
-        errors.append(difference(found.T_world_body, T[f]))
+        errors.append(pose_difference(found.T_world_body, T[f]))
         covariances.append(found.covariance)
     assert np.mean(nees(np.array(errors), np.array(covariances))) == pytest.approx(6, rel=0.1)
 
@@ -63,7 +63,7 @@ def test_exchanged_identities_flips_and_outliers_are_cast_out(setting):
         assert found
         gone = np.concatenate([where[turned], where[a], [single]])
         assert not found.inliers[gone].any()
-        assert nees(difference(found.T_world_body, T[f])[None], found.covariance[None])[0] < 35
+        assert nees(pose_difference(found.T_world_body, T[f])[None], found.covariance[None])[0] < 35
 
 
 def test_one_sighting_is_not_believed(setting):
@@ -106,7 +106,7 @@ def test_poisoned_outliers_leave_no_trace(setting):
         ideal = view.ideal.copy()
         ideal[rows] += rubbish
         poses.append(locate(replace(view, ideal=ideal), markers).T_world_body)
-    np.testing.assert_allclose(difference(*poses), 0, atol=1e-9)
+    np.testing.assert_allclose(pose_difference(*poses), 0, atol=1e-9)
 
 
 @pytest.mark.parametrize("distance", [0.6, 1.2])
@@ -122,7 +122,7 @@ def test_a_flip_that_the_image_cannot_exclude_is_said(distance):
         found = locate(View(points, np.tile([0.0, 0, 1], (8, 1)), ideal, np.tile(1e-8 * np.eye(2), (8, 1, 1)), np.zeros(8, int),
                             np.repeat([0, 1], 4), np.tile(range(4), 2), np.array([1500.0]), np.eye(4)[None]), markers)
         if found:
-            assert np.linalg.norm(difference(found.T_world_body, T)[3:]) < 0.3  # its mirrored tilt is 0.8 away
+            assert np.linalg.norm(pose_difference(found.T_world_body, T)[3:]) < 0.3  # its mirrored tilt is 0.8 away
         else:
             assert ("two poses" in found.reason) == (len(found.candidates) == 2)
         said.append("pose" if found else "two" if found.candidates else "none")

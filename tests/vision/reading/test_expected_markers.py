@@ -8,13 +8,13 @@ import pytest
 
 from rig.model import mechanisms
 from rig.model.design import Marker, Target
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from rig.recording.recording_folder import Commands, Exposures, Recording
 from tests.vision.reading.test_marker_identity import printed
 from vision.corners import marker_detection
 from vision.reading import recording_corners as collecting
 from vision.reading import expected_markers
-from vision.reading.recording_corners import LEARN_FROM, collect
+from vision.reading.recording_corners import LEARN_FROM, collect_corners
 from vision.reading.marker_identity import suspects
 from vision.recording_measurement import measure_recording
 from vision.targets import marker_map
@@ -35,7 +35,7 @@ def drawn(design, tmp_path_factory):
     write(folder, one, T, rng, {})
     t = np.arange(FRAMES) * 0.1
     exposures = Exposures(np.arange(FRAMES), t, [one.cameras[0].name] * FRAMES, [f"{k}.png" for k in range(FRAMES)])
-    commands = Commands(t, mechanisms.of(one.mechanism).inverse(T, one.mechanism))
+    commands = Commands(t, mechanisms.kinematics_of(one.mechanism).inverse(T, one.mechanism))
     return Recording(folder, one, commands, exposures, None, None, None), T
 
 
@@ -50,14 +50,14 @@ def write(folder, design, T, rng, as_another, frames=range(FRAMES)):
 def searches(monkeypatch):
     """How many whole images are searched, counted."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # what other processes search is not counted here
-    count, search = [], marker_detection.search
+    count, search = [], marker_detection.read_markers
 
     def counted(*arguments):
         count.append(1)
         return search(*arguments)
 
-    monkeypatch.setattr(marker_detection, "search", counted)
-    monkeypatch.setattr(collecting, "search", counted)
+    monkeypatch.setattr(marker_detection, "read_markers", counted)
+    monkeypatch.setattr(collecting, "read_markers", counted)
     return count
 
 
@@ -70,10 +70,10 @@ def test_only_the_images_that_teach_are_searched(drawn, searches, monkeypatch, h
         values = recording.commands.values + 0.02 * np.random.default_rng(1).normal(size=(FRAMES, 6))
         recording = replace(recording, commands=Commands(recording.commands.t, values))
     markers = marker_map(recording.design)
-    found = collect(recording, markers)
+    found = collect_corners(recording, markers)
     assert len(searches) == LEARN_FROM and found.left_out == []
-    monkeypatch.setattr(expected_markers, "taught", lambda *_: None)
-    whole = collect(recording, markers)
+    monkeypatch.setattr(expected_markers, "learn_expectation", lambda *_: None)
+    whole = collect_corners(recording, markers)
     assert len(searches) == 2 * LEARN_FROM + FRAMES - LEARN_FROM
 
     def keyed(c):
@@ -91,21 +91,21 @@ def test_poses_are_the_same_and_right(drawn):
     recording, T = drawn
     m, _ = measure_recording(recording)
     assert len(m.frames) == FRAMES and not suspects(m, marker_map(recording.design))
-    assert np.abs(difference(m.T_base_platform, T)[:, :3]).max() < 5e-4
+    assert np.abs(pose_difference(m.T_base_platform, T)[:, :3]).max() < 5e-4
 
 
 def test_images_that_teach_are_placed_by_the_lens_that_they_teach(drawn, monkeypatch):
     recording, T = drawn
-    camera, markers, place, by = recording.design.cameras[0], marker_map(recording.design), collecting.place, []
+    camera, markers, place, by = recording.design.cameras[0], marker_map(recording.design), collecting.fit_read_markers, []
     taught = replace(camera, distortion=camera.distortion + 1e-4)
-    monkeypatch.setattr(expected_markers, "taught", lambda *_: expected_markers.Expectation((taught,), markers, dict(enumerate(T))))
+    monkeypatch.setattr(expected_markers, "learn_expectation", lambda *_: expected_markers.Expectation((taught,), markers, dict(enumerate(T))))
 
     def placed(full, camera, *arguments, **options):
         by.append((camera is taught, full.tobytes()))
         return place(full, camera, *arguments, **options)
 
-    monkeypatch.setattr(collecting, "place", placed)
-    found = collect(recording, markers)
+    monkeypatch.setattr(collecting, "fit_read_markers", placed)
+    found = collect_corners(recording, markers)
     assert len({image for anew, image in by if anew}) == LEARN_FROM and by[-1][0]  # once each, after all that taught
     assert found.cameras == {camera.name: taught}
 
@@ -129,7 +129,7 @@ def test_an_image_is_searched_where_something_else_is_in_a_markers_place(drawn, 
             for place in places[: 1 if case == "hidden" else 3]:
                 cv2.fillConvexPoly(image, place.astype(np.int32), 120)
         cv2.imwrite(str(tmp_path / f"{k}.png"), image)
-    found = collect(replace(recording, folder=tmp_path), marker_map(recording.design))
+    found = collect_corners(replace(recording, folder=tmp_path), marker_map(recording.design))
     assert len(searches) == LEARN_FROM + searched and found.left_out == []
 
 
@@ -154,4 +154,4 @@ def test_what_is_not_as_stated_is_still_found_and_named(drawn, searches, tmp_pat
     named = {(s.marker, s.kind, s.other) for s in suspects(m, markers, collected.repeated, image_reader(spoilt))}
     wanted = {(a, "exchanged", b), (b, "exchanged", a)} if case == "two faces exchanged" else {(a, "other", 97)}
     assert wanted <= named and collected.left_out == []
-    assert np.abs(difference(m.T_base_platform, T[m.frames])[:, :3]).max() < 5e-4
+    assert np.abs(pose_difference(m.T_base_platform, T[m.frames])[:, :3]).max() < 5e-4

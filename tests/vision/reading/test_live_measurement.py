@@ -14,7 +14,7 @@ from rig.driving.clock import SimulatedClock
 from rig.planning.configuration_sets import low_discrepancy
 from rig.model.design import Sensor
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from synthetic import secret_machine
 from synthetic.emulated_sensors import Eyes
 from synthetic.image_simulation import Images
@@ -77,7 +77,7 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     """Through the emulator's eyes: a camera that the platform carries, drawn as the struts stand, and where the platform is told by what it sees."""
     (tmp_path / "rig.toml").write_text(in_hand.text())
     design = design_file.load(tmp_path / "rig.toml")
-    secret, strokes = secret_machine.draw(design, np.random.default_rng(2)), design.mechanism.strut_range
+    secret, strokes = secret_machine.draw_machine(design, np.random.default_rng(2)), design.mechanism.strut_range
     goals = low_discrepancy(strokes, TAUGHT[0] + 4, 0.5, 1)
     t = 10.0 * np.arange(len(goals) + 1)
     sensor = Sensor(blur=0.6, read_noise=1.5, electrons=8000.0)
@@ -94,7 +94,7 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     live.close()
     held = secret.true.cameras[0].pose * design.cameras[0].pose.inv()  # the platform's frame is held by the camera's stated pose
     last = slice(TAUGHT[0], None)
-    off = np.array([difference(a * held, b.T_base_platform) for a, b in zip(true[last], sights[last])])
+    off = np.array([pose_difference(a * held, b.T_base_platform) for a, b in zip(true[last], sights[last])])
     covariance = np.array([sight.covariance for sight in sights[last]])
     z = np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off)
     assert np.abs(off[:, :3]).max() < 1e-4 and np.abs(off[:, 3:]).max() < 2e-4 and z.mean() < 2 * 6

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from rig.effects.catalogue.marker_swap import MarkerSwap
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.vision.scenes import nees, scene
 from vision.recording_adjustment import measure
 from vision.predict import expected
 from vision.reading.recording_corners import Collected, Unplaced
-from vision.reading.marker_identity import Suspect, suspects, why_none
+from vision.reading.marker_identity import Suspect, suspects, no_marker_reason
 from vision.targets import marker_cells, marker_map
 
 
@@ -21,7 +21,7 @@ def spoilt(design, spoil=None, repeated=(), read=None, frames=12):
     observations, stated, _, T = scene(design, 4, frames, spoil=spoil)
     m = measure(observations, stated, marker_map(design))
     assert len(m.frames) == frames
-    return suspects(m, marker_map(design), repeated, read), nees(difference(m.T_base_platform, T), m.covariance).mean()
+    return suspects(m, marker_map(design), repeated, read), nees(pose_difference(m.T_base_platform, T), m.covariance).mean()
 
 
 def relabelled(change):
@@ -144,6 +144,6 @@ def test_why_no_marker_was_found(design, case):
         image = np.ascontiguousarray(image[:, ::-1])
     if case == "nothing":
         image = np.random.default_rng(0).integers(0, 256, image.shape, np.uint8)
-    said = why_none([image], markers)
+    said = no_marker_reason([image], markers)
     wanted = {"another dictionary": "DICT_6X6_1000", "mirrored": "the images are mirrored", "other identities": "other markers than rig.toml has: 6"}
     assert wanted.get(case, "") in said and bool(said) == (case in wanted)

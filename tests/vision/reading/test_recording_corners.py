@@ -10,10 +10,10 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.recording import recording_folder
 from rig.errors import FileError, NotEnoughData
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.conftest import BENCH, make_recording
-from vision.reading.corner_refit import SETTLED, otherwise
-from vision.reading.recording_corners import collect
+from vision.reading.corner_refit import SETTLED, lens_difference
+from vision.reading.recording_corners import collect_corners
 from vision.recording_measurement import measure_recording
 from vision.targets import marker_map
 
@@ -31,14 +31,14 @@ def measured(check):
 def test_poses_from_images_are_within_their_covariance(measured):
     m, _ = measured
     truth = RigidTransform.from_matrix(np.array(json.loads((BENCH / "check-truth.json").read_text())["poses"]).reshape(-1, 4, 4))
-    errors = difference(m.T_base_platform, truth)
+    errors = pose_difference(m.T_base_platform, truth)
     assert len(m.frames) == 6 and m.noise < 0.02
     assert np.abs(errors[:, :3]).max() < 6e-5 and np.abs(errors[:, 3:]).max() < 2e-4
     assert np.mean(np.einsum("ni,nij,nj->n", errors, np.linalg.inv(m.covariance), errors)) < 12.6  # 6 degrees, one draw: 5 %
 
 
 def test_a_second_look_adds_markers_in_their_places(check, measured):
-    first = collect(check, marker_map(check.design))
+    first = collect_corners(check, marker_map(check.design))
     m, second = measured
     assert len(second.corners.frame) > len(first.corners.frame)
     added = np.arange(len(second.corners.frame)) >= len(first.corners.frame)
@@ -51,17 +51,21 @@ def test_corners_are_placed_by_the_lens_as_measured(check, measured):
     m, second = measured
     stated, true = check.design.cameras, m.design.cameras
     first = replace(second, cameras={camera.name: camera for camera in stated})
-    assert otherwise(second.corners, second.cameras, true) < SETTLED < otherwise(first.corners, first.cameras, true)
-    assert otherwise(first.corners, first.cameras, stated) == 0
+    assert lens_difference(second.corners, second.cameras, true) < SETTLED < lens_difference(first.corners, first.cameras, true)
+    assert lens_difference(first.corners, first.cameras, stated) == 0
     bent = [[replace(camera, distortion=camera.distortion + [by, 0, 0, 0, 0]) for camera in stated] for by in (1e-3, 2e-3)]
-    assert otherwise(first.corners, first.cameras, bent[1]) == pytest.approx(2 * otherwise(first.corners, first.cameras, bent[0]), rel=0.02)
+    assert lens_difference(first.corners, first.cameras, bent[1]) == pytest.approx(
+        2 * lens_difference(first.corners, first.cameras, bent[0]), rel=0.02
+    )
     shifted = [replace(camera, matrix=camera.matrix + [[0, 0, 1], [0, 0, 1], [0, 0, 0]]) for camera in stated]
-    assert otherwise(first.corners, first.cameras, shifted) < otherwise(first.corners, first.cameras, bent[0]) / 2  # it moves a marker as a whole
+    assert (
+        lens_difference(first.corners, first.cameras, shifted) < lens_difference(first.corners, first.cameras, bent[0]) / 2
+    )  # it moves a marker as a whole
 
 
 def test_progress_counts_every_image(check):
     calls = []
-    collect(check, marker_map(check.design), lambda done, of: calls.append((done, of)))
+    collect_corners(check, marker_map(check.design), lambda done, of: calls.append((done, of)))
     assert calls == [(i, 18) for i in range(1, 19)]
 
 
@@ -71,7 +75,7 @@ def test_an_image_that_cannot_be_decoded_is_named(tmp_path):
     whole = path.read_bytes()
     path.write_bytes(whole[:2000] + b"\0" * 20000 + whole[-60:])  # head and tail are sound
     with pytest.raises(FileError, match="00001.png"):
-        collect(recording_folder.load(tmp_path / "rec"), marker_map(recording_folder.load(tmp_path / "rec").design))
+        collect_corners(recording_folder.load(tmp_path / "rec"), marker_map(recording_folder.load(tmp_path / "rec").design))
 
 
 def test_what_cannot_be_measured_says_why(tmp_path, design, rig_text):

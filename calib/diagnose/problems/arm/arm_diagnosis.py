@@ -8,28 +8,28 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from calib.samples.confounded_conditions import Confounds, of_recordings
+from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.diagnose.engine.candidates import NotAsked
-from calib.diagnose.engine.cross_validation import CrossValidation, stretches
+from calib.diagnose.engine.cross_validation import CrossValidation, time_stretch_folds
 from calib.diagnose.engine.stated_terms import UNSAID, Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.problem_interface import Progress
 from calib.diagnose.engine.covariate_ranking import Covariate
-from calib.diagnose.engine.term_selection import Finding, choose, labelled, select
+from calib.diagnose.engine.term_selection import Finding, choose_terms, labelled_progress, select_terms
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
 from calib.diagnose.problems.arm.excess_scatter import scatter_beyond_noise
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.remainder_covariates import covariates
-from calib.diagnose.problems.arm.pose_fit import Fit, fit
-from calib.diagnose.problems.arm.joint_formulas import suggestions
+from calib.diagnose.problems.arm.remainder_covariates import remainder_covariates
+from calib.diagnose.problems.arm.pose_fit import Fit, fit_poses
+from calib.diagnose.problems.arm.joint_formulas import formula_suggestions
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
-from calib.diagnose.problems.arm.linearised_poses import FEWEST, Arms, Geometry, arms_of
+from calib.diagnose.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
-from calib.diagnose.problems.arm.repeated_commands import Repeats, repeats
-from calib.diagnose.problems.arm.outlier_poses import GATE, GROSS, WildPoses, wild_poses
-from calib.diagnose.problems.requested_effects import Asked, answerable
+from calib.diagnose.problems.arm.repeated_commands import Repeats, pose_repeatability
+from calib.diagnose.problems.arm.outlier_poses import GATE, GROSS, WildPoses, outlier_poses
+from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
 from calib.diagnose.problems.formula_suggestion import Suggestion
-from calib.diagnose.problems.temperature_smoothing import smoothed
+from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
 from calib.samples.recording_samples import Sampled, sample_recording
 from rig.model.design import Arm, Chain
 from rig.effects.catalogue.effect_list import ALL
@@ -38,7 +38,7 @@ from rig.effects.texts.user_effect_files import Plugin
 from rig.recording.time_origin import Origin
 from rig.compute.parallel_map import parallel_map
 from rig.recording.recording_folder import Part, Recording
-from vision.pose_uncertainty_prediction import foreseen
+from vision.pose_uncertainty_prediction import predict_pose_uncertainty
 
 PARTS = 3
 ROUNDS = 3  # of searching anew without what turned out to be wild
@@ -104,7 +104,7 @@ class ArmDiagnosis:
 
 
 @threadpool_limits.wrap(limits=1)
-def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
+def diagnose_arm(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
              given: Given = UNSAID, kinds: tuple[type[Effect], ...] = ALL, sampled: Sampled | None = None) -> ArmDiagnosis:
     """ArmDiagnosis of a Recording of an arm or a chain. only, without : effects, or "effect joint 3"; progress : called with (label, done, of)
     given : what is in from the start; kinds : the catalogue, with what a user adds to it; sampled : Sampled of the recording where it was measured
@@ -113,73 +113,80 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     Raises NotEnoughData where too little was measured, and what calibrating raises
     """
     sampled = sample_recording(recording, progress=progress) if sampled is None else sampled
-    sensors, _ = smoothed(recording.sensors)
+    sensors, _ = smooth_temperatures(recording.sensors)
     sight = None
     if sampled.measurement is not None and isinstance(recording.design.mechanism, Arm):
-        sight = partial(foreseen, sampled.measurement, recording.design)
+        sight = partial(predict_pose_uncertainty, sampled.measurement, recording.design)
     design = replace(recording.design, instrument=sampled.instrument)
 
     def linear(gone: frozenset[int]) -> tuple[Arms, Geometry]:
         some = sampled.samples.take(~np.isin(sampled.samples.frame, sorted(gone))) if gone else sampled.samples
-        arms, found = arms_of(some, design, recording.commands, sensors, fewest=0 if gone else FEWEST)
+        arms, found = linearise_poses(some, design, recording.commands, sensors, fewest=0 if gone else FEWEST)
         return replace(arms, assumed=sampled.assumed, sight=sight), found
 
-    done = diagnosed(linear, recording.name, sampled.source, Asked.of(only, without, given, kinds), progress, given=given)
-    return replace(done, origin=recording.origin, parts=recording.parts, confounds=of_recordings([recording]))
+    done = diagnose_linearised_poses(linear, recording.name, sampled.source, RequestedEffects.of(only, without, given, kinds), progress, given=given)
+    return replace(done, origin=recording.origin, parts=recording.parts, confounds=confounds_of_recordings([recording]))
 
 
-def diagnosed(linear: Callable[[frozenset[int]], tuple[Arms, Geometry]], name: str, source: str, asked: Asked, progress: Progress | None = None,
-              coarse: bool = True, given: Given = UNSAID) -> ArmDiagnosis:
+def diagnose_linearised_poses(
+    linear: Callable[[frozenset[int]], tuple[Arms, Geometry]],
+    name: str,
+    source: str,
+    asked: RequestedEffects,
+    progress: Progress | None = None,
+    coarse: bool = True,
+    given: Given = UNSAID,
+) -> ArmDiagnosis:
     """ArmDiagnosis of what is linear: frames' numbers left out as wild -> (Arms of all others, Geometry that they are linear about), made anew
     without them, so that all is as if they had never been measured. coarse : whether long stretches are held out as well."""
     (arms, found), wild = linear(frozenset()), WildPoses()
     every = len(arms)
     candidates, not_asked = joint_candidates(arms, asked)
-    given = answerable(given, candidates, not_asked)
+    given = require_answerable(given, candidates, not_asked)
     for _ in range(ROUNDS):
-        known, wild = wild.frames, wild.with_more(wild_poses(arms, arms.left, GROSS), every)
+        known, wild = wild.frames, wild.with_more(outlier_poses(arms, arms.left, GROSS), every)
         if wild.frames == known:
             break
         arms, found = linear(wild.frames)
     for turn in range(ROUNDS):
         candidates, not_asked = joint_candidates(arms, asked)
         problem = ArmProblem(arms, candidates, given=given)
-        selection = select(problem, progress)
+        selection = select_terms(problem, progress)
         last = turn == ROUNDS - 1  # what would show only now was searched, and is not left out
-        both = wild if last else wild.with_more(wild_poses(arms, selection.fit.left, GATE), every)
+        both = wild if last else wild.with_more(outlier_poses(arms, selection.fit.left, GATE), every)
         if both.frames == wild.frames:
             break
         wild = both
         arms, found = linear(wild.frames)
     chosen = selection.fit
-    held = nested(problem, (FINE, COARSE) if coarse else (FINE,), progress)
-    again, fitted = repeats(chosen), found.at(chosen.theta[: found.basis.shape[1]])
+    held = nested_held_out_poses(problem, (FINE, COARSE) if coarse else (FINE,), progress)
+    again, fitted = pose_repeatability(chosen), found.at(chosen.theta[: found.basis.shape[1]])
     numbers = [f.number for f in selection.findings]
     proofs = [problem.cross_validation(chosen, number) for number in numbers]
     regions = problem.by_regions(chosen, numbers) if numbers else []
-    before, cluster = fit(arms, (), problem.train), problem.policy.cluster
-    left, goes_with = lack_of_fit(chosen, cluster), covariates(before, chosen, cluster)
-    suggested = tuple(suggestions(chosen, left))
+    before, cluster = fit_poses(arms, (), problem.train), problem.policy.cluster
+    left, goes_with = lack_of_fit(chosen, cluster), remainder_covariates(before, chosen, cluster)
+    suggested = tuple(formula_suggestions(chosen, left))
     left += scatter_beyond_noise(chosen, again, goes_with)
     return ArmDiagnosis(name, source, arms, found, fitted, before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
                         again, left, regions, goes_with, given=given, suggestions=suggested,
                         left_out=both.left_out, crowd=both.crowd)
 
 
-def nested(problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None) -> list[HeldOutPoses]:
+def nested_held_out_poses(problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None) -> list[HeldOutPoses]:
     """HeldOutPoses of what a problem may fit, over each number of stretches of time: effects are chosen, and all is fitted, on two thirds of them
     at a time."""
     arms, kept = problem.arms, np.ones(len(problem.arms), bool) if problem.train is None else problem.train
-    parts = [stretches(len(arms), count) % PARTS for count in counts]
+    parts = [time_stretch_folds(len(arms), count) % PARTS for count in counts]
 
     def predicted(one: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
         part = parts[one[0]] == one[1]
         with threadpool_limits(1):
-            chosen, bare = choose(replace(problem, train=kept & ~part)), fit(arms, (), kept & ~part)
+            chosen, bare = choose_terms(replace(problem, train=kept & ~part)), fit_poses(arms, (), kept & ~part)
         return bare.left[part], chosen.left[part], tuple(f"{t.candidate.name} {t.candidate.place}" for t in chosen.terms)
 
     things = [(i, k) for i in range(len(counts)) for k in range(PARTS)]
-    found = dict(zip(things, parallel_map(predicted, things, labelled(progress, "choosing anew without stretches"), few=1)))
+    found = dict(zip(things, parallel_map(predicted, things, labelled_progress(progress, "choosing anew without stretches"), few=1)))
     out = []
     for i, (count, part) in enumerate(zip(counts, parts)):
         before, after, far = np.empty(arms.left.shape), np.empty(arms.left.shape), np.empty(len(arms))

@@ -5,21 +5,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.engine.cross_validation import FOLDS, STRETCHES, CrossValidation, left_out, signed_rank_gain, stretches
+from calib.diagnose.engine.cross_validation import FOLDS, STRETCHES, CrossValidation, sizes_without_columns, signed_rank_gain, time_stretch_folds
 from calib.diagnose.engine.stated_terms import Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.selection_policy import ARM, SelectionPolicy
 from calib.diagnose.engine.problem_interface import Wald
-from calib.diagnose.engine.term_selection import prune
+from calib.diagnose.engine.term_selection import remove_redundant_terms
 from calib.diagnose.problems.arm import lack_of_fit as remainder
 from calib.diagnose.problems.arm.joint_candidates import JointCandidate, JointScore
-from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit
-from calib.diagnose.problems.arm.nonlinear_parameters import sought
+from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
+from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters
 from calib.diagnose.problems.arm.linearised_poses import Arms
-from calib.diagnose.problems.arm.candidate_search import column_of, confined, search
-from calib.diagnose.problems.arm.term_simplification import FINE, QUICK, bettered, gathered, opened, sharpened, simplified
-from calib.samples.pose_samples import blocks
+from calib.diagnose.problems.arm.candidate_search import column_of, candidate_with_nodes, search_candidates
+from calib.diagnose.problems.arm.term_simplification import (
+    FINE,
+    QUICK,
+    optimise_terms,
+    merge_sinusoids_into_profiles,
+    admissible_candidates,
+    refine_profiles,
+    simplify_profiles,
+)
+from calib.samples.pose_samples import time_block_folds
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
@@ -37,7 +45,7 @@ class ArmProblem:
     given: Given = Given()
 
     def start(self) -> Fit:
-        return fit(self.arms, (), self.train)
+        return fit_poses(self.arms, (), self.train)
 
     def terms(self, fit: Fit) -> list[JointCandidate]:
         return [term.candidate for term in fit.terms]
@@ -61,7 +69,7 @@ class ArmProblem:
         return model.linear
 
     def open(self, fit: Fit) -> list[JointCandidate]:
-        return opened(fit, self.candidates)
+        return admissible_candidates(fit, self.candidates)
 
     def search(self, model: Fit, candidates: list[JointCandidate], least: float = 0.0,
                progress: Callable[[int, int], None] | None = None) -> list[JointScore]:
@@ -78,7 +86,7 @@ class ArmProblem:
         c, apart, grid, name = score.curve, candidate.step / FINE, candidate.grid, candidate.sought
         peaks = [i for i in range(1, len(c) - 1) if c[i] >= max(c[i - 1], c[i + 1]) and abs(grid[i][name] - own.node[name]) > apart]
         best = sorted(peaks, key=lambda i: -c[i])[:ALIASES]
-        return [other for i in best for other in self.search(model, [confined(candidate, [grid[i]])])]
+        return [other for i in best for other in self.search(model, [candidate_with_nodes(candidate, [grid[i]])])]
 
     def column(self, model: Fit, score: JointScore) -> Column:
         return column_of(model, score)
@@ -87,7 +95,7 @@ class ArmProblem:
         return fit.with_terms([Term.of(score)])
 
     def companion(self, fit: Fit, score: JointScore) -> JointScore | None:
-        again = self.search(fit, [confined(score.candidate, [score.node])])
+        again = self.search(fit, [candidate_with_nodes(score.candidate, [score.node])])
         return replace(again[0], candidate=score.candidate) if again else None
 
     def remove_term(self, fit: Fit, number: int) -> Fit:
@@ -97,16 +105,16 @@ class ArmProblem:
         return self._weighed(fit, [*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1]])
 
     def _weighed(self, now: Fit, terms: list[Term]) -> Fit:
-        return fit(self.arms, terms, self.train, now.weighing, rounds=QUICK)
+        return fit_poses(self.arms, terms, self.train, now.weighing, rounds=QUICK)
 
     def refined(self, fit: Fit) -> Fit:
-        return sharpened(fit, self.train, self.policy)
+        return refine_profiles(fit, self.train, self.policy)
 
     def simplified(self, now: Fit) -> Fit:
-        now = gathered(now, self.candidates, self.train, self.policy, self.given)
-        now = prune(self, simplified(now, self.candidates, self.train, self.policy, self.given))
-        now = bettered(now, [term for term in now.terms if sought(term)])
-        return fit(self.arms, now.terms, self.train, now.weighing)
+        now = merge_sinusoids_into_profiles(now, self.candidates, self.train, self.policy, self.given)
+        now = remove_redundant_terms(self, simplified(now, self.candidates, self.train, self.policy, self.given))
+        now = optimise_terms(now, [term for term in now.terms if has_continuous_parameters(term)])
+        return fit_poses(self.arms, now.terms, self.train, now.weighing)
 
     def wald(self, fit: Fit, number: int) -> Wald:
         one, here = fit.terms[number], fit.slices[number]
@@ -137,12 +145,12 @@ class ArmProblem:
         """
         W, target = now.W[now.used], now.target[now.used]
         order = np.arange(len(W)) if along is None else np.argsort(along, kind="stable")
-        fold = stretches(len(now.arms), STRETCHES)[now.used] % FOLDS
+        fold = time_stretch_folds(len(now.arms), STRETCHES)[now.used] % FOLDS
         if along is not None:
-            fold[order] = blocks(len(order), FOLDS)
+            fold[order] = time_block_folds(len(order), FOLDS)
         parts = [now.X.take(fold == f) for f in np.unique(fold)]
         rows = [fold == f for f in np.unique(fold)]
-        sizes = left_out([p.gram() for p in parts], [p.onto(target[r][..., None])[:, 0] for p, r in zip(parts, rows)], now.information)
+        sizes = sizes_without_columns([p.gram() for p in parts], [p.onto(target[r][..., None])[:, 0] for p, r in zip(parts, rows)], now.information)
 
         def figures(gone: np.ndarray) -> tuple[np.ndarray, float]:
             white = target.copy()

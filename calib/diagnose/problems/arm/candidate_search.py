@@ -8,9 +8,9 @@ import numpy as np
 
 from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear_model import Column
-from calib.diagnose.engine.frame_inner_products import FrameProducts, Normal, Solved, framewise, solve_with_prior
-from calib.diagnose.engine.candidate_score import at_node
-from calib.diagnose.engine.sinusoid_sums import sums
+from calib.diagnose.engine.frame_inner_products import FrameProducts, Normal, Solved, normal_of_weighted_directions, solve_with_prior
+from calib.diagnose.engine.candidate_score import score_at_node
+from calib.diagnose.engine.sinusoid_sums import sinusoid_sums
 from calib.diagnose.problems.arm.joint_candidates import Form, JointCandidate, JointScore
 from calib.diagnose.problems.arm.pose_fit import Fit
 
@@ -23,7 +23,7 @@ SEEN = 4.0  # times what a later node explains with the nuisances in, the most t
 SLOWEST = 0.05  # cycles per radian times 2 pi; a sinusoid of a lower order is a line
 
 
-def search(fit: Fit, candidates: list[JointCandidate], least: float = 0.0, cluster: int = 1,
+def search_candidates(fit: Fit, candidates: list[JointCandidate], least: float = 0.0, cluster: int = 1,
            progress: Callable[[int, int], None] | None = None) -> list[JointScore]:
     """[Score] of all candidates, the greatest raw delta BIC first. least : raw delta BIC of those listed; progress : called with (done, of)"""
     known, out = {}, []
@@ -69,15 +69,15 @@ def _score(fit: Fit, candidate: JointCandidate, products: FrameProducts, least: 
             solved, node = solved._replace(delta_chi2=deltas, coefficients=coefficients), finer
     if solved.delta_chi2[best] - penalty <= least:
         return None
-    score = at_node(fit.linear, candidate, best, node, solved, products, weights(fit, candidate, node), cluster)
+    score = score_at_node(fit.linear, candidate, best, node, solved, products, node_weights(fit, candidate, node), cluster)
     fewer = int(np.argmax(solved.delta_chi2 / score.dispersion - MANY * solved.rank * log)) if candidate.vector else best
     if fewer == best:  # many numbers pay for themselves with the dispersion allowed for
         return score
     node = candidate.grid[fewer]
-    return at_node(fit.linear, candidate, fewer, node, solved, products, weights(fit, candidate, node), cluster)
+    return score_at_node(fit.linear, candidate, fewer, node, solved, products, node_weights(fit, candidate, node), cluster)
 
 
-def weights(fit: Fit, candidate: JointCandidate, node: Node) -> np.ndarray:
+def node_weights(fit: Fit, candidate: JointCandidate, node: Node) -> np.ndarray:
     """(m, a, q) weights of the used poses at a node."""
     return candidate.weights(node)[fit.used]
 
@@ -99,10 +99,10 @@ def solved_nodes(fit: Fit, candidate: JointCandidate, products: FrameProducts, n
     parts = []
     for start in range(0, len(nodes), CHUNK):
         chunk = nodes[start : start + CHUNK]
-        part = [weights(fit, candidate, node) for node in chunk]
+        part = [node_weights(fit, candidate, node) for node in chunk]
         even = len({w.shape[2] for w in part}) == 1
         groups = [(np.stack(part), chunk[0])] if even else [(w[None], node) for w, node in zip(part, chunk)]
-        parts += [solve_with_prior(framewise(products, w), candidate.prior(node)) for w, node in groups]
+        parts += [solve_with_prior(normal_of_weighted_directions(products, w), candidate.prior(node)) for w, node in groups]
     return Solved.of(parts)
 
 
@@ -113,7 +113,7 @@ def _finer(fit: Fit, candidate: JointCandidate, products: FrameProducts, node: N
     for _ in range(REFINE):
         orders = np.maximum(order + reach * np.linspace(-1, 1, 2 * FINER + 1), SLOWEST)
         angles = orders[:, None] * q
-        found = solve_with_prior(framewise(products, np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, :, None]), prior)
+        found = solve_with_prior(normal_of_weighted_directions(products, np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, :, None]), prior)
         i = int(np.argmax(found.delta_chi2))
         order, reach = float(orders[i]), reach / FINER
     return {candidate.sought: order}, Solved(found.delta_chi2[i : i + 1], [found.coefficients[i]], found.rank[i : i + 1], found.seen[i : i + 1])
@@ -133,14 +133,14 @@ def _orders(candidate: JointCandidate, q: np.ndarray, products: FrameProducts) -
     at = np.round([node[candidate.sought] / candidate.step for node in candidate.grid]).astype(int)
     beta, gamma, kappa = products.beta, products.gamma[:, 0, 0], products.kappa[:, 0]
     first, count = at.min(), np.ptp(at) + 1
-    b = _sine_cosine(sums(q, beta, candidate.step, first, count)[at - first])[..., 0]
-    twice = sums(q, gamma[:, None], 2 * candidate.step, first, count)[at - first, 0]
+    b = _sine_cosine(sinusoid_sums(q, beta, candidate.step, first, count)[at - first])[..., 0]
+    twice = sinusoid_sums(q, gamma[:, None], 2 * candidate.step, first, count)[at - first, 0]
     whole = gamma.sum()
     G = np.stack([whole - twice.real, twice.imag, twice.imag, whole + twice.real], axis=1).reshape(-1, 2, 2) / 2
 
     def onto(chosen: np.ndarray) -> np.ndarray:
         low, span = at[chosen].min(), np.ptp(at[chosen]) + 1
-        return products.onto(_sine_cosine(sums(q, kappa, candidate.step, low, span)[at[chosen] - low]))
+        return products.onto(_sine_cosine(sinusoid_sums(q, kappa, candidate.step, low, span)[at[chosen] - low]))
 
     return LongGrid(b, G, onto)
 
@@ -178,6 +178,6 @@ def _promising(long: LongGrid, prior: np.ndarray, least: float) -> Solved:
     return Solved(deltas, coefficients, rank, bound.seen)
 
 
-def confined(candidate: JointCandidate, nodes: list[Node]) -> JointCandidate:
+def candidate_with_nodes(candidate: JointCandidate, nodes: list[Node]) -> JointCandidate:
     """The candidate with some nodes for its grid; their orders need not be even any more."""
     return replace(candidate, grid=nodes, step=0.0)

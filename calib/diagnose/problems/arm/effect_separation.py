@@ -3,25 +3,28 @@ can swallow."""
 
 import numpy as np
 
-from calib.diagnose.engine.hypothesis_separation import Separation, separated
-from calib.models.geometric_parameters import freedoms
+from calib.diagnose.engine.hypothesis_separation import Separation, hypothesis_separation
+from calib.models.geometric_parameters import geometric_freedoms
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.effects.framework.effect import Effect
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
 
-def separation(text: str, design: Design, commands: Commands, t: np.ndarray, sensors: Sensors | None, effects: list[Effect],
+def effect_separation(text: str, design: Design, commands: Commands, t: np.ndarray, sensors: Sensors | None, effects: list[Effect],
                sigma: tuple[float, float]) -> Separation:
     """Separation of two effects (each as large as it is expected to be) by one plan.
 
     commands : Commands; t : (n,) s exposures; sensors : Sensors; effects : two Effects that move axes or platform
     sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what nobody commands, and what the machine raises
     """
-    asked = freedoms(design.mechanism)
+    asked = geometric_freedoms(design.mechanism)
     white = 1 / np.repeat(sigma, 3)
-    still = motion_simulation.run(design, commands, t, (), sensors).T_base_platform
-    a, b = ((difference(still, motion_simulation.run(design, commands, t, (effect,), sensors).T_base_platform) * white).ravel() for effect in effects)
+    still = motion_simulation.run_machine(design, commands, t, (), sensors).T_base_platform
+    a, b = (
+        (pose_difference(still, motion_simulation.run_machine(design, commands, t, (effect,), sensors).T_base_platform) * white).ravel()
+        for effect in effects
+    )
     rows = asked.jacobian(commands.at(t)) * white[:, None]
-    return separated(text, len(t), (a, b), rows.reshape(-1, rows.shape[-1]), asked.size)
+    return hypothesis_separation(text, len(t), (a, b), rows.reshape(-1, rows.shape[-1]), asked.size)

@@ -9,7 +9,7 @@ import numpy as np
 from calib.diagnose.engine.candidates import Candidate, Node, NotAsked
 from calib.diagnose.engine.candidate_score import Score
 from calib.diagnose.problems.arm.linearised_poses import Arms
-from calib.diagnose.problems.requested_effects import Asked
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.search_candidate import COUNT, QUADRATURE
 from rig.effects.framework.search_candidate import Candidate as EffectCandidate
@@ -65,7 +65,7 @@ class JointCandidate(Candidate):
 JointScore = Score[JointCandidate]
 
 
-def joint_candidates(arms: Arms, asked: Asked) -> tuple[list[JointCandidate], list[NotAsked]]:
+def joint_candidates(arms: Arms, asked: RequestedEffects) -> tuple[list[JointCandidate], list[NotAsked]]:
     """(candidates, what cannot be asked) of an arm's poses, of the catalogue as far as it is asked for.
 
     Raises RigError for a place where what is asked for cannot sit.

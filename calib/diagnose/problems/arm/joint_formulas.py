@@ -5,18 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnose.engine.chance_probability import Z95
-from calib.diagnose.engine.cross_validation import FOLDS, STRETCHES, signed_rank_gain, stretches
+from calib.diagnose.engine.cross_validation import FOLDS, STRETCHES, signed_rank_gain, time_stretch_folds
 from calib.diagnose.engine.formula_search import Formula, Search
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.formula_library import Library
 from calib.diagnose.engine.selection_policy import ARM
 from calib.diagnose.engine.reduced_least_squares import Reduced
 from calib.diagnose.problems.arm.joint_candidates import joint_candidate
-from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit
-from calib.diagnose.problems.arm.nonlinear_parameters import joint_covariance, sought
+from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
+from calib.diagnose.problems.arm.nonlinear_parameters import joint_parameter_covariance, has_continuous_parameters
 from calib.diagnose.problems.arm.candidate_search import joint_products
-from calib.diagnose.problems.arm.term_simplification import bettered
-from calib.diagnose.problems.formula_suggestion import AGREE, NAME, Suggestion, library_of, looked_at, written
+from calib.diagnose.problems.arm.term_simplification import optimise_terms
+from calib.diagnose.problems.formula_suggestion import AGREE, NAME, Suggestion, formula_library, formula_quantities, written
 from rig.effects.texts.formula_effect_file import Written
 
 SHOWN = 2  # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look
@@ -31,7 +31,7 @@ class Found:
     formula: Formula
 
 
-def suggestions(now: Fit, left: list[LackOfFit]) -> list[Suggestion]:
+def formula_suggestions(now: Fit, left: list[LackOfFit]) -> list[Suggestion]:
     """[Suggestion] for the joints that something is left of, the largest first, each beside those before it: axes that stand alike shadow each
     other. At most SHOWN."""
     motion, places = now.arms.context.moved(), {u.place for u in left if u.depends_on}
@@ -50,7 +50,7 @@ def suggestions(now: Fit, left: list[LackOfFit]) -> list[Suggestion]:
 
 
 def _found(now: Fit, joint: int) -> Found | None:
-    library = library_of(now.arms.context.moved(), joint)
+    library = formula_library(now.arms.context.moved(), joint)
     formula = _best(now, joint, library)
     return None if formula is None else Found(joint, library, formula)
 
@@ -76,8 +76,8 @@ def _term(now: Fit, found: Found, formula: Formula) -> Term:
 
 def _suggested(now: Fit, found: Found) -> tuple[Suggestion, Fit] | None:
     """(Suggestion of what was found, the Fit with it); None where poses held out do not gain by such."""
-    arms, fold = now.arms, stretches(len(now.arms), STRETCHES) % FOLDS
-    without = [fit(arms, now.terms, now.used & (fold != h), now.weighing, rounds=1) for h in range(FOLDS)]
+    arms, fold = now.arms, time_stretch_folds(len(now.arms), STRETCHES) % FOLDS
+    without = [fit_poses(arms, now.terms, now.used & (fold != h), now.weighing, rounds=1) for h in range(FOLDS)]
     chosen = [_best(part, found.joint, found.library) for part in without]
     before, after = np.empty(arms.left.shape), np.empty(arms.left.shape)
     fall = np.zeros(len(arms))
@@ -88,10 +88,10 @@ def _suggested(now: Fit, found: Found) -> tuple[Suggestion, Fit] | None:
     gain = signed_rank_gain(fall[now.used])
     if gain < (ARM.final_gain or 0.0) or sum(one is not None for one in chosen) < AGREE * len(chosen):
         return None
-    last = fit(arms, [*now.terms, _term(now, found, found.formula)], now.used)
-    last = bettered(last, [last.terms[-1]]) if sought(last.terms[-1]) else last
+    last = fit_poses(arms, [*now.terms, _term(now, found, found.formula)], now.used)
+    last = optimise_terms(last, [last.terms[-1]]) if has_continuous_parameters(last.terms[-1]) else last
     number = len(last.terms) - 1
-    term, theta, joint = last.terms[-1], last.theta[last.slices[-1]], joint_covariance(last, number)
+    term, theta, joint = last.terms[-1], last.theta[last.slices[-1]], joint_parameter_covariance(last, number)
     spec, sigma = term.candidate.specs[0], Z95 * np.sqrt(np.diag(joint.covariance))
     values = [*theta.tolist(), *(float(term.node[name]) for name in joint.names)]
     names = [*(column.name for column in spec.linear), *joint.names]
@@ -99,6 +99,6 @@ def _suggested(now: Fit, found: Found) -> tuple[Suggestion, Fit] | None:
     noise = float(np.sqrt(np.einsum("nkk->nk", arms.own)[now.used, :3].sum(axis=1).mean()))
     place = arms.context.moved().places[found.joint]
     intervals = {name: (v, v - s, v + s) for name, v, s in zip(names, values, sigma.tolist())}
-    parts = tuple(looked_at(one, found.library) for one in chosen)
+    parts = tuple(formula_quantities(one, found.library) for one in chosen)
     form, effect = _written(now, found, found.formula), term.candidate.effect(term.node, theta)
     return Suggestion(place, form, effect, intervals, lengths[0], lengths[1], noise, "m", gain, parts, found.formula.length), last

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
+from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, significant_lack_of_fit, test_lack_of_fit
 from calib.diagnose.problems.arm.pose_fit import Fit
 from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.arm.candidate_search import joint_products
@@ -24,8 +24,8 @@ def lack_of_fit(fit: Fit, cluster: int = 1, place: str | None = None, alpha: flo
         information = float(products.gamma.sum())
         for depends, basis in _bases(arms, j):
             test = Test(moved.places[j], moved.units[j], (depends,), basis[fit.used][:, None, :], information, PRIOR)
-            found.append(tested(fit.linear, products, test, cluster))
-    return sorted(convincing([u for u in found if u is not None and place in (None, u.place)], alpha), key=lambda u: -u.delta_chi2)
+            found.append(test_lack_of_fit(fit.linear, products, test, cluster))
+    return sorted(significant_lack_of_fit([u for u in found if u is not None and place in (None, u.place)], alpha), key=lambda u: -u.delta_chi2)
 
 
 def _bases(arms: Arms, j: int) -> list[tuple[str, np.ndarray]]:

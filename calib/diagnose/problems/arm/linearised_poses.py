@@ -20,9 +20,9 @@ from rig.effects.framework.effect import Context, Effect
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_kinds import arm_of, chain_of
 from rig.model.mechanisms import chain as mechanism
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
-from vision.pose_uncertainty_prediction import Foreseen
+from vision.pose_uncertainty_prediction import PredictedUncertainty
 
 FEWEST = 60  # poses
 SEEN = 1e-4  # of the best told combination of a chain's parameters; others no pose tells, and they explain nothing
@@ -45,7 +45,7 @@ class Arms:
     own: np.ndarray
     commands: Commands
     context: Context
-    sight: Callable[[RigidTransform], Foreseen] | None = None
+    sight: Callable[[RigidTransform], PredictedUncertainty] | None = None
     assumed: bool = False
 
     def __len__(self) -> int:
@@ -61,7 +61,7 @@ class Arms:
 
     def reached(self, effect: Effect) -> np.ndarray:
         """(n, joints) rad, commands reached at the exposures under an effect of clock or path."""
-        return motion_simulation.motion(self.context.design, self.commands, self.t, (effect,), self.context.sensors).lengths
+        return motion_simulation.motion_of_commands(self.context.design, self.commands, self.t, (effect,), self.context.sensors).lengths
 
     @property
     def channels(self) -> dict[str, np.ndarray]:
@@ -84,7 +84,7 @@ class Geometry:
         return self.move(self.basis @ sizes)
 
 
-def arms_of(samples: Samples, design: Design, commands: Commands | None = None, sensors: Sensors | None = None,
+def linearise_poses(samples: Samples, design: Design, commands: Commands | None = None, sensors: Sensors | None = None,
             fewest: int = FEWEST) -> tuple[Arms, Geometry]:
     """(Arms, Geometry) of Samples: calibrated, and linear about it.
 
@@ -102,13 +102,13 @@ def arms_of(samples: Samples, design: Design, commands: Commands | None = None, 
     geometry, left, freedoms, joints, own = linear(samples, design)
     commands = Commands(samples.t, samples.commanded) if commands is None else commands
     design = replace(design, mechanism=geometry.mechanism)
-    motion = replace(motion_simulation.motion(design, commands, samples.t, (), sensors), T=samples.T_base_platform)
+    motion = replace(motion_simulation.motion_of_commands(design, commands, samples.t, (), sensors), T=samples.T_base_platform)
     context = Context(design, samples.t, sensors, motion)
     freedoms = np.concatenate([freedoms, samples.common[:, : left.shape[1]]], axis=2)
     return Arms(samples.frame, samples.t, samples.commanded, left, freedoms, joints, own, commands, context), geometry
 
 
-def planned(arms: Arms, geometry: Geometry, commands: Commands, t: np.ndarray, sensors: Sensors | None) -> Arms:
+def linearise_planned_poses(arms: Arms, geometry: Geometry, commands: Commands, t: np.ndarray, sensors: Sensors | None) -> Arms:
     """Arms of a recording of the same arm that is not there yet, exposed at t (n,) s, of which nothing is left; its instrument sees as before.
 
     frame : of cameras those exposures alone that they will see, numbers among the n
@@ -126,7 +126,9 @@ def planned(arms: Arms, geometry: Geometry, commands: Commands, t: np.ndarray, s
     kind = "pose" if k == 6 else "position"
     freedoms = rows(kind, error_model.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism) @ geometry.basis
     joints = rows(kind, error_model.joint_jacobian(q, geometry.mechanism), q, geometry.mechanism)
-    context = replace(arms.context, design=design, t=t, sensors=sensors, motion=motion_simulation.motion(design, commands, t, (), sensors))
+    context = replace(
+        arms.context, design=design, t=t, sensors=sensors, motion=motion_simulation.motion_of_commands(design, commands, t, (), sensors)
+    )
     if view is None:
         own = np.broadcast_to(np.median(arms.own, axis=0), (len(t), k, k))
     else:
@@ -153,6 +155,6 @@ def _of_chain(samples: Samples, design: Design) -> Linear:
     white = np.linalg.inv(np.linalg.cholesky(samples.covariance)) @ J
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->ij", white, white))
     told = vectors[:, values > SEEN**2 * values[-1]]
-    left = difference(mechanism.forward(samples.commanded, chain), samples.T_base_platform)
+    left = pose_difference(mechanism.forward(samples.commanded, chain), samples.T_base_platform)
     geometry = Geometry(chain, sigma[:, None] * told, partial(chains.moved, chain))
     return geometry, left, J @ told, mechanism.jacobian(samples.commanded, chain), samples.covariance

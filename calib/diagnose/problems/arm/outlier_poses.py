@@ -8,7 +8,7 @@ from calib.models.arm.excess_scatter import MIDDLE
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
 from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.remainder_covariates import cosines, speed
-from calib.identify.robust_fit import MOST, robust_fit, wild_rows
+from calib.identify.robust_fit import MOST, robust_fit, outlier_rows
 
 GROSS, GATE = 20.0, 7.0  # times the scatter of the others, from which a pose may be wild before anything is admitted, and after
 SLOW = 4  # cosines of time that are free at each joint
@@ -32,13 +32,13 @@ class WildPoses:
         return WildPoses(frames, tuple(sorted(self.left_out + more.left_out, key=lambda one: one.frame)), more.crowd or self.crowd)
 
 
-def wild_poses(arms: Arms, left: np.ndarray, gate: float) -> WildPoses:
+def outlier_poses(arms: Arms, left: np.ndarray, gate: float) -> WildPoses:
     """WildPoses by residuals left (n, k), m and rad, beyond a gate."""
     W = np.linalg.inv(np.linalg.cholesky(arms.own))
     columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : left.size // ROWS]
     found = robust_fit([((W @ left[..., None])[..., 0], W @ columns)])
     all_off = _relative(found.residual)
-    far = wild_rows(all_off, arms.t, arms.q, gate)
+    far = outlier_rows(all_off, arms.t, arms.q, gate)
     if far.sum() > MOST * len(arms):
         return WildPoses(crowd=Crowd("poses", int(far.sum()), len(arms)))
     residual = np.linalg.solve(W[far], found.residual[far, :, None])[..., 0]

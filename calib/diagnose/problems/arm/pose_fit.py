@@ -179,7 +179,7 @@ class Fit:
     def _solved(self, terms: tuple[Term, ...], X: Columns, H: np.ndarray, right: np.ndarray) -> "Fit":
         factor = cho_factor(H)
         theta = cho_solve(factor, right)
-        left = self.arms.left - columns(self.arms, terms).at(theta[:, None])[..., 0]
+        left = self.arms.left - term_columns(self.arms, terms).at(theta[:, None])[..., 0]
         y = (self.W @ left[..., None])[..., 0]
         return replace(self, terms=terms, X=X, right=right, half=np.triu(factor[0]), theta=theta, left=left, y=y, slices=_slices(self.arms, terms))
 
@@ -193,10 +193,10 @@ class Fit:
         return moved[:, 0] if self.terms[number].candidate.joint is not None else np.linalg.norm(moved[:, :3], axis=1)
 
 
-def fit(arms: Arms, terms: Sequence[Term] = (), train: np.ndarray | None = None, start: Weighing | None = None, rounds: int = ROUNDS) -> Fit:
+def fit_poses(arms: Arms, terms: Sequence[Term] = (), train: np.ndarray | None = None, start: Weighing | None = None, rounds: int = ROUNDS) -> Fit:
     """Fit of terms on the poses of a mask train (n,), all by default; start : Weighing to begin with; rounds : of weighing anew."""
     used = np.ones(len(arms), bool) if train is None else train
-    raw, k = columns(arms, terms), arms.left.shape[1]
+    raw, k = term_columns(arms, terms), arms.left.shape[1]
     prior = np.concatenate([np.zeros(arms.freedoms.shape[2])] + [1 / term.prior**2 for term in terms])
     kept, weighing = raw.take(used), _weighed(arms, arms.left, used, 0.0) if start is None else start
     for last in reversed(range(rounds)):
@@ -226,7 +226,7 @@ def _weighed(arms: Arms, left: np.ndarray, used: np.ndarray, share: float) -> We
     return Weighing(scatter, bounded((white**2).sum(axis=1), left.shape[1]))
 
 
-def columns(arms: Arms, terms: Sequence[Term]) -> Columns:
+def term_columns(arms: Arms, terms: Sequence[Term]) -> Columns:
     """Columns of the freedoms, then of terms, m and rad per unit."""
     return Columns(arms.joints, (Part(None, arms.freedoms), *(term.part for term in terms)))
 

@@ -2,29 +2,29 @@
 
 import numpy as np
 
-from calib.diagnose.engine.covariate_ranking import Covariate, Share, ranked, share
+from calib.diagnose.engine.covariate_ranking import Covariate, Share, rank_covariates, explained_share
 from calib.diagnose.problems.arm.pose_fit import Fit
 from calib.diagnose.problems.arm.candidate_search import joint_products
-from calib.diagnose.problems.remainder_covariates import courses, moves
+from calib.diagnose.problems.remainder_covariates import time_and_sensor_functions, motion_functions
 
 JOINTS = "joints"
 
 
-def covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:
+def remainder_covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:
     """[Covariate] of what is left with nothing admitted and with all, the one that explained most before first.
 
     cluster : poses in a row whose errors may be alike
     """
-    return ranked(_shares(before, cluster), _shares(after, cluster))
+    return rank_covariates(_shares(before, cluster), _shares(after, cluster))
 
 
 def _shares(fit: Fit, cluster: int) -> dict[str, dict[str, Share]]:
     arms, used = fit.arms, fit.used
     count = arms.q.shape[1]
     products = [joint_products(fit, j) for j in range(count)]
-    asked = {**courses(arms.t, arms.context.sensors), **moves(arms.context.moved().path, arms.commands, arms.t)}
+    asked = {**time_and_sensor_functions(arms.t, arms.context.sensors), **motion_functions(arms.context.moved().path, arms.commands, arms.t)}
     out = {}
     for name, functions in asked.items():
         wide = np.broadcast_to(functions, (len(arms), count, functions.shape[2]))[used]
-        out[name] = {JOINTS: share(fit.linear, 0, [(products[j], wide[:, [j]]) for j in range(count)], cluster)}
+        out[name] = {JOINTS: explained_share(fit.linear, 0, [(products[j], wide[:, [j]]) for j in range(count)], cluster)}
     return out

@@ -25,7 +25,7 @@ class Repeats:
     p_value: float
 
 
-def repeats(fit: Fit) -> Repeats | None:
+def pose_repeatability(fit: Fit) -> Repeats | None:
     """Repeats of the poses that a Fit used, or None where too few commands were given twice.
 
     The difference of two residuals under one command holds no model error, so its scatter is pure error; of a residual's square, the

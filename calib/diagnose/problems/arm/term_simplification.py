@@ -7,9 +7,9 @@ import numpy as np
 from calib.diagnose.engine.stated_terms import UNSAID, Given
 from calib.diagnose.engine.selection_policy import SelectionPolicy
 from calib.diagnose.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
-from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit
-from calib.diagnose.problems.arm.nonlinear_parameters import at_best, sought
-from calib.diagnose.problems.arm.candidate_search import search
+from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
+from calib.diagnose.problems.arm.nonlinear_parameters import optimise_nonlinear_parameters, has_continuous_parameters
+from calib.diagnose.problems.arm.candidate_search import search_candidates
 from rig.effects.framework.search_candidate import COUNT
 
 FINE = 0.3  # step between orders, of what a joint's travel resolves
@@ -18,7 +18,7 @@ QUICK = 2  # times of weighing anew while the search goes on
 NEIGHBOURS = 2  # steps to either side of a sinusoid's order at which it is looked for anew
 
 
-def opened(now: Fit, candidates: list[JointCandidate]) -> list[JointCandidate]:
+def admissible_candidates(now: Fit, candidates: list[JointCandidate]) -> list[JointCandidate]:
     """The candidates that may still be admitted: where a joint has its profile, only sinusoids finer than knots can follow, and none
     that the joint's travel cannot tell from one that it has."""
     has = {(t.candidate.name, t.candidate.joint) for t in now.terms if t.candidate.kind.once}
@@ -30,7 +30,7 @@ def opened(now: Fit, candidates: list[JointCandidate]) -> list[JointCandidate]:
         if (candidate.name, candidate.joint) in has or (candidate.form is Form.SLOPE and candidate.joint in profiled):
             continue
         if candidate.form is Form.SINUSOID and candidate.joint in profiled:
-            finest = resolved(profiles[candidate.joint], now) if candidate.joint in profiles else 0.0
+            finest = resolved_order(profiles[candidate.joint], now) if candidate.joint in profiles else 0.0
             candidate = replace(candidate, grid=[node for node in candidate.grid if node[candidate.sought] > finest])
         for one in cycles:
             if candidate.step and one.candidate.joint == candidate.joint:
@@ -41,7 +41,7 @@ def opened(now: Fit, candidates: list[JointCandidate]) -> list[JointCandidate]:
     return out
 
 
-def resolved(profile: JointCandidate, now: Fit) -> float:
+def resolved_order(profile: JointCandidate, now: Fit) -> float:
     """The order, per turn of what drives the axis, of the fastest sinusoid that a profile's finest knots can follow."""
     finest = max(profile.grid, key=lambda node: node[COUNT])
     low, high = finest[SPAN]
@@ -49,47 +49,49 @@ def resolved(profile: JointCandidate, now: Fit) -> float:
     return float((finest[COUNT] - 1) / max(high - low, 1e-9) * turn / 2)
 
 
-def gathered(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID) -> Fit:
+def merge_sinusoids_into_profiles(
+    now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID
+) -> Fit:
     """More sinusoids at a joint than a simple case has, made one profile, where that does about as well; what is given as assumed stays.
 
     train : (n,) bool, or None for all
     """
     for candidate in [c for c in candidates if c.form is Form.PROFILE]:
-        reach = resolved(candidate, now)
+        reach = resolved_order(candidate, now)
         cycles = [i for i, t in enumerate(now.terms) if not given.holds(t.candidate) and t.candidate.joint == candidate.joint
                   and t.candidate.form in OWN_ANGLE
                   and (t.candidate.form is not Form.SINUSOID or t.node[t.candidate.sought] < reach)]
         if len(cycles) <= CYCLES:
             continue
         rest = now.without_terms(cycles)
-        best = search(rest, [candidate], cluster=policy.cluster)
+        best = search_candidates(rest, [candidate], cluster=policy.cluster)
         trial = rest.with_terms([Term.of(best[0])]) if best else rest
         if trial.criterion() < now.criterion() + policy.delta_bic * len(cycles):
-            now = fit(now.arms, trial.terms, train, now.weighing, rounds=QUICK)
+            now = fit_poses(now.arms, trial.terms, train, now.weighing, rounds=QUICK)
     return now
 
 
-def sharpened(now: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
+def refine_profiles(now: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
     """Profiles with as many knots, sinusoids of just the order and all else with just the nonlinear parameters that pay now that others are
     admitted; all is weighed anew.
 
     A term is looked at again once the scatter has changed to speak of. train : (n,) bool, or None for all poses
     """
-    now = bettered(now, [t for t in now.terms if sought(t) and t.stale(now.scatter[0])])
+    now = optimise_terms(now, [t for t in now.terms if has_continuous_parameters(t) and t.stale(now.scatter[0])])
     for one in [t for t in now.terms if t.candidate.form in (Form.PROFILE, Form.SINUSOID) and t.stale(now.scatter[0])]:
         rest = now.without_terms(_numbers(now, one))
-        best = search(rest, [_about(one)], cluster=policy.cluster)
+        best = search_candidates(rest, [_about(one)], cluster=policy.cluster)
         better = best and best[0].node != one.node
         trial = rest.with_terms([replace(Term.at(one.candidate, best[0].node) if better else one, level=float(now.scatter[0]))])
         now = trial if not better or one.candidate.form is Form.PROFILE or trial.criterion() < now.criterion() else now
-    return fit(now.arms, now.terms, train, now.weighing, rounds=QUICK)
+    return fit_poses(now.arms, now.terms, train, now.weighing, rounds=QUICK)
 
 
-def bettered(now: Fit, terms: list[Term]) -> Fit:
+def optimise_terms(now: Fit, terms: list[Term]) -> Fit:
     """The Fit with some of its terms at the best of their nonlinear parameters, weights of the poses as they are."""
     for one in terms:
         rest, level = now.without_terms(_numbers(now, one)), float(now.scatter[0])
-        trial = rest.with_terms([replace(at_best(rest, one), level=level)])
+        trial = rest.with_terms([replace(optimise_nonlinear_parameters(rest, one), level=level)])
         now = trial if trial.criterion() < now.criterion() else rest.with_terms([replace(one, level=level)])
     return now
 
@@ -106,7 +108,7 @@ def _about(one: Term) -> JointCandidate:
     return replace(candidate, grid=near)
 
 
-def simplified(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID) -> Fit:
+def simplify_profiles(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID) -> Fit:
     """Profiles in place of which one scale or a few sinusoids do as well, replaced by these; those given as assumed stay.
 
     train : (n,) bool, or None for all poses
@@ -115,12 +117,12 @@ def simplified(now: Fit, candidates: list[JointCandidate], train: np.ndarray | N
         here, worth = now.without_terms(_numbers(now, one)), now.criterion()
         own = [c for c in candidates if c.joint == one.candidate.joint and c.form in (Form.SLOPE, Form.SINUSOID)]
         for left in range(CYCLES, 0, -1):
-            scores = search(here, own, cluster=policy.cluster)
+            scores = search_candidates(here, own, cluster=policy.cluster)
             if not scores or here.criterion() - left * max(s.delta_chi2 * s.dispersion for s in scores) > worth:
                 break  # later ones seldom bring more than the first
             here = here.with_terms([Term.of(scores[0])])
             if here.criterion() < worth:
-                now = fit(now.arms, here.terms, train, now.weighing, rounds=QUICK)
+                now = fit_poses(now.arms, here.terms, train, now.weighing, rounds=QUICK)
                 break
     return now
 

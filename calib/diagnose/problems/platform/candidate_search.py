@@ -10,14 +10,14 @@ from calib.diagnose.engine import frame_inner_products as inner
 from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear_model import Column
 from calib.diagnose.engine.frame_inner_products import FrameProducts, Solved
-from calib.diagnose.engine.candidate_score import at_node, best_of, unlikely
+from calib.diagnose.engine.candidate_score import score_at_node, best_node_score, insignificant_score
 from calib.diagnose.problems.platform import corner_sum_kernels, vibration_frequency
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from rig.effects.framework.effect import Motion
 from rig.compute.parallel_map import Progress, parallel_map
-from vision.bundle.corner_jacobians import derivatives
+from vision.bundle.corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time
 FEW = 8  # columns, above which rows are gathered for a product of matrices
@@ -28,7 +28,7 @@ def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitiv
     """[Score] of all candidates, the greatest raw delta BIC first.
 
     sensitivities : at the model's OperatingPoint; progress : called with (done, of), or None
-    least : of delta chi-square; what explains less is not asked how likely it is, see `best_of`
+    least : of delta chi-square; what explains less is not asked how likely it is, see `best_node_score`
     """
     k = model.point
     motion = k.motion(k.effects) if k.axes else None
@@ -65,7 +65,7 @@ def column_of(model: LinearisedModel, candidate: PlatformCandidate, node: Node, 
     """Column (k = linear parameters, or 1) of one node of a candidate: what it does to corners and closures."""
     k = model.point
     if candidate.reach is Reach.SPECTRUM:
-        return model.lengthened(vibration_frequency.wave(model, np.array([node["frequency"]]))[0])
+        return model.lengthened(vibration_frequency.sinusoid_directions(model, np.array([node["frequency"]]))[0])
     if candidate.reach is Reach.AXES:
         return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
     if candidate.reach is Reach.MOUNT:
@@ -141,7 +141,7 @@ def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     k = model.point
     o = k.observed.observations
     out = np.zeros((len(o), 2, 6))
-    for i, rows, _, J_camera, _ in derivatives(o, k.state):
+    for i, rows, _, J_camera, _ in corner_jacobians(o, k.state):
         if f"camera {k.design.cameras[i].name}" == place:
             out[rows] = J_camera
     return out
@@ -149,22 +149,22 @@ def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
 
 def _along_axes(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, products: FrameProducts,
                 motion: Motion, least: float) -> PlatformScore:
-    solver: Callable[[inner.Normal], Solved] = inner.solve if candidate.spec.linear else inner.whole
+    solver: Callable[[inner.Normal], Solved] = inner.solve_normal_equations if candidate.spec.linear else inner.solve_fixed_size
     normals = []
     for start in range(0, len(candidate.grid), CHUNK):
         weights = np.stack([sensitivities.deviation(candidate, node, motion) for node in candidate.grid[start : start + CHUNK]])
         moved = np.atleast_1d(weights.any(axis=(0, 1, 3)))
         moved |= not moved.any()
-        normals.append(inner.framewise(products.confined(moved), weights[:, :, moved]))
+        normals.append(inner.normal_of_weighted_directions(products.confined(moved), weights[:, :, moved]))
     solved = solver(inner.Normal(*(np.concatenate(part) for part in zip(*normals))))
-    return best_of(model.linear, candidate, solved, products, lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
+    return best_node_score(model.linear, candidate, solved, products, lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
                    least)
 
 
 def _mounted(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts, least: float) -> PlatformScore:
     w = np.stack([_share(model, candidate, node) for node in candidate.grid])
-    solved = inner.solve(inner.stepwise(products, w))
-    return best_of(model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6), least)
+    solved = inner.solve_normal_equations(inner.normal_of_common_weights(products, w))
+    return best_node_score(model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6), least)
 
 
 def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> np.ndarray:
@@ -175,10 +175,10 @@ def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> 
 
 def _viewed(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, least: float) -> PlatformScore:
     seen = [sensitivities.seen(candidate, node) for node in candidate.grid]
-    solved = Solved.of([inner.solve(lasting(model, *sensitivities.touched(rows, quads))) for rows, quads in seen])
+    solved = Solved.of([inner.solve_normal_equations(lasting(model, *sensitivities.touched(rows, quads))) for rows, quads in seen])
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
     if solved.delta_chi2[best] < least:
-        return unlikely(candidate, solved, best)
+        return insignificant_score(candidate, solved, best)
     products = corner_products(model, sensitivities.corners(*seen[best]))
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
-    return at_node(model.linear, candidate, best, candidate.grid[best], solved, products, weights)
+    return score_at_node(model.linear, candidate, best, candidate.grid[best], solved, products, weights)

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.diagnose.engine.candidates import Candidate, Node, NotAsked, Role, UsualRange
 from calib.diagnose.engine.candidate_score import Score
-from calib.diagnose.problems.requested_effects import Asked
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from rig.effects.framework.effect import Context, Effect
 from rig.effects.framework.search_candidate import QUADRATURE
@@ -80,7 +80,7 @@ def seen_alone(kind: type[Effect] | Effect) -> bool:
     return kind.stage in ("targets", "view")
 
 
-def platform_candidates(point: OperatingPoint, asked: Asked) -> tuple[list[PlatformCandidate], list[NotAsked]]:
+def platform_candidates(point: OperatingPoint, asked: RequestedEffects) -> tuple[list[PlatformCandidate], list[NotAsked]]:
     """(candidates, what cannot be asked) of an OperatingPoint, of the catalogue as far as it is asked for."""
     out, skipped, sites, context = [], [], {}, context_of(point)
     for kind in asked.kinds:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.diagnose.engine.hypothesis_separation import Separation, separated
+from calib.diagnose.engine.hypothesis_separation import Separation, hypothesis_separation
 from calib.models.platform.identification import PRIOR, loop_jacobian
 from rig.model import motion_simulation
 from rig.model.design import Design, Hexapod
@@ -12,14 +12,14 @@ from rig.model.mechanisms import hexapod
 from rig.recording.recording_folder import Commands, Sensors
 
 
-def separation(text: str, design: Design, commands: Commands, t: np.ndarray, sensors: Sensors | None, effects: list[Effect],
+def effect_separation(text: str, design: Design, commands: Commands, t: np.ndarray, sensors: Sensors | None, effects: list[Effect],
                sigma: tuple[float, float]) -> Separation:
     """Separation of two effects (each as large as it is expected to be) by one plan.
 
     commands : Commands; t : (n,) s exposures; sensors : Sensors; effects : two Effects that move the platform
     sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what is no hexapod, and what the machine raises
     """
-    still = motion_simulation.run(design, commands, t, (), sensors)
+    still = motion_simulation.run_machine(design, commands, t, (), sensors)
     m = design.mechanism
     if not isinstance(m, Hexapod):
         raise RigError(f"plans are told apart for a hexapod, not for a mechanism of kind {m.kind!r}")
@@ -28,7 +28,7 @@ def separation(text: str, design: Design, commands: Commands, t: np.ndarray, sen
     A = hexapod.jacobian(still.T_base_platform, m)
     W = np.linalg.inv(np.linalg.cholesky(A @ covariance @ np.swapaxes(A, 1, 2)))
     for effect in effects:
-        moved = motion_simulation.run(design, commands, t, (effect,), sensors).T_base_platform
+        moved = motion_simulation.run_machine(design, commands, t, (effect,), sensors).T_base_platform
         parts.append((W @ (hexapod.inverse(moved, m) - hexapod.inverse(still.T_base_platform, m))[..., None]).ravel())
     D = (W @ loop_jacobian(still.T_base_platform, m)).reshape(-1, 42)
-    return separated(text, len(t), (parts[0], parts[1]), D, np.full(42, PRIOR))
+    return hypothesis_separation(text, len(t), (parts[0], parts[1]), D, np.full(42, PRIOR))

@@ -5,18 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, seen_of
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, group_sightings
 from calib.diagnose.problems.platform.linearised_residuals import linearise
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.recording.recording_folder import Recording, Sensors
-from vision.corner_observations import from_corners
+from vision.corner_observations import observations_from_corners
 from vision.targets import marker_map
 
 
-def strengths(recording: Recording, true: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors) -> np.ndarray:
+def effect_strengths(recording: Recording, true: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors) -> np.ndarray:
     """(effects,) whitened length of what each effect does to all corners, the freedoms of cameras and geometry projected out.
 
     recording : Recording with corners; true : Design as it really is; noise : px, standard deviation of a corner
@@ -28,13 +28,13 @@ def strengths(recording: Recording, true: Design, noise: float, effects: tuple[E
         raise RigError(f"{recording.folder}: this takes corners and commands")
     commands = recording.commands
     stated = recording.design
-    observations = from_corners(recording.corners, frames, stated, marker_map(stated))
+    observations = observations_from_corners(recording.corners, frames, stated, marker_map(stated))
     observations = replace(observations, covariance=np.broadcast_to(noise**2 * np.eye(2), (len(observations), 2, 2)))
 
     def world(acting: Iterable[Effect]) -> OperatingPoint:
-        T = motion_simulation.run(true, commands, t, [e for e in acting if e.stage != "view"], sensors).T_base_platform
+        T = motion_simulation.run_machine(true, commands, t, [e for e in acting if e.stage != "view"], sensors).T_base_platform
         point = OperatingPoint(true, stated, frames, t, T, {}, None, commands, sensors, None, tuple(acting))
-        return replace(point, seen=seen_of(observations, marker_map(stated)))
+        return replace(point, seen=group_sightings(observations, marker_map(stated)))
 
     out = []
     for effect in effects:

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from rig.effects.catalogue.marker_swap import MarkerSwap
-from vision.predict import see
+from vision.predict import predict_sightings
 
 FAR = 5.0  # px; a sighting farther off than this, in the middle, is misplaced
 BROUGHT_BACK = 0.2  # of that distance to which an exchange must bring it
@@ -56,7 +56,7 @@ def exchanged(point: OperatingPoint, found: list[MarkerSwap]) -> OperatingPoint:
 def _distance(point: OperatingPoint, effects: tuple[MarkerSwap, ...]) -> np.ndarray:
     """(sightings,) px, the middle corner's distance from where effects put it."""
     seen = point.observed
-    quads = see(seen.sightings, point.state, seen.markers, point.t, effects, point.sensors)
+    quads = predict_sightings(seen.sightings, point.state, seen.markers, point.t, effects, point.sensors)
     error = np.linalg.norm(seen.observations.uv - quads[seen.row, seen.observations.corner], axis=1)
     total, count = np.bincount(seen.row, weights=error), np.bincount(seen.row)
     return total / np.maximum(count, 1)

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.diagnose.engine.cross_validation import CrossValidation, HeldOut, folds, held_out, summed_gain
+from calib.diagnose.engine.cross_validation import CrossValidation, HeldOut, frame_folds, held_out_residuals, summed_gain
 from calib.diagnose.engine.linear_model import Column
 from calib.diagnose.problems.platform.effect_candidates import seen_alone
-from calib.diagnose.problems.platform.linearised_corners import edges_of
+from calib.diagnose.problems.platform.linearised_corners import edge_bias_freedoms
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
 from rig.effects.framework.effect import Effect
@@ -29,14 +29,14 @@ def _both(refined: Refined, numbers: set[int]) -> tuple[HeldOut, HeldOut, np.nda
     """(held out without the effects, with them, folds (F,))."""
     model, k = refined.model, refined.point
     asked = [k.effects[i] for i in sorted(numbers)]
-    fold = folds(model.frames, any(e.sudden for e in asked), sides(asked, k.t))
+    fold = frame_folds(model.frames, any(e.sudden for e in asked), sides(asked, k.t))
     with_all = refined.marginalised
-    after = held_out(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
+    after = held_out_residuals(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]
     bare = model.marginalise(refined.column.take(others)) if others and refined.column is not None else model
     done = change(model, [e for i, e in enumerate(k.effects) if i not in numbers])
     grown = tuple(b.residual if part is None else b.residual + part[:, 0] for b, part in zip(model.linear.blocks, done.parts))
-    return held_out(bare.linear, grown, fold), after, fold
+    return held_out_residuals(bare.linear, grown, fold), after, fold
 
 
 def sides(effects: Sequence[Effect], t: np.ndarray) -> list[np.ndarray]:
@@ -55,7 +55,7 @@ def change(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
 
 def _compared(model: LinearisedModel, before: HeldOut, after: HeldOut, blocks: tuple[int, ...]) -> tuple[CrossValidation, ...]:
     F, axes = model.frames, model.point.axes
-    finder = [j for _, j in edges_of(model.nuisances.names, model.point.design)]
+    finder = [j for _, j in edge_bias_freedoms(model.nuisances.names, model.point.design)]
     squares = []
     for held in (before, after):
         corners, closures = held.frames

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.diagnose.engine.linear_model import Column, Projection, joined
+from calib.diagnose.engine.linear_model import Column, Projection, join_columns
 from calib.diagnose.problems.platform.effect_candidates import context_of
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.temperature_alternatives import WARM
-from calib.diagnose.problems.platform.tolerance_columns import TOGETHER, Tolerated, tolerated
+from calib.diagnose.problems.platform.tolerance_columns import TOGETHER, ToleranceModel, tolerance_model
 
 MOST = 2.0  # of what is tolerated, that a kind of it is taken to vary by
 ROUNDS, SETTLED = 100, 1e-3  # of the fixed point; the part of what is tolerated by which it may still change
@@ -38,14 +38,14 @@ def of_logs(refined: Refined) -> np.ndarray | None:
     if not parts:
         return None
     own = len(refined.coordinates)
-    both = joined([Column(refined.column.parts), *parts])
+    both = join_columns([Column(refined.column.parts), *parts])
     return refined.covariance @ refined.model.linear.project(both).gram[:own, own:]
 
 
 def of_tolerances(refined: Refined, sensitivities: Sensitivities) -> np.ndarray | None:
     """(c, q) by which the coordinates are off for each standard deviation of what tolerances do, as large as the recording shows them; None where
     nothing of the kind could be seen. What an effect is the size of is nothing that it is off by."""
-    found = tolerated(refined.marginalised, sensitivities)
+    found = tolerance_model(refined.marginalised, sensitivities)
     if found is None or refined.column is None:
         return None
     linear = refined.model.linear
@@ -59,7 +59,7 @@ def of_tolerances(refined: Refined, sensitivities: Sensitivities) -> np.ndarray 
     return off
 
 
-def told(seen: Projection, found: Tolerated) -> np.ndarray:
+def told(seen: Projection, found: ToleranceModel) -> np.ndarray:
     """(q,) standard deviations of what tolerances do, each kind's as the residuals `seen` tell it, at the most MOST times what is tolerated; of
     the side of all markers, a single number, what is tolerated.
 

@@ -6,15 +6,24 @@ from functools import partial
 import numpy as np
 import scipy
 
-from calib.diagnose.engine.chance_probability import davies
-from calib.diagnose.engine.lack_of_fit import ALPHA, LIKELY, LackOfFit, Test, convincing, tested
-from calib.diagnose.engine.frame_inner_products import FrameProducts, solve
+from calib.diagnose.engine.chance_probability import scan_p_value
+from calib.diagnose.engine.lack_of_fit import ALPHA, LIKELY, LackOfFit, Test, significant_lack_of_fit, test_lack_of_fit
+from calib.diagnose.engine.frame_inner_products import FrameProducts, solve_normal_equations
 from calib.diagnose.problems.platform.effect_candidates import context_of, lacking
 from calib.diagnose.problems.platform.linearised_corners import MEDIAN
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.candidate_search import axis_products, corner_products, lasting
-from calib.diagnose.problems.platform.smooth_functions import FAST, SLOW, edge_pixels, in_time, one_marker, strut_weights, view_pixels, warp_pixels
+from calib.diagnose.problems.platform.smooth_functions import (
+    FAST,
+    SLOW,
+    edge_pixels,
+    time_functions,
+    one_marker,
+    strut_weights,
+    view_pixels,
+    warp_pixels,
+)
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
 from rig.effects.catalogue.lens_distortion import LensDistortion
@@ -43,14 +52,14 @@ def lack_of_fit(model: LinearisedModel, place: str | None = None, alpha: float =
         edges = edge_pixels(k)
         asked += [partial(_marker, model, edges, number, count) for number, count in zip(ids.tolist(), counts.tolist())]
     found = [u for several in parallel_map(lambda question: question(), asked) for u in several]
-    return convincing([u for u in found if u is not None and (place is None or within(u, place))], alpha)
+    return significant_lack_of_fit([u for u in found if u is not None and (place is None or within(u, place))], alpha)
 
 
 def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
     k = model.point
     products = axis_products(model)
     each = np.einsum("fii->i", products.gamma)
-    out = [tested(model.linear, products, Test(place, "m", (depends,), weights, each[weights.any(axis=(0, 2))].sum()))
+    out = [test_lack_of_fit(model.linear, products, Test(place, "m", (depends,), weights, each[weights.any(axis=(0, 2))].sum()))
            for depends, strutwise in strut_weights(k) for place, weights in strutwise]
     inverse, own = np.linalg.inv(model.closures.W), model.strut_noise()
     left = (inverse @ model.closure_residual[: len(k.t) * k.axes].reshape(len(k.t), k.axes, 1))[..., 0]
@@ -79,8 +88,11 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
     place, information = f"camera {camera.name}", count / model.corner_noise() ** 2
     if i not in k.moving:
         products = corner_products(model, view_pixels(model, place))
-        out += [tested(model.linear, products, Test(place, "px", ("time",), in_time(k, count)[:, :, part], information)) for count in (SLOW, FAST)
-                for part in _apart(k, place, count)]
+        out += [
+            test_lack_of_fit(model.linear, products, Test(place, "px", ("time",), time_functions(k, count)[:, :, part], information))
+            for count in (SLOW, FAST)
+            for part in _apart(k, place, count)
+        ]
         out.append(_following(products, np.argsort(k.t), place, information))
     if not any(type(e) is LensDistortion and e.place == place for e in k.effects):  # else what its image still bends by belongs to that lens
         seen = np.flatnonzero(k.observed.observations.camera == i)
@@ -89,7 +101,8 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
 
 
 def _apart(k: OperatingPoint, place: str, count: int) -> list[slice]:
-    """Which of the functions of `in_time` at a camera are tested together: a mount's motion and the focal length each for itself, but all together
+    """Which of the functions of `time_functions` at a camera are tested together: a mount's motion and the focal length each for itself, but all
+    together
     where an admitted effect moves the focal length, or one would by a temperature that was not logged: by what a log does not tell it comes and goes
     in time."""
     known = any(type(e).focal is not Effect.focal and e.at(place) for e in k.effects)
@@ -107,16 +120,16 @@ def _marker(model: LinearisedModel, edges: np.ndarray, number: int, count: int) 
 def _still(model: LinearisedModel, hit: np.ndarray, moved: np.ndarray, place: str, depends: str, information: float) -> LackOfFit | None:
     """LackOfFit of displacements (h, 2, q) px of observed corners (h,) that are the same in every frame; where they are likely by chance, as without
     dispersion."""
-    solved = solve(lasting(model, hit, moved))
+    solved = solve_normal_equations(lasting(model, hit, moved))
     delta, rank = float(solved.delta_chi2[0]), int(solved.rank[0])
-    chance = davies(solved.delta_chi2, rank, np.inf)
+    chance = scan_p_value(solved.delta_chi2, rank, np.inf)
     if rank and chance > LIKELY:
         return LackOfFit(place, float(np.sqrt(max(delta - rank, 0.0) / information)), "px", (depends,), chance, delta, rank, 1.0)
     pixels = np.zeros((len(model.point.observed.row), *moved.shape[1:]))
     pixels[hit] = moved
     products = corner_products(model, pixels)
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
-    return tested(model.linear, products, Test(place, "px", (depends,), weights, information))
+    return test_lack_of_fit(model.linear, products, Test(place, "px", (depends,), weights, information))
 
 
 def _following(products: FrameProducts, order: np.ndarray, place: str, information: float) -> LackOfFit:

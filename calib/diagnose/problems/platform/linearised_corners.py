@@ -11,8 +11,8 @@ from rig.model.design import Design
 from rig.effects.catalogue.edge_bias import EdgeBias
 from vision import lens
 from vision.bundle.bundle_adjustment import lens_prior
-from vision.bundle.repeated_corners import repeats, sums
-from vision.bundle.corner_jacobians import derivatives, moved, seen, turned
+from vision.bundle.repeated_corners import find_repeats, group_sums
+from vision.bundle.corner_jacobians import corner_jacobians, motion_jacobian, camera_jacobians, rotate_jacobian
 from vision.corner_observations import Observations
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
@@ -68,7 +68,7 @@ def corner_rows(k: OperatingPoint) -> CornerRows:
     edges = np.searchsorted(o.frame[order], np.arange(len(k.t) + 1))
     at = np.argsort(order)  # where each corner stands, frame by frame
     J_local, found = np.zeros((n, 2, L)), _Nuisances()
-    for i, rows, J_platform, J_camera, J_lens in derivatives(o, k.state):
+    for i, rows, J_platform, J_camera, J_lens in corner_jacobians(o, k.state):
         camera = k.stated.cameras[i]
         J_local[at[rows], :, :6] = whitener[rows] @ J_platform
         blocks = [(J_lens, lens.terms(camera.distortion), (1 / lens_prior(camera)).tolist())]
@@ -116,8 +116,8 @@ def _add_seats(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: n
             continue
         part, block = o.take(rows), np.empty((len(rows), 2, 6))
         middle = markers.T_body_marker.translation[own].mean(axis=0)
-        for _, some, _, J_base, _, _ in seen(part, k.state):
-            block[some] = moved(turned(J_base, R, part.frame[some], part.on_platform[some]), part.points[some] - middle)
+        for _, some, _, J_base, _, _ in camera_jacobians(part, k.state):
+            block[some] = motion_jacobian(rotate_jacobian(J_base, R, part.frame[some], part.on_platform[some]), part.points[some] - middle)
         found.add(at[rows], whitener[rows] @ block, seat.place, SEAT_LABELS, np.repeat(1 / np.array(SEAT), 3).tolist())
 
 
@@ -134,7 +134,7 @@ def _own_basis(J_local: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.n
     return local, to_local
 
 
-def edges_of(names: Sequence[tuple[str, str | int]], design: Design) -> list[tuple[int, int]]:
+def edge_bias_freedoms(names: Sequence[tuple[str, str | int]], design: Design) -> list[tuple[int, int]]:
     """[(camera's index, freedom's)] of the freedoms (their names) that are a bias of all edges in a camera's images."""
     cameras = [camera.name for camera in design.cameras]
     return [(cameras.index(name), j) for j, (name, what) in enumerate(names) if what == EDGES]
@@ -153,29 +153,29 @@ def _weights(o: Observations, k: OperatingPoint) -> np.ndarray:
     """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner that stands still."""
     if not k.standing:
         return o.covariance
-    rows, index, _ = repeats(o, k.moving)
+    rows, index, _ = find_repeats(o, k.moving)
     weights = o.covariance.copy()
     weights[rows] += (np.bincount(index)[index] * k.standing**2)[:, None, None] * np.eye(2)
     return weights
 
 
-def standing(point: OperatingPoint) -> float:
+def repeated_corner_error(point: OperatingPoint) -> float:
     """px by which standing corners are off in the same way in every frame, 0 where noise suffices.
 
     The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does not pass for
-    it. See vision.bundle.robust_adjustment.standing_error, which asks the same of their mean square
+    it. See vision.bundle.robust_adjustment.repeated_corner_error, which asks the same of their mean square
     """
     k = point
     if k.seen is None:
         return 0.0
     o = k.observed.observations
-    rows, index, _ = repeats(o, k.moving)
+    rows, index, _ = find_repeats(o, k.moving)
     count = np.bincount(index)
     many = count >= REPEATS
     if many.sum() < STANDING_GROUPS:
         return 0.0
     off = (o.uv - k.pixels())[rows]
-    mean = sums(off, index) / count[:, None]
+    mean = group_sums(off, index) / count[:, None]
     chance = np.median((off - mean[index])[many[index]] ** 2) / MEDIAN / np.median(count[many])
     excess = np.median(mean[many] ** 2) / MEDIAN - chance
     return float(np.sqrt(excess)) if excess > STANDING_PROOF * chance / np.sqrt(many.sum()) else 0.0

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.engine.linear_model import Block, Column, LinearModel, orthonormal
-from calib.diagnose.problems.platform.linearised_corners import MEDIAN, CornerRows, corner_rows, edges_of, seat_freedoms
+from calib.diagnose.engine.linear_model import Block, Column, LinearModel, orthonormal_combinations
+from calib.diagnose.problems.platform.linearised_corners import MEDIAN, CornerRows, corner_rows, edge_bias_freedoms, seat_freedoms
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.models.platform.identification import PRIOR, loop_jacobian, parameters, strut_jacobian
-from rig.compute.parallel_map import threaded
+from rig.compute.parallel_map import thread_map
 from rig.model.manufacturing_tolerances import FINDER, SEAT
 
 CORNERS, CLOSURES = 0, 1  # the blocks
@@ -153,7 +153,7 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         names += [("geometry", j) for j in range(p)]
         priors += [1 / PRIOR] * p
     beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
-    for i, j in edges_of(tuple(names), k.design) if k.finder else ():
+    for i, j in edge_bias_freedoms(tuple(names), k.design) if k.finder else ():
         beforehand[j, 0] = -k.finder[i] / FINDER.sigma
     at = seat_freedoms(names)
     for seat in (seat for seat in k.seats if seat.place in at):
@@ -216,7 +216,7 @@ def _split(rows: np.ndarray, local: np.ndarray, edges: np.ndarray) -> tuple[np.n
 def _noise(left: np.ndarray, V: np.ndarray, priors: list[float], own: np.ndarray, lost: int) -> float:
     """What standard deviations must be multiplied by, from the middle of the corners' residuals where covariances are corners' own."""
     left = np.clip(left, -WILD, WILD)
-    half = orthonormal(V.T @ V + np.diag(np.square(priors)))
+    half = orthonormal_combinations(V.T @ V + np.diag(np.square(priors)))
     left = left - V @ (half @ (half.T @ (V.T @ left)))
     return float(np.sqrt(np.median(left[own if own.any() else slice(None)] ** 2) / MEDIAN / (1 - (lost + half.shape[1]) / len(left))))
 
@@ -230,13 +230,13 @@ def _weighed(k: OperatingPoint, frames: CornerFrames, table: np.ndarray, closure
     F, axes, seen = len(k.t), k.axes, table.shape[1] - 1
     scatter = np.zeros(axes)
     parts = np.array_split(table, PARTS)
-    inner = sum(threaded(lambda part: part.T @ part, parts))
+    inner = sum(thread_map(lambda part: part.T @ part, parts))
     for turn in range(ROUNDS):
         W = np.linalg.inv(np.linalg.cholesky(closures.covariance + np.diag(scatter**2))) if axes else np.zeros((F, 0, 0))
         rows = np.concatenate([(W @ closures.rows).reshape(F * axes, closures.rows.shape[2]), beforehand])
         gram = rows.T @ rows
         gram[: seen + 1, : seen + 1] += inner
-        half = orthonormal(gram[1:, 1:])
+        half = orthonormal_combinations(gram[1:, 1:])
         z = half.T @ gram[1:, 0]
         basis = rows[:, 1:] @ half
         if not axes or turn == ROUNDS - 1:
@@ -246,7 +246,7 @@ def _weighed(k: OperatingPoint, frames: CornerFrames, table: np.ndarray, closure
         if np.abs(new - scatter).max() < 1e-8:
             break
         scatter = new
-    Q = Column((np.concatenate(threaded(lambda part: part[:, 1:] @ half[:seen], parts)), basis))
+    Q = Column((np.concatenate(thread_map(lambda part: part[:, 1:] @ half[:seen], parts)), basis))
     blocks = (Block("corners", "px", table[:, 0] - Q.parts[CORNERS] @ z, 2 * frames.edges),
               Block("closures", "m", rows[:, 0] - Q.parts[CLOSURES] @ z, np.arange(F + 1) * axes))
     size = len(table) - (frames.local.shape[1] * F if len(table) else 0) + F * axes - basis.shape[1]

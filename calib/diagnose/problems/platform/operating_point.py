@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.engine.problem_interface import Progress
-from calib.diagnose.problems.temperature_smoothing import smoothed
+from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
 from calib.samples.recording_samples import Sampled, sample_recording
 from calib.certify.calibration import Calibration
 from rig.model import motion_simulation, mechanisms
@@ -19,10 +19,10 @@ from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
-from vision.hand_mounted_cameras import in_hand
+from vision.hand_mounted_cameras import has_hand_cameras
 from vision.recording_adjustment import Measurement
 from vision.corner_observations import Observations
-from vision.predict import Sightings, State, see
+from vision.predict import Sightings, State, predict_sightings
 from vision.recording_measurement import measure_recording
 from vision.targets import MarkerMap, marker_map
 
@@ -32,7 +32,7 @@ ELSEWHERE = 60.0  # px; a corner farther off belongs to something else
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class SeenCorners:
     """The corners of a recording and which sightings they belong to.
 
     observations : Observations of solved frames, frame an index into OperatingPoint.frames; markers : MarkerMap
@@ -46,9 +46,9 @@ class Seen:
     row: np.ndarray
     stated: float | None = None
 
-    def take(self, rows: np.ndarray) -> "Seen":
+    def take(self, rows: np.ndarray) -> "SeenCorners":
         """The same with only the corners of an index or mask (n,)."""
-        return replace(seen_of(self.observations.take(rows), self.markers), stated=self.stated)
+        return replace(group_sightings(self.observations.take(rows), self.markers), stated=self.stated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ class OperatingPoint:
     design : Design, cameras and mechanism as estimated; stated : Design of the owner; frames, t : (F,)
     T : T_base_platform (F,); moving : {camera index: T_base_camera (F,)}
     own : (F, 6, 6) covariance of poses that an outside instrument measured, or None
-    commands : Commands or None; sensors : Sensors, temperatures smoothed, or None; seen : Seen or None; effects : those admitted
+    commands : Commands or None; sensors : Sensors, temperatures smoothed, or None; seen : SeenCorners or None; effects : those admitted
     finder : (cameras,) px by which the corner finder is taken to shift all edges of a camera's images, or () for nothing
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
@@ -76,7 +76,7 @@ class OperatingPoint:
     own: np.ndarray | None
     commands: Commands | None
     sensors: Sensors | None
-    seen: Seen | None
+    seen: SeenCorners | None
     effects: tuple[Effect, ...] = ()
     finder: tuple[float, ...] = ()
     standing: float = 0.0
@@ -91,7 +91,7 @@ class OperatingPoint:
         return State(self.design.cameras, self.T, self.moving)
 
     @property
-    def observed(self) -> Seen:
+    def observed(self) -> SeenCorners:
         """What cameras saw. Raises ValueError where there are no corners"""
         if self.seen is None:
             raise ValueError("these poses come without corners")
@@ -124,27 +124,30 @@ class OperatingPoint:
 
     def motion(self, effects: Iterable[Effect]) -> Motion:
         """Motion at the exposures under effects, at the measured poses."""
-        return replace(motion_simulation.motion(self.design, self.commanded, self.t, effects, self.sensors), T=self.T)
+        return replace(motion_simulation.motion_of_commands(self.design, self.commanded, self.t, effects, self.sensors), T=self.T)
 
     def effective(self, effects: tuple[Effect, ...] | None = None) -> np.ndarray:
         """(F, axes) m that commands become under effects (those admitted, by default), sway counted as struts' length."""
         effects = self.effects if effects is None else effects
-        return motion_simulation.effective(self.design, self.commanded, self.t, self.T, effects, self.sensors)
+        return motion_simulation.effective_commands(self.design, self.commanded, self.t, self.T, effects, self.sensors)
 
     def swayed(self, sway: np.ndarray) -> np.ndarray:
         """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
-        return motion_simulation.swayed(self.design, self.T, sway)
+        return motion_simulation.apparent_strut_lengths(self.design, self.T, sway)
 
     def closures(self) -> np.ndarray:
         """(F, axes) m by which measured poses ask for longer struts than commands and effects give them."""
         m = self.design.mechanism
-        return mechanisms.of(m).inverse(self.T, m) - self.effective()
+        return mechanisms.kinematics_of(m).inverse(self.T, m) - self.effective()
 
     def run(self, effects: tuple[Effect, ...]) -> motion_simulation.Run | None:
         """machine.Run with rates where some camera exposes row by row, else None."""
         rolls = any(c.shutter == "rolling" for c in self.design.cameras) or any(e.rolls for e in effects)
-        return motion_simulation.run(self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True) \
-            if rolls and self.commands is not None else None
+        return (
+            motion_simulation.run_machine(self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True)
+            if rolls and self.commands is not None
+            else None
+        )
 
     def pixels(
         self, effects: tuple[Effect, ...] | None = None, rows: np.ndarray | None = None, run: motion_simulation.Run | None = None
@@ -158,7 +161,7 @@ class OperatingPoint:
         run = self.run(effects) if run is None else run
         sightings = seen.sightings if rows is None else seen.sightings.take(rows)
         shifted = [EdgeBias(f"camera {c.name}", b) for c, b in zip(self.design.cameras, self.finder) if b]
-        quads = see(sightings, self.state, seen.markers, self.t, [*effects, *shifted, *self.seats], self.sensors, run)
+        quads = predict_sightings(sightings, self.state, seen.markers, self.t, [*effects, *shifted, *self.seats], self.sensors, run)
         return quads if rows is not None else quads[seen.row, seen.observations.corner]
 
     def with_effects(self, effects: Iterable[Effect]) -> "OperatingPoint":
@@ -166,7 +169,7 @@ class OperatingPoint:
         return replace(self, effects=tuple(effects))
 
 
-def of_recording(recording: Recording, progress: Progress | None = None, calibration: Calibration | None = None,
+def operating_point_of_recording(recording: Recording, progress: Progress | None = None, calibration: Calibration | None = None,
                  places: str = "auto", sampled: Sampled | None = None) -> tuple[OperatingPoint, str, Measurement | None]:
     """(OperatingPoint, source in words, Measurement or None) of a recording with nothing admitted: calibrated, and all corners back in.
 
@@ -175,7 +178,7 @@ def of_recording(recording: Recording, progress: Progress | None = None, calibra
     sampled : Sampled of this commanded recording where it was measured before, or None
     Raises NotEnoughData where nothing was measured, RigError for a mechanism that is no platform, and what measuring raises
     """
-    design, (sensors, log_errors) = recording.design, smoothed(recording.sensors)
+    design, (sensors, log_errors) = recording.design, smooth_temperatures(recording.sensors)
     kind = design.mechanism.kind
     if kind not in KINDS:
         raise RigError(f"{recording.folder}: diagnosing takes a {' or '.join(KINDS)}, not a mechanism of kind {kind!r}; "
@@ -188,7 +191,7 @@ def of_recording(recording: Recording, progress: Progress | None = None, calibra
     else:
         sampled = sample_recording(recording, progress=progress) if sampled is None else sampled
         measured, source = sampled.measurement, sampled.source
-        if measured is None or in_hand(design):  # whose corners are seen from the platform: its poses stand for them
+        if measured is None or has_hand_cameras(design):  # whose corners are seen from the platform: its poses stand for them
             s = sampled.samples
             return OperatingPoint(design, design, s.frame, s.t, s.T_base_platform, {}, s.total_covariance(), recording.commands, sensors, None,
                                   known=known, log_errors=log_errors, assumed=sampled.assumed), source, None
@@ -201,10 +204,10 @@ def of_recording(recording: Recording, progress: Progress | None = None, calibra
     seen = _seen(measured, point)
     if source != "images" and measured.observations.stated:
         seen = replace(seen, stated=measured.noise / np.sqrt(measured.factor))
-    return replace(point, seen=seen, seats=seats_of(design)), source, measured
+    return replace(point, seen=seen, seats=cube_seats(design)), source, measured
 
 
-def seats_of(design: Design, known: Sequence[CubeMisplacement] = ()) -> tuple[CubeMisplacement, ...]:
+def cube_seats(design: Design, known: Sequence[CubeMisplacement] = ()) -> tuple[CubeMisplacement, ...]:
     """One for each cube of a design that was put back, off by nothing but for those that are known."""
     own = {seat.place: seat for seat in known}
     places = [f"target {target.name}" for target in design.targets if target.turned is not None]
@@ -219,15 +222,15 @@ def _known(recording: Recording, calibration: Calibration) -> tuple[Hexapod, np.
     return fitted, np.linalg.cholesky(np.linalg.inv(calibration.covariance)).T
 
 
-def _seen(measured: Measurement, point: OperatingPoint) -> Seen:
+def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
     o = measured.observations
     keep = np.isin(o.frames[o.frame], measured.frames)
     kept = o.take(keep)
     kept = replace(kept, frames=measured.frames, frame=np.searchsorted(measured.frames, kept.frames[kept.frame]))
-    return seen_of(kept, measured.adjustment.state.placed if measured.places_free else marker_map(point.stated))
+    return group_sightings(kept, measured.adjustment.state.placed if measured.places_free else marker_map(point.stated))
 
 
-def within_reach(point: OperatingPoint) -> OperatingPoint:
+def without_distant_corners(point: OperatingPoint) -> OperatingPoint:
     """The same without corners so far from where they should be that they belong to something else."""
     seen = point.seen
     if seen is None:
@@ -236,15 +239,15 @@ def within_reach(point: OperatingPoint) -> OperatingPoint:
     return point if near.all() else replace(point, seen=seen.take(near))
 
 
-def seen_of(observations: Observations, markers: MarkerMap) -> Seen:
-    """Seen of observations (n,), grouped into sightings."""
+def group_sightings(observations: Observations, markers: MarkerMap) -> SeenCorners:
+    """SeenCorners of observations (n,), grouped into sightings."""
     key = (observations.camera * (len(observations.frames) + 1) + observations.frame) * (len(markers.id) + 1) + observations.marker
     _, first, row = np.unique(key, return_index=True, return_inverse=True)
     sightings = Sightings(observations.frame[first], observations.camera[first], observations.marker[first])
-    return Seen(observations, markers, sightings, row)
+    return SeenCorners(observations, markers, sightings, row)
 
 
-def moved(point: OperatingPoint, cameras: list[Camera], local: np.ndarray) -> OperatingPoint:
+def move_operating_point(point: OperatingPoint, cameras: list[Camera], local: np.ndarray) -> OperatingPoint:
     """OperatingPoint with cameras replaced and each frame's poses moved by local (F, 6 + 6 per moving camera) tangents."""
     moving = {i: T * exp(local[:, 6 + 6 * k : 12 + 6 * k]) for k, (i, T) in enumerate(sorted(point.moving.items()))}
     return replace(point, design=replace(point.design, cameras=tuple(cameras)),

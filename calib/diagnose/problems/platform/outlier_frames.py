@@ -9,13 +9,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
-from calib.diagnose.problems.remainder_covariates import cosines, speed, unit
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, seen_of
+from calib.diagnose.problems.remainder_covariates import cosines, speed, scaled_to_unit_interval
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, group_sightings
 from calib.models.platform.identification import loop_jacobian, strut_jacobian
-from calib.identify.robust_fit import ALIKE, CONSISTENT, IN_PLACE, IN_TIME, MOST, robust_fit, several, wild_rows
+from calib.identify.robust_fit import ALIKE, CONSISTENT, IN_PLACE, IN_TIME, MOST, robust_fit, many_deviations, outlier_rows
 from rig.model import mechanisms
 from rig.recording.recording_folder import PAYLOAD
-from vision.corner_observations import only
+from vision.corner_observations import observations_of_frames
 
 GATE = 7.0  # times the scatter of the others, from which a frame or a marker's corners may be wild
 SLOW = 4  # cosines of time that are free
@@ -30,7 +30,7 @@ E = TypeVar("E")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wild:
+class Outliers:
     """frames : numbers of those left out whole; sightings : {(frame's number, camera's index, marker's row)} of those whose corners are
     left_out : (LeftOut, ..) of both; crowd : Crowd of what is far off in too many, or None"""
 
@@ -39,26 +39,28 @@ class Wild:
     left_out: tuple[LeftOut, ...] = ()
     crowd: Crowd | None = None
 
-    def with_more(self, more: "Wild", frames: int) -> "Wild":
+    def with_more(self, more: "Outliers", frames: int) -> "Outliers":
         """Both together, of so many frames; where these are too many, the crowd that they are beside the first alone."""
         crowd = more.crowd or self.crowd
         if len(self.frames) + len(more.frames) > MOST * frames:
             return replace(self, crowd=Crowd("frames", len(self.frames) + len(more.frames), frames))
         told = sorted(self.left_out + more.left_out, key=lambda one: one.frame)
-        return Wild(self.frames | more.frames, self.sightings | more.sightings, tuple(told), crowd)
+        return Outliers(self.frames | more.frames, self.sightings | more.sightings, tuple(told), crowd)
 
 
-def searched(point: OperatingPoint, covariance: np.ndarray, explained: Callable[[OperatingPoint], tuple[E, OperatingPoint]]) -> tuple[E, Wild]:
-    """(what explains an OperatingPoint without its wild rows, Wild). covariance : (F, 6, 6) of its poses
+def fit_without_outliers(
+    point: OperatingPoint, covariance: np.ndarray, explained: Callable[[OperatingPoint], tuple[E, OperatingPoint]]
+) -> tuple[E, Outliers]:
+    """(what explains an OperatingPoint without its wild rows, Outliers). covariance : (F, 6, 6) of its poses
 
     explained : OperatingPoint -> (what explains it, OperatingPoint with that admitted), at which rows show as wild that a large effect hid; then all
     is explained anew without them
     """
     first = point.frames
-    wild = wild_at(point, covariance)
+    wild = find_outliers(point, covariance)
     for turn in range(ROUNDS):
-        found, at = explained(without(point, wild))
-        more = Wild() if turn == ROUNDS - 1 else wild_at(at, covariance[np.searchsorted(first, at.frames)])
+        found, at = explained(without_outliers(point, wild))
+        more = Outliers() if turn == ROUNDS - 1 else find_outliers(at, covariance[np.searchsorted(first, at.frames)])
         both = wild.with_more(more, len(first))
         if both.left_out == wild.left_out:
             break
@@ -66,15 +68,15 @@ def searched(point: OperatingPoint, covariance: np.ndarray, explained: Callable[
     return found, both
 
 
-def wild_at(point: OperatingPoint, covariance: np.ndarray) -> Wild:
-    """Wild of an OperatingPoint, with the effects that it has. covariance : (F, 6, 6) of its poses"""
-    wild = _wild_corners(point) if point.seen is not None else Wild()
+def find_outliers(point: OperatingPoint, covariance: np.ndarray) -> Outliers:
+    """Outliers of an OperatingPoint, with the effects that it has. covariance : (F, 6, 6) of its poses"""
+    wild = _wild_corners(point) if point.seen is not None else Outliers()
     if not point.axes:
         return wild
     return wild.with_more(_wild_frames(point, covariance), len(point.frames))
 
 
-def without(point: OperatingPoint, wild: Wild) -> OperatingPoint:
+def without_outliers(point: OperatingPoint, wild: Outliers) -> OperatingPoint:
     """OperatingPoint without what is wild; what was commanded stays, since it moved the rig."""
     seen = point.seen
     if seen is not None and wild.sightings:
@@ -85,16 +87,17 @@ def without(point: OperatingPoint, wild: Wild) -> OperatingPoint:
     if len(rows) == len(point.frames):
         return replace(point, seen=seen)
     if seen is not None:
-        seen = replace(seen_of(only(seen.observations, rows), seen.markers), stated=seen.stated)
+        seen = replace(group_sightings(observations_of_frames(seen.observations, rows), seen.markers), stated=seen.stated)
     return replace(point, frames=point.frames[rows], t=point.t[rows], T=point.T[rows], moving={i: T[rows] for i, T in point.moving.items()},
                    own=None if point.own is None else point.own[rows], seen=seen)
 
 
-def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Wild:
-    """Wild of frames whose struts' closures are far off what geometry, moves, load and time may do smoothly, in more than one strut. What geometry
+def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Outliers:
+    """Outliers of frames whose struts' closures are far off what geometry, moves, load and time may do smoothly, in more than one strut. What
+    geometry
     may do is asked at the poses that commands give: at a pose that is wild it may do anything."""
     m, closures = k.platform, k.closures()
-    T = mechanisms.of(m).forward(k.commanded.at(k.t), m)
+    T = mechanisms.kinematics_of(m).forward(k.commanded.at(k.t), m)
     A, loops, smooth = strut_jacobian(T, m), loop_jacobian(T, m), _smooth(k)
     sigma = np.sqrt(np.einsum("fij,fjk,fik->fi", A, covariance, A))
     parts = []
@@ -104,16 +107,16 @@ def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Wild:
         columns = np.column_stack([own, smooth[:, i, :free]])
         parts.append(((closures[:, i] / sigma[:, i])[:, None], (columns / sigma[:, i, None])[:, None]))
     found = robust_fit(parts)
-    far = wild_rows(found.relative, k.t, k.commanded.at(k.t), GATE) & several(found.relative, GATE)
+    far = outlier_rows(found.relative, k.t, k.commanded.at(k.t), GATE) & many_deviations(found.relative, GATE)
     if far.sum() > MOST * len(far):
-        return Wild(crowd=Crowd("frames", int(far.sum()), len(far)))
+        return Outliers(crowd=Crowd("frames", int(far.sum()), len(far)))
     told = []
     for f in np.flatnonzero(far).tolist():
         i = int(np.abs(found.relative[f]).argmax())
         off, times = float(abs(found.residual[f, i]) * sigma[f, i]), float(abs(found.relative[f, i]))
         told.append(LeftOut(int(k.frames[f]), "pose", f"strut {i + 1}", off, "m", times,
                             ALONE))
-    return Wild(frozenset(k.frames[far].tolist()), left_out=tuple(told))
+    return Outliers(frozenset(k.frames[far].tolist()), left_out=tuple(told))
 
 
 def _smooth(k: OperatingPoint) -> np.ndarray:
@@ -126,17 +129,17 @@ def _smooth(k: OperatingPoint) -> np.ndarray:
     lengths = k.commanded.at(k.t)
     out = [path.direction, pace]
     for name, values in sorted(varying.items(), key=lambda one: one[0] != PAYLOAD):
-        out.append(np.broadcast_to(unit(values)[:, None], lengths.shape))
+        out.append(np.broadcast_to(scaled_to_unit_interval(values)[:, None], lengths.shape))
         if name == PAYLOAD:
-            out.append(unit(values)[:, None] * (lengths - lengths.mean(axis=0)))
+            out.append(scaled_to_unit_interval(values)[:, None] * (lengths - lengths.mean(axis=0)))
     out += [np.broadcast_to(c[:, None], lengths.shape) for c in cosines(k.t, SLOW).T]
     out.append(path.last_step)
     scaled = [values / max(np.abs(values).max(), 1e-300) for values in out if np.any(values)]
     return np.stack(scaled, axis=2) if scaled else np.zeros((*lengths.shape, 0))
 
 
-def _wild_corners(k: OperatingPoint) -> Wild:
-    """Wild of sightings some corner of which is far from where the cameras and poses have it, where no sighting near it is: neither of
+def _wild_corners(k: OperatingPoint) -> Outliers:
+    """Outliers of sightings some corner of which is far from where the cameras and poses have it, where no sighting near it is: neither of
     the same marker in the same camera before and after, nor of another in the same image, nor at the same place in the image."""
     seen = k.observed
     o, s = seen.observations, seen.sightings
@@ -155,14 +158,14 @@ def _wild_corners(k: OperatingPoint) -> Wild:
         apart = np.linalg.norm((off[others] - off[i]).reshape(len(others), -1), axis=1)
         wild[i] = not (apart < ALIKE * np.linalg.norm(off[i])).any()
     if wild.sum() > MOST * len(wild):
-        return Wild(crowd=Crowd("images of markers", int(wild.sum()), len(wild)))
+        return Outliers(crowd=Crowd("images of markers", int(wild.sum()), len(wild)))
     kept = np.bincount(s.frame[~wild], minlength=len(k.frames))[s.frame]
     wild &= kept >= HELD
     rows, names = np.flatnonzero(wild).tolist(), [camera.name for camera in k.design.cameras]
     told = tuple(LeftOut(int(k.frames[s.frame[i]]), "corners", f"marker {seen.markers.id[s.marker[i]]} in camera {names[s.camera[i]]}",
                          float(size[i]), "px", float(size[i] / scale[i]), MISREAD) for i in rows)
     keys = frozenset((int(k.frames[s.frame[i]]), int(s.camera[i]), int(s.marker[i])) for i in rows)
-    return Wild(sightings=keys, left_out=told)
+    return Outliers(sightings=keys, left_out=told)
 
 
 def _near(k: OperatingPoint, middle: np.ndarray, i: int) -> np.ndarray:

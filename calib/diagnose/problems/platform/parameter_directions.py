@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.diagnose.engine.linear_model import Column, joined
+from calib.diagnose.engine.linear_model import Column, join_columns
 from calib.diagnose.problems.platform.effect_candidates import seen_alone
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
@@ -10,7 +10,7 @@ from rig.effects.framework.effect import COUNT, Effect, Linear
 from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of
 
 
-def tangents(model: LinearisedModel, sensitivities: Sensitivities) -> tuple[list[Coordinate], Column | None]:
+def parameter_directions(model: LinearisedModel, sensitivities: Sensitivities) -> tuple[list[Coordinate], Column | None]:
     """(coordinates, Column of their directions) of the admitted effects at a linearisation."""
     k, parts = model.point, []
     sensitivities, coordinates = sensitivities.at(k), coordinates_of(k.effects)
@@ -28,7 +28,7 @@ def tangents(model: LinearisedModel, sensitivities: Sensitivities) -> tuple[list
                 parts.append(model.fold(((k.pixels(both[0]) - k.pixels(both[1])) / apart)[..., None]))
             else:
                 parts.append(model.lengthened(((k.effective(both[0]) - k.effective(both[1])) / apart)[..., None]))
-    return coordinates, joined(parts) if parts else None
+    return coordinates, join_columns(parts) if parts else None
 
 
 def _still(effect: Effect, c: Coordinate, sensitivities: Sensitivities) -> tuple[np.ndarray, np.ndarray]:

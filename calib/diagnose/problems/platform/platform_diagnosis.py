@@ -6,28 +6,28 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from calib.samples.confounded_conditions import Confounds, of_recordings
+from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.cross_validation import CrossValidation
 from calib.diagnose.engine.stated_terms import UNSAID, Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.problem_interface import Progress
 from calib.diagnose.engine.covariate_ranking import Covariate
-from calib.diagnose.engine.term_selection import select, supported
-from calib.diagnose.problems.requested_effects import Asked, answerable
+from calib.diagnose.engine.term_selection import select_terms, remove_unsupported_findings
+from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
 from calib.diagnose.problems.platform.excess_scatter import scatter_beyond_noise
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
-from calib.diagnose.problems.platform.remainder_covariates import covariates
-from calib.diagnose.problems.platform.strut_formulas import suggestions
+from calib.diagnose.problems.platform.remainder_covariates import remainder_covariates
+from calib.diagnose.problems.platform.strut_formulas import formula_suggestions
 from calib.diagnose.problems.platform.held_out_validation import cross_validate_blocks
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.exchanged_markers import exchanged, swaps
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, of_recording, within_reach
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, operating_point_of_recording, without_distant_corners
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem, PlatformSelection
-from calib.diagnose.problems.platform.tolerable_findings import Remarks, set_apart
-from calib.diagnose.problems.platform.temperature_alternatives import with_temperatures
+from calib.diagnose.problems.platform.tolerable_findings import Remarks, separate_tolerable_findings
+from calib.diagnose.problems.platform.temperature_alternatives import add_temperature_alternatives
 from calib.diagnose.problems.platform.interval_widening import widened
-from calib.diagnose.problems.platform.outlier_frames import Wild, searched
+from calib.diagnose.problems.platform.outlier_frames import Outliers, fit_without_outliers
 from calib.certify.calibration import Calibration
 from calib.diagnose.problems.formula_suggestion import Suggestion
 from calib.samples.recording_samples import Sampled
@@ -38,7 +38,7 @@ from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.texts.user_effect_files import Plugin
 from rig.recording.time_origin import Origin
 from rig.recording.recording_folder import Part, Recording
-from vision.bundle.marker_displacements import Move, moves
+from vision.bundle.marker_displacements import Move, marker_displacements
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class PlatformDiagnosis:
     own: tuple[Plugin, ...] = ()
     suggestions: tuple[Suggestion, ...] = ()
     confounds: Confounds | None = None
-    wild: Wild = Wild()
+    wild: Outliers = Outliers()
 
     @property
     def effects(self) -> list[Effect]:
@@ -107,7 +107,7 @@ class PlatformDiagnosis:
 
 
 @threadpool_limits.wrap(limits=1)
-def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
+def diagnose_platform(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
              calibration: Calibration | None = None, given: Given = UNSAID, sampled: Sampled | None = None,
              kinds: tuple[type[Effect], ...] = ALL) -> PlatformDiagnosis:
     """PlatformDiagnosis of a Recording.
@@ -119,20 +119,21 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     sampled : Sampled of the recording where it was measured before, or None; kinds : the catalogue, with what a user adds to it
     Raises NotEnoughData where too little was measured, RigError where what is assumed cannot be asked, and what measuring raises
     """
-    asked = Asked.of(only, without, given, kinds)
-    point, source, measured = of_recording(recording, progress, calibration, "auto" if asked.name(FaceMisplacement.name) else "stated",
-                                           sampled)
-    moved = [m for m in moves(measured.adjustment) if m.moved] if measured is not None and measured.places_free else []
+    asked = RequestedEffects.of(only, without, given, kinds)
+    point, source, measured = operating_point_of_recording(
+        recording, progress, calibration, "auto" if asked.name(FaceMisplacement.name) else "stated", sampled
+    )
+    moved = [m for m in marker_displacements(measured.adjustment) if m.moved] if measured is not None and measured.places_free else []
     swapped = [s for s in swaps(point) if _exchange_asked(s, asked)] if asked.name(MarkerSwap.name) else []
     covariance = measured.covariance if measured is not None else np.zeros((0, 6, 6)) if point.own is None else point.own
 
     def explained(at: OperatingPoint) -> tuple[Explained, OperatingPoint]:
-        found = _explained(within_reach(at), asked, given, progress)
+        found = _explained(without_distant_corners(at), asked, given, progress)
         return found, found.selection.fit.refined.point
 
-    (problem, selection, left, remarks, not_asked), wild = searched(exchanged(point, swapped), covariance, explained)
-    selection = with_temperatures(problem, selection)
-    suggested = tuple(suggestions(problem, selection.fit, left, progress))
+    (problem, selection, left, remarks, not_asked), wild = fit_without_outliers(exchanged(point, swapped), covariance, explained)
+    selection = add_temperature_alternatives(problem, selection)
+    suggested = tuple(formula_suggestions(problem, selection.fit, left, progress))
     selection = replace(selection, fit=replace(selection.fit, refined=widened(selection.fit.refined, problem.sensitivities)))
     refined = selection.fit.refined
     left += scatter_beyond_noise(problem.residual(selection.fit), left)
@@ -140,26 +141,43 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     blocks = {"corners": CORNERS} if point.seen is not None else {}
     blocks |= {"closures": CLOSURES} if point.axes else {}
     fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
-    return PlatformDiagnosis(recording.name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks,
-                             not_asked, _noise(refined.model), covariates(selection.before.refined.model, refined.marginalised), recording.origin,
-                             given, parts=recording.parts, suggestions=suggested, confounds=of_recordings([recording]), wild=wild)
+    return PlatformDiagnosis(
+        recording.name,
+        source,
+        swapped,
+        moved,
+        selection,
+        proofs,
+        dict(zip(blocks, fits)),
+        left,
+        remarks,
+        not_asked,
+        _noise(refined.model),
+        remainder_covariates(selection.before.refined.model, refined.marginalised),
+        recording.origin,
+        given,
+        parts=recording.parts,
+        suggestions=suggested,
+        confounds=confounds_of_recordings([recording]),
+        wild=wild,
+    )
 
 
-def _explained(point: OperatingPoint, asked: Asked, given: Given, progress: Progress | None) -> Explained:
+def _explained(point: OperatingPoint, asked: RequestedEffects, given: Given, progress: Progress | None) -> Explained:
     """Explained of an OperatingPoint with nothing admitted."""
     candidates, not_asked = platform_candidates(point, asked)
-    problem = PlatformProblem(point, candidates, given=answerable(given, candidates, not_asked))
-    selection = select(problem, progress)
+    problem = PlatformProblem(point, candidates, given=require_answerable(given, candidates, not_asked))
+    selection = select_terms(problem, progress)
     left = problem.lack_of_fit(problem.residual(selection.fit))
     stood = len(selection.findings)
-    selection = supported(problem, selection, left)
+    selection = remove_unsupported_findings(problem, selection, left)
     if len(selection.findings) < stood:
         left = problem.lack_of_fit(problem.residual(selection.fit))
-    selection, left, remarks = set_apart(problem, selection, left)
+    selection, left, remarks = separate_tolerable_findings(problem, selection, left)
     return Explained(problem, selection, left, remarks, not_asked)
 
 
-def _exchange_asked(effect: MarkerSwap, asked: Asked) -> bool:
+def _exchange_asked(effect: MarkerSwap, asked: RequestedEffects) -> bool:
     """Whether an exchange is asked for at one of its two markers, and left out at neither."""
     places = [effect.place, *([f"marker {int(effect.other)}"] if effect.other >= 0 else [])]
     return any(asked.place(effect.name, p) for p in places) and not any(f"{effect.name} {p}" in asked.without for p in places)

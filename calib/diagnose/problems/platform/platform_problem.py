@@ -15,14 +15,14 @@ from calib.diagnose.engine.term_selection import Selection
 from calib.diagnose.problems.platform import lack_of_fit as remainder
 from calib.diagnose.problems.platform import tolerance_columns
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
-from calib.diagnose.problems.platform.parameter_directions import tangents
+from calib.diagnose.problems.platform.parameter_directions import parameter_directions
 from calib.diagnose.problems.platform.held_out_validation import cross_validate
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined, add_term, refine, refine_standing, remove_term
 from calib.diagnose.problems.platform.candidate_search import column_of, search
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnose.problems.platform.smooth_functions import cover, covered
+from calib.diagnose.problems.platform.smooth_functions import smooth_function_columns, model_with_smooth_functions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,12 +59,14 @@ class PlatformProblem:
         if self.tolerant:
             return False
         model = fit.refined.marginalised
-        found = tolerance_columns.tolerated(model, self.sensitivities)
+        found = tolerance_columns.tolerance_model(model, self.sensitivities)
         if found is None:
             return False
         seen = found.projected(model)
-        if tolerance_columns.at_work(seen, found.sigma):
-            self.tolerant = best is None or tolerance_columns.evidence(seen, found.sigma) > float(best.raw_delta_bic(model.size))
+        if tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
+            self.tolerant = best is None or tolerance_columns.tolerance_log_likelihood_ratio(seen, found.sigma) > float(
+                best.raw_delta_bic(model.size)
+            )
         return self.tolerant
 
     def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:
@@ -89,17 +91,17 @@ class PlatformProblem:
 
     def marginalised(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with the parameters of the effects admitted there among the nuisances."""
-        _, column = tangents(model, self.sensitivities)
+        _, column = parameter_directions(model, self.sensitivities)
         return self.beside_tolerances(model if column is None else model.marginalise(column))
 
     def beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
-        found = tolerance_columns.tolerated(model, self.sensitivities) if self.tolerant else None
-        return model if found is None else tolerance_columns.beside(model, found)
+        found = tolerance_columns.tolerance_model(model, self.sensitivities) if self.tolerant else None
+        return model if found is None else tolerance_columns.model_with_tolerances(model, found)
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
         model = self.beside(fit, number)
-        return self.marginalised(covered(model, *cover(model, left)))
+        return self.marginalised(covered(model, *smooth_function_columns(model, left)))
 
     def linear(self, model: LinearisedModel) -> LinearModel:
         return model.linear

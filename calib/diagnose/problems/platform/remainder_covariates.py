@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calib.diagnose.engine.covariate_ranking import Covariate, Share, ranked, share
-from calib.diagnose.problems.remainder_covariates import courses, each_apart, moves
+from calib.diagnose.engine.covariate_ranking import Covariate, Share, rank_covariates, explained_share
+from calib.diagnose.problems.remainder_covariates import time_and_sensor_functions, separate_weights, motion_functions
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.candidate_search import axis_products, corner_products
 from calib.diagnose.problems.platform.smooth_functions import view_pixels
@@ -12,9 +12,9 @@ from rig.compute.parallel_map import parallel_map
 STRUTS, IMAGES = "struts", "images"
 
 
-def covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:
+def remainder_covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:
     """[Covariate] of what is left with nothing admitted and with all, the one that explained most before first."""
-    return ranked(*parallel_map(_shares, [before, after], few=1))
+    return rank_covariates(*parallel_map(_shares, [before, after], few=1))
 
 
 def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
@@ -22,12 +22,12 @@ def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
     out: dict[str, dict[str, Share]] = {}
     if k.axes:
         products = axis_products(model)
-        for name, functions in {**courses(k.t, k.sensors), **moves(k.motion(()).path, k.commanded, k.t)}.items():
-            out.setdefault(name, {})[STRUTS] = share(model.linear, CLOSURES, [(products, each_apart(functions, k.axes))])
+        for name, functions in {**time_and_sensor_functions(k.t, k.sensors), **motion_functions(k.motion(()).path, k.commanded, k.t)}.items():
+            out.setdefault(name, {})[STRUTS] = explained_share(model.linear, CLOSURES, [(products, separate_weights(functions, k.axes))])
     if k.seen is not None and len(k.moving) < len(k.design.cameras):
         seen = np.unique(k.seen.observations.camera)
         views = [corner_products(model, view_pixels(model, f"camera {k.design.cameras[i].name}")) for i in seen if i not in k.moving]
-        for name, functions in courses(k.t, k.sensors).items():
-            parts = [(products, each_apart(functions, products.beta.shape[1])) for products in views]
-            out.setdefault(name, {})[IMAGES] = share(model.linear, CORNERS, parts)
+        for name, functions in time_and_sensor_functions(k.t, k.sensors).items():
+            parts = [(products, separate_weights(functions, products.beta.shape[1])) for products in views]
+            out.setdefault(name, {})[IMAGES] = explained_share(model.linear, CORNERS, parts)
     return out

@@ -10,19 +10,19 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from calib.diagnose.engine.chance_probability import Z95
-from calib.diagnose.engine.linear_model import Column, joined
+from calib.diagnose.engine.linear_model import Column, join_columns
 from calib.diagnose.problems.platform.effect_candidates import SIZED, PlatformScore, bounds_of
-from calib.diagnose.problems.platform.parameter_directions import tangents
-from calib.diagnose.problems.platform.linearised_corners import edges_of, seat_freedoms, standing
+from calib.diagnose.problems.platform.parameter_directions import parameter_directions
+from calib.diagnose.problems.platform.linearised_corners import edge_bias_freedoms, seat_freedoms, repeated_corner_error
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel, linearise
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, moved
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, move_operating_point
 from calib.diagnose.problems.platform.candidate_search import column_of
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.identify.bounded_step import bounded_step
 from calib.models.platform.identification import parameters, with_parameters
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_validity import check
-from rig.effects.framework.fit_coordinates import Coordinate, kept_sums, loose, priors_cost
+from rig.effects.framework.effect_validity import check_effect
+from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, prior_precision, priors_cost
 from rig.model.pose import exp
 
 MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in its numbers
@@ -104,12 +104,12 @@ class _Freedom:
         values = np.array([c.read(effects[c.effect]) for c in coordinates])
         ends = np.array([c.ends for c in coordinates], float).reshape(-1, 2)
         return _Freedom(column, values, np.array([c.loose for c in coordinates]), ends[:, 0], ends[:, 1],
-                        kept_sums(coordinates, effects))
+                        constrained_sums(coordinates, effects))
 
     def beside(self, other: "_Freedom") -> "_Freedom":
         """Both together."""
         values, worth, low, high = (np.r_[getattr(self, name), getattr(other, name)] for name in ("values", "loose", "low", "high"))
-        return _Freedom(joined([self.column, other.column]), values, worth, low, high, block_diag(self.kept, other.kept))
+        return _Freedom(join_columns([self.column, other.column]), values, worth, low, high, block_diag(self.kept, other.kept))
 
 
 def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivities) -> Refined:
@@ -118,11 +118,11 @@ def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivitie
     column, theta = column_of(model, score.candidate, score.node, sensitivities), score.coefficients
     own = None if refined.column is None else _Freedom.of(refined.coordinates, k.effects, refined.column)
     if not len(theta):  # its size is its node's: the rest makes room
-        parts = joined([c for c in (refined.column, column) if c is not None])
+        parts = join_columns([c for c in (refined.column, column) if c is not None])
         step = np.r_[np.zeros(len(refined.coordinates)), 1.0]
     else:
         by = {p.name: p for p in score.candidate.kind.parameters_at(score.candidate.place)}
-        priors = np.array([loose(by[name], index) if name in by else 0.0 for name, index, _ in score.candidate.spec.linear])
+        priors = np.array([prior_precision(by[name], index) if name in by else 0.0 for name, index, _ in score.candidate.spec.linear])
         low, high = bounds_of(score.candidate.spec)
         new = _Freedom(column, np.zeros(len(theta)), priors, low, high, np.zeros((0, len(theta))))
         free = new if own is None else own.beside(new)
@@ -132,7 +132,7 @@ def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivitie
     effects = list(k.effects)
     for c, s in zip(refined.coordinates, step):
         effects[c.effect] = c.written(effects[c.effect], c.read(effects[c.effect]) + s)
-    effects = [check(effect) for effect in (*effects, score.candidate.effect(score.node, theta))]
+    effects = [check_effect(effect) for effect in (*effects, score.candidate.effect(score.node, theta))]
     z = model.nuisances.at_rest - model.linear.project(parts).onto @ step
     return refine(_apply(model, model.nuisances.solve @ z, step, parts, effects), sensitivities)
 
@@ -153,14 +153,14 @@ def refine(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
     Standing corners are first taken at their covariance; only what they then still miss together, in every frame, loosens them.
     """
     refined = refine_standing(replace(point, standing=0.0), sensitivities)
-    left = standing(refined.point)
+    left = repeated_corner_error(refined.point)
     return refine_standing(replace(refined.point, standing=left), sensitivities) if left else refined
 
 
 def refine_standing(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
     """Refined as by `refine`, standing corners repeating as many px as the OperatingPoint already says."""
     model = linearise(point)
-    coordinates, column = tangents(model, sensitivities)
+    coordinates, column = parameter_directions(model, sensitivities)
     freedom = partial(_Freedom.of, coordinates)
     for _ in range(MAX_ITERATIONS):
         step, covariance = (np.zeros(0), np.zeros((0, 0))) if column is None else _step(model, freedom(point.effects, column))
@@ -169,7 +169,7 @@ def refine_standing(point: OperatingPoint, sensitivities: Sensitivities) -> Refi
             break
         gained = _comparable(model) - _comparable(new)
         point, model = new.point, new
-        coordinates, column = tangents(model, sensitivities)
+        coordinates, column = parameter_directions(model, sensitivities)
         freedom = partial(_Freedom.of, coordinates)
         if (np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all() and gained < 1 or gained < ENOUGH:
             break
@@ -195,7 +195,7 @@ def _try(model: LinearisedModel, coordinates: list[Coordinate], step: np.ndarray
         for c, s in zip(coordinates, step):
             effects[c.effect] = c.written(effects[c.effect], c.read(k.effects[c.effect]) + share * s)
         z = model.nuisances.at_rest - (model.linear.project(column).onto @ (share * step) if column is not None else 0)
-        after = linearise(_apply(model, model.nuisances.solve @ z, share * step, column, [check(effect.written()) for effect in effects]))
+        after = linearise(_apply(model, model.nuisances.solve @ z, share * step, column, [check_effect(effect.written()) for effect in effects]))
         if _comparable(after) <= _comparable(model) + SLACK:
             return after
     return None
@@ -225,7 +225,7 @@ def _apply(model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, colum
         matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += value[:4]
         cameras[i] = replace(cameras[i], matrix=matrix, distortion=cameras[i].distortion + value[4:])
     finder = list(k.finder or [0.0] * len(cameras))
-    for i, j in edges_of(model.nuisances.names, k.design):
+    for i, j in edge_bias_freedoms(model.nuisances.names, k.design):
         finder[i] += float(freedoms[j])
     own = seat_freedoms(model.nuisances.names)
     seats = tuple(replace(s, motion=tuple((np.array(s.motion) + freedoms[own[s.place]]).tolist())) if s.place in own else s for s in k.seats)
@@ -234,4 +234,4 @@ def _apply(model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, colum
         k = replace(k, design=replace(k.design, mechanism=with_parameters(m, p + freedoms[len(model.nuisances.names) - len(p) :])))
     if k.seen is None:
         local = np.zeros((model.frames, 6))
-    return replace(moved(k, cameras, local), effects=tuple(effects), finder=tuple(finder), seats=seats)
+    return replace(move_operating_point(k, cameras, local), effects=tuple(effects), finder=tuple(finder), seats=seats)

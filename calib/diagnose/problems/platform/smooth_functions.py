@@ -6,12 +6,12 @@ import numpy as np
 from scipy.linalg import null_space
 
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.problems.remainder_covariates import cosines, powers, speed, unit
+from calib.diagnose.problems.remainder_covariates import cosines, powers, speed, scaled_to_unit_interval
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.candidate_search import mount_pixels
 from rig.effects.catalogue.lens_distortion import products
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time
 WARP = 6  # degree of a smooth warp of an image
@@ -31,7 +31,7 @@ def strut_weights(k: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarr
     lengths, way_last = motion.lengths, motion.path.direction
     for j in range(k.axes):
         bases.append((f"strut {j + 1}'s position", _alike(powers(lengths[:, j], 4), ones)))
-    scaled = np.stack([unit(column) for column in lengths.T], axis=1)
+    scaled = np.stack([scaled_to_unit_interval(column) for column in lengths.T], axis=1)
     bases.append(("history", np.stack([way_last, way_last * scaled], axis=2)))
     way = motion.path.way
     if np.ptp(way, axis=0).min(initial=np.inf) > 0:
@@ -64,7 +64,7 @@ def view_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     return out
 
 
-def in_time(k: OperatingPoint, count: int) -> np.ndarray:
+def time_functions(k: OperatingPoint, count: int) -> np.ndarray:
     """(F, 7, 7 count) of what `view_pixels` weighs: each as a sum of so many cosines of time."""
     return np.einsum("fk,ab->fabk", cosines(k.t, count), np.eye(7)).reshape(len(k.t), 7, -1)
 
@@ -125,7 +125,7 @@ def _depths(quads: np.ndarray) -> np.ndarray:
     return np.stack([np.ones(len(g)), 1 + g, 1 + g + h, 1 + h], axis=1)
 
 
-def cover(model: LinearisedModel, left: list[LackOfFit]) -> tuple[np.ndarray | None, np.ndarray | None]:
+def smooth_function_columns(model: LinearisedModel, left: list[LackOfFit]) -> tuple[np.ndarray | None, np.ndarray | None]:
     """(pixels (n, 2, q) or None, weights (F, axes, r) or None) of all smooth functions of what is left depends on: at all struts where it is struts,
     at all markers where it is one, else at the cameras themselves."""
     k = model.point
@@ -135,7 +135,7 @@ def cover(model: LinearisedModel, left: list[LackOfFit]) -> tuple[np.ndarray | N
     pixels = []
     for u in left:
         if u.place.startswith("camera") and u.depends_on == ("time",):
-            moved = np.einsum("nca,nak->nck", view_pixels(model, u.place), in_time(k, FAST)[k.observed.observations.frame])
+            moved = np.einsum("nca,nak->nck", view_pixels(model, u.place), time_functions(k, FAST)[k.observed.observations.frame])
             pixels.append(moved)
         elif u.place.startswith("camera") and u.depends_on == ("image position",):
             pixels.append(warp_pixels(k, [f"camera {c.name}" for c in k.design.cameras].index(u.place)))
@@ -145,8 +145,8 @@ def cover(model: LinearisedModel, left: list[LackOfFit]) -> tuple[np.ndarray | N
     return np.concatenate(pixels, axis=2) if pixels else None, np.concatenate(parts, axis=2) if parts else None
 
 
-def covered(model: LinearisedModel, pixels: np.ndarray | None, weights: np.ndarray | None) -> LinearisedModel:
-    """LinearisedModel with smooth functions, pixels (n, 2, q) and weights (F, axes, r) as `cover` gives them, among the nuisances.
+def model_with_smooth_functions(model: LinearisedModel, pixels: np.ndarray | None, weights: np.ndarray | None) -> LinearisedModel:
+    """LinearisedModel with smooth functions, pixels (n, 2, q) and weights (F, axes, r) as `smooth_function_columns` gives them, among the nuisances.
 
     What the functions explain is first taken off the pictures, so that corners far off, which count for less, do not keep their misfit.
     """
@@ -172,7 +172,7 @@ def _alike(basis: np.ndarray, ones: np.ndarray) -> np.ndarray:
 
 def _pose(k: OperatingPoint) -> np.ndarray:
     """(F, q) polynomials of the pose up to the second degree, and pure cubes, of what lies between it and its mean."""
-    x = difference(k.T.mean(), k.T)
+    x = pose_difference(k.T.mean(), k.T)
     x = x / np.maximum(np.abs(x).max(axis=0), 1e-300)
     pairs = [x[:, i] * x[:, j] for i in range(6) for j in range(i, 6)]
     return np.column_stack([x, *pairs, x**3])

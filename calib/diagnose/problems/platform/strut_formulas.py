@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.certify.platform_certification import silent
-from calib.diagnose.engine.cross_validation import folds, held_out, summed_gain
+from calib.certify.platform_certification import silent_progress
+from calib.diagnose.engine.cross_validation import frame_folds, held_out_residuals, summed_gain
 from calib.diagnose.engine.formula_search import Formula, Search
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.formula_library import Library
@@ -13,14 +13,14 @@ from calib.diagnose.engine.linear_model import LinearModel
 from calib.diagnose.engine.problem_interface import Progress
 from calib.diagnose.engine.frame_inner_products import FrameProducts
 from calib.diagnose.engine.reduced_least_squares import Reduced
-from calib.diagnose.problems.platform.parameter_directions import tangents
+from calib.diagnose.problems.platform.parameter_directions import parameter_directions
 from calib.diagnose.problems.platform.held_out_validation import change
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.problems.platform.candidate_search import axis_products
-from calib.diagnose.problems.formula_suggestion import AGREE, GAIN, NAME, Suggestion, library_of, looked_at, written
+from calib.diagnose.problems.formula_suggestion import AGREE, GAIN, NAME, Suggestion, formula_library, formula_quantities, written
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE
 from rig.effects.texts.formula_effect_file import Written
@@ -58,7 +58,7 @@ class Site:
         return written(formula, self.library, "strut", self.place == "rig" and not self.library.apart)
 
 
-def suggestions(problem: PlatformProblem, fit: PlatformFit, left: list[LackOfFit], progress: Progress | None = None) -> list[Suggestion]:
+def formula_suggestions(problem: PlatformProblem, fit: PlatformFit, left: list[LackOfFit], progress: Progress | None = None) -> list[Suggestion]:
     """[Suggestion] for what is left of the struts: of each that something is left of, or of all together where that says it shorter.
 
     progress : called with (label, done, of), or None
@@ -68,7 +68,7 @@ def suggestions(problem: PlatformProblem, fit: PlatformFit, left: list[LackOfFit
     model = problem.residual(fit)
     if not k.axes or not places:
         return []
-    said = progress or silent
+    said = progress or silent_progress
     struts = [i for i in range(k.axes) if f"strut {i + 1}" in places]
     sites = [_of_strut(k, i) for i in struts] + ([_of_all(k), _of_platform(k)] if len(struts) >= SEVERAL or "rig" in places else [])
     tried: list[Found | None] = []
@@ -83,17 +83,17 @@ def suggestions(problem: PlatformProblem, fit: PlatformFit, left: list[LackOfFit
 
 
 def _of_strut(k: OperatingPoint, i: int) -> Site:
-    return Site(f"strut {i + 1}", [i], np.broadcast_to(np.eye(k.axes)[:, [i]], (len(k.t), k.axes, 1)), library_of(k.motion(()), i))
+    return Site(f"strut {i + 1}", [i], np.broadcast_to(np.eye(k.axes)[:, [i]], (len(k.t), k.axes, 1)), formula_library(k.motion(()), i))
 
 
 def _of_all(k: OperatingPoint) -> Site:
-    return Site("rig", list(range(k.axes)), np.broadcast_to(np.eye(k.axes), (len(k.t), k.axes, k.axes)), library_of(k.motion(()), None, k.axes))
+    return Site("rig", list(range(k.axes)), np.broadcast_to(np.eye(k.axes), (len(k.t), k.axes, k.axes)), formula_library(k.motion(()), None, k.axes))
 
 
 def _of_platform(k: OperatingPoint) -> Site:
     motion = k.motion(())
     ways = [k.swayed(motion.tangents(np.broadcast_to(way, (len(k.t), 6)))) for way in np.eye(len(POSE))]
-    return Site("rig", list(range(k.axes)), np.stack(ways, axis=2), library_of(motion, None, len(POSE), True))
+    return Site("rig", list(range(k.axes)), np.stack(ways, axis=2), formula_library(motion, None, len(POSE), True))
 
 
 Found = tuple[Site, Formula, LinearisedModel]
@@ -130,7 +130,7 @@ def _description(problem: PlatformProblem, fit: PlatformFit, several: list[Found
 def _with(problem: PlatformProblem, fit: PlatformFit, point: OperatingPoint) -> tuple[LinearisedModel, LinearisedModel]:
     """(LinearisedModel at a point with more effects, the parameters of those admitted in a fit among its nuisances; the same without)."""
     bare = linearise(point)
-    coordinates, column = tangents(bare, problem.sensitivities)
+    coordinates, column = parameter_directions(bare, problem.sensitivities)
     others = [i for i, c in enumerate(coordinates) if c.effect < len(fit.refined.point.effects)]
     new = bare.marginalise(column.take(others)) if others and column is not None else bare
     return problem.beside_tolerances(new), bare
@@ -157,17 +157,17 @@ def _grown(linear: LinearModel, parts: tuple) -> LinearModel:
 
 def _suggested(problem: PlatformProblem, fit: PlatformFit, site: Site, formula: Formula, model: LinearisedModel) -> Suggestion | None:
     """Suggestion of a Formula, refined with all that is free; None where stretches chosen without do not gain by such."""
-    fold = folds(model.frames, sudden=False)
+    fold = frame_folds(model.frames, sudden=False)
     products, floor = site.products(model), site.floor(model)
     chosen = [Search(site.library, Reduced.on(model.linear, products, fold != h), floor).best() for h in np.unique(fold)]
     residuals = tuple(block.residual for block in model.linear.blocks)
-    without = held_out(model.linear, residuals, fold).frames[CLOSURES]
+    without = held_out_residuals(model.linear, residuals, fold).frames[CLOSURES]
     withit = without.copy()
     rows = np.repeat(fold, model.point.axes)
     for h, one in zip(np.unique(fold), chosen):
         if one is not None:
             taken = model.marginalise(model.lengthened(site.deviation(one)))
-            predicted = held_out(taken.linear, tuple(block.residual for block in taken.linear.blocks), fold, h).frames[CLOSURES]
+            predicted = held_out_residuals(taken.linear, tuple(block.residual for block in taken.linear.blocks), fold, h).frames[CLOSURES]
             withit[rows == h] = predicted[rows == h]
     squares = [(left.reshape(model.frames, -1) ** 2).sum(axis=1) for left in (without, withit)]
     gain = summed_gain(squares[0] - squares[1])
@@ -179,4 +179,4 @@ def _suggested(problem: PlatformProblem, fit: PlatformFit, site: Site, formula: 
     before, after = (float(np.sqrt(np.mean((inverse @ left.reshape(model.frames, -1, 1))[:, struts] ** 2))) for left in (without, withit))
     noise = float(np.sqrt(np.mean((model.strut_noise() - model.closures.scatter**2)[:, struts])))
     return Suggestion(site.place, site.written(formula), refined.point.effects[-1], refined.intervals(len(k.effects)), before, after, noise, "m",
-                      gain, tuple(looked_at(one, site.library) for one in chosen), formula.length)
+                      gain, tuple(formula_quantities(one, site.library) for one in chosen), formula.length)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.diagnose.engine.linear_model import Column, Projection, cosine, joined
+from calib.diagnose.engine.linear_model import Column, Projection, column_cosine, join_columns
 from calib.diagnose.engine.candidate_score import Alternative, Score
-from calib.diagnose.engine.term_selection import Finding, stands
+from calib.diagnose.engine.term_selection import Finding, is_finding_significant
 from calib.diagnose.problems.remainder_covariates import cosines
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, candidate_of, context_of, lacking
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
@@ -27,12 +27,12 @@ SIZES = 200  # of a coefficient that are tried, over DECADES about what rigs sho
 DECADES = 1.0  # beyond
 
 
-def with_temperatures(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
+def add_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
     """Selection in which every finding has those effects of a temperature among its alternatives that would explain as much."""
-    return ill_logged(problem, unlogged(problem, selection))
+    return noisy_log_temperature_alternatives(problem, unlogged_temperature_alternatives(problem, selection))
 
 
-def unlogged(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
+def unlogged_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
     """Selection in which every finding that could as well be an effect of a temperature, had it run as some smooth function of time, has that
     effect among its alternatives, at its own place or at the whole machine; effects whose temperature was logged are not asked for."""
     k = selection.fit.refined.point
@@ -52,7 +52,7 @@ def _beside_temperatures(problem: PlatformProblem, selection: PlatformSelection,
     own = finding.score.delta_chi2 * finding.score.dispersion
     for kind, place in asked:
         warm = problem.marginalised(model.marginalise(_courses(model, kind, place)))
-        if stands(problem, finding, warm, selection.fit, selection.asked):
+        if is_finding_significant(problem, finding, warm, selection.fit, selection.asked):
             continue
         delta = alone.linear.cost() - warm.linear.cost()
         score = Score(candidate_of(EffectCandidate(kind, place, [{}], [])), {}, np.zeros(0), delta, 1.0, SLOW, 1.0, 1.0, np.zeros(1))
@@ -61,7 +61,7 @@ def _beside_temperatures(problem: PlatformProblem, selection: PlatformSelection,
     return replace(finding, alternatives=alternatives)
 
 
-def ill_logged(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
+def noisy_log_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
     """The same of effects whose temperature was logged, had it run as its log's own errors allow; not those listed by what the log says."""
     k, findings = selection.fit.refined.point, []
     warm = [c for c in problem.candidates if c.kind in WARM and _channels(k, c) & k.log_errors.keys()]
@@ -93,7 +93,7 @@ def _courses(model: LinearisedModel, kind: type[Effect], place: str) -> Column:
     for course in cosines(k.t, SLOW).T:
         warmth = {channels[0]: REFERENCE_TEMPERATURE + course[order] for channels in kind.follows(place, context_of(k))}
         parts.append(_per_kelvin(model, kind, place, Sensors(k.t[order], {**logged, **warmth})))
-    return joined(parts)
+    return join_columns(parts)
 
 
 def _per_kelvin(model: LinearisedModel, kind: type[Effect], place: str, sensors: Sensors) -> Column:
@@ -125,7 +125,7 @@ def _by_errors(model: LinearisedModel, candidate: PlatformCandidate) -> Platform
         for error in k.log_errors[channel].T:
             off = {**k.sensors.channels, **cold, channel: REFERENCE_TEMPERATURE + error}
             parts.append(_per_kelvin(model, kind, place, replace(k.sensors, channels=off)))
-    seen, parameter = model.linear.project(joined(parts)), kind.parameters[0]
+    seen, parameter = model.linear.project(join_columns(parts)), kind.parameters[0]
     sizes = np.geomspace(parameter.usual[0] / 10**DECADES, parameter.usual[1] * 10**DECADES, SIZES)
     sizes = np.r_[sizes, -sizes]
     gains = np.array([_gain(seen, size) for size in sizes])
@@ -147,4 +147,4 @@ def _gain(seen: Projection, size: float) -> float:
 
 def _cosine(problem: PlatformProblem, model: LinearisedModel, own: PlatformScore, other: PlatformScore) -> float:
     """Between what a finding and an effect of a temperature as logged do, nuisances taken out."""
-    return cosine(model.linear, problem.column(model, own), problem.column(model, other))
+    return column_cosine(model.linear, problem.column(model, own), problem.column(model, other))

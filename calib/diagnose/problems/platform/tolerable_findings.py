@@ -7,12 +7,18 @@ import scipy
 
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.candidate_score import Score
-from calib.diagnose.engine.term_selection import Finding, convincing
+from calib.diagnose.engine.term_selection import Finding, is_significant
 from calib.diagnose.problems.platform.held_out_validation import change
 from calib.diagnose.problems.platform.linearised_residuals import CORNERS
 from calib.diagnose.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.candidate_search import column_of
-from calib.diagnose.problems.platform.tolerance_columns import Slight, beside, share_beside, slight, tolerated
+from calib.diagnose.problems.platform.tolerance_columns import (
+    SignificantTolerance,
+    model_with_tolerances,
+    share_not_explained_by_tolerances,
+    significant_tolerances,
+    tolerance_model,
+)
 from rig.model.manufacturing_tolerances import STILL
 
 LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame
@@ -22,15 +28,16 @@ TOGETHER = "printed markers, the corner finder and thermometers may do on their 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Remarks:
-    """findings : [(Finding, reason)] admitted that do not matter; left : [(LackOfFit, reason)]; sites : [Slight] of tolerances beyond chance
+    """findings : [(Finding, reason)] admitted that do not matter; left : [(LackOfFit, reason)]; sites : [SignificantTolerance] of tolerances beyond
+    chance
     reason : in words that follow "no more than"."""
 
     findings: list[tuple[Finding, str]]
     left: list[tuple[LackOfFit, str]]
-    sites: list[Slight]
+    sites: list[SignificantTolerance]
 
 
-def set_apart(problem: PlatformProblem, selection: PlatformSelection,
+def separate_tolerable_findings(problem: PlatformProblem, selection: PlatformSelection,
               left: list[LackOfFit]) -> tuple[PlatformSelection, list[LackOfFit], Remarks]:
     """(Selection of what matters, what is left and matters, Remarks)."""
     fit, known = selection.fit, problem.tolerant
@@ -44,42 +51,42 @@ def set_apart(problem: PlatformProblem, selection: PlatformSelection,
         else:
             small.append((f, reason))
     model = fit.refined.marginalised
-    found = tolerated(model, problem.sensitivities) if known or left else None
-    stays = left if known or found is None else problem.lack_of_fit(beside(model, found))
+    found = tolerance_model(model, problem.sensitivities) if known or left else None
+    stays = left if known or found is None else problem.lack_of_fit(model_with_tolerances(model, found))
     gone = [(u, TOGETHER) for u in left if not any(u.place == v.place for v in stays)]
     tiny = [(u, STILL.reason) for u in stays if u.unit == "px" and set(u.depends_on) & set(LASTING) and u.magnitude < STILL.limit]
     stays = [u for u in stays if not any(u is v for v, _ in tiny)]
-    sites = slight(model, found) if known and found is not None else []
+    sites = significant_tolerances(model, found) if known and found is not None else []
     return replace(selection, findings=matters), stays, Remarks(small, [*gone, *tiny], sites)
 
 
 def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Finding, known: bool) -> str | None:
     """Why a Finding is a remark, None where it matters. known : whether tolerances were among the nuisances when it was found"""
     fit, kind = selection.fit, selection.fit.terms[finding.number].kind
-    if kind.view in LASTING_VIEWS and problem.block(fit.terms[finding.number]) == CORNERS and displaced(fit, finding.number) < STILL.limit:
+    if kind.view in LASTING_VIEWS and problem.block(fit.terms[finding.number]) == CORNERS and corner_displacement(fit, finding.number) < STILL.limit:
         return STILL.reason
     if known:
         return None
     model = problem.without_term(fit, finding.number)
-    found = tolerated(model, problem.sensitivities)
+    found = tolerance_model(model, problem.sensitivities)
     if found is None:
         return None
     score, kept = finding.score, problem.sensitivities.at(model.point)
-    share = share_beside(model, found, column_of(model, score.candidate, score.node, kept), not len(score.coefficients))
-    if convincing(weakened(score, share), selection.asked, problem.size(fit), problem.policy):
+    share = share_not_explained_by_tolerances(model, found, column_of(model, score.candidate, score.node, kept), not len(score.coefficients))
+    if is_significant(weaken_score(score, share), selection.asked, problem.size(fit), problem.policy):
         return None
     own = (s.tolerance.reason for s in found.sites if (s.effect, s.place) == (score.candidate.name, score.candidate.place))
     return next(own, TOGETHER)
 
 
-def weakened(score: Score, share: float) -> Score:
+def weaken_score(score: Score, share: float) -> Score:
     """A Score of which tolerances leave a share of its delta chi-square."""
     delta = score.delta_chi2 * min(share, 1.0)
     chance = float(scipy.special.chdtrc(score.freedom, delta))
     return score if share >= 1 else replace(score, delta_chi2=delta, p_value=max(score.p_value, chance))
 
 
-def displaced(fit: PlatformFit, number: int) -> float:
+def corner_displacement(fit: PlatformFit, number: int) -> float:
     """px RMS by which an admitted effect moves the corners that it moves at all, cameras and poses having taken what they can."""
     k, model = fit.refined.point, fit.refined.model
     others = [e for i, e in enumerate(k.effects) if i != number]

@@ -7,7 +7,7 @@ import scipy
 from scipy.sparse import csr_array
 
 from calib.diagnose.engine.linear_model import Column, Projection
-from calib.diagnose.engine.frame_inner_products import Normal, solve, solve_with_prior, whole
+from calib.diagnose.engine.frame_inner_products import Normal, solve_normal_equations, solve_with_prior, solve_fixed_size
 from calib.diagnose.problems.remainder_covariates import cosines
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
@@ -40,7 +40,7 @@ class Site:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tolerated:
+class ToleranceModel:
     """What tolerances do at a linearisation, q numbers. corners : (2n, q) whitened, frames' own poses still in, of which a number touches few
     inner : (F, L, q) coordinates in these; closures : (m, q); sigma : (q,) standard deviations of the numbers; sites : what they belong to
     kinds : (q,) those of one kind vary alike: VARIED of a marker, TOGETHER, WARMED"""
@@ -74,7 +74,7 @@ class Tolerated:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Slight:
+class SignificantTolerance:
     """What a recording shows of a Site beyond chance: values, sigma (q,) of its numbers; p_value : over all sites."""
 
     site: Site
@@ -83,8 +83,8 @@ class Slight:
     p_value: float
 
 
-def tolerated(model: LinearisedModel, sensitivities: Sensitivities) -> Tolerated | None:
-    """Tolerated of a LinearisedModel; None where nothing of the kind could be seen."""
+def tolerance_model(model: LinearisedModel, sensitivities: Sensitivities) -> ToleranceModel | None:
+    """ToleranceModel of a LinearisedModel; None where nothing of the kind could be seen."""
     k, c, n = model.point, model.corners, 2 * len(model.corners.order)
     sites, sigma, table = _markers(model, sensitivities.at(k)) if k.seen is not None else ([], [], csr_array((n, 0)))
     kinds = [TOGETHER, *VARIED * (len(sigma) // len(VARIED))][: len(sigma)]
@@ -95,7 +95,7 @@ def tolerated(model: LinearisedModel, sensitivities: Sensitivities) -> Tolerated
     closures = model.nothing(table.shape[1])
     if k.axes:
         closures = model.on_closures(np.einsum("fij,fjk->fik", model.closures.to_rows, inner))
-    if k.axes and mechanisms.of(k.design.mechanism).UNIT == "m" and k.sensors is not None:
+    if k.axes and mechanisms.kinematics_of(k.design.mechanism).UNIT == "m" and k.sensors is not None:
         courses, size = _courses(k), THERMOMETER.sigma * STEEL * float(np.median(k.motion(()).lengths))
         more = courses.shape[2]
         closures = np.concatenate([closures, model.on_closures(model.closures.W @ courses)], axis=1)
@@ -103,7 +103,7 @@ def tolerated(model: LinearisedModel, sensitivities: Sensitivities) -> Tolerated
         table.resize((n, table.shape[1] + more))
         sigma += [size * np.sqrt(2 / SLOW)] * more
         kinds += [WARMED] * more
-    return Tolerated(table, inner, closures, np.array(sigma), tuple(sites), np.array(kinds)) if sigma else None
+    return ToleranceModel(table, inner, closures, np.array(sigma), tuple(sites), np.array(kinds)) if sigma else None
 
 
 def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], list[float], csr_array]:
@@ -142,13 +142,13 @@ def _courses(k: OperatingPoint) -> np.ndarray:
     return np.einsum("fs,ab->fabs", cosines(k.t, SLOW), np.eye(k.axes)).reshape(len(k.t), k.axes, -1)
 
 
-def at_work(seen: Projection, sigma: np.ndarray) -> bool:
+def tolerances_explain_residuals(seen: Projection, sigma: np.ndarray) -> bool:
     """Whether tolerances, as they are projected on a model, all together and each within its own sigma (q,), explain more than chance does."""
     solved = solve_with_prior(Normal(seen.right[None], seen.gram[None], np.diag(seen.gram)[None]), sigma)
     return bool(scipy.special.chdtrc(max(solved.rank[0], 1.0), solved.delta_chi2[0]) < ALPHA)
 
 
-def evidence(seen: Projection, sigma: np.ndarray) -> float:
+def tolerance_log_likelihood_ratio(seen: Projection, sigma: np.ndarray) -> float:
     """Twice the logarithm of how much likelier the residuals of a model are beside tolerances, as they are projected on it, than without: their
     marginal likelihood, sizes normal with standard deviations sigma (q,).
 
@@ -159,18 +159,18 @@ def evidence(seen: Projection, sigma: np.ndarray) -> float:
     return float(right @ np.linalg.solve(scaled, right) - np.linalg.slogdet(scaled)[1])
 
 
-def share_beside(model: LinearisedModel, found: Tolerated, column: Column, sized: bool) -> float:
+def share_not_explained_by_tolerances(model: LinearisedModel, found: ToleranceModel, column: Column, sized: bool) -> float:
     """Of the delta chi-square that a Column (q) explains, the share that it explains beside tolerances. sized : whether its size is its own"""
     alone, tolerances = model.linear.project(column), found.projected(model)
     cross = found.with_column(column) - alone.onto.T @ tolerances.onto
     taken = np.linalg.solve(tolerances.gram + np.diag(found.sigma**-2.0), np.column_stack([tolerances.right, cross.T]))
     right, gram = alone.right - cross @ taken[:, 0], alone.gram - cross @ taken[:, 1:]
-    deltas = [(whole if sized else solve)(Normal(b[None], G[None], np.diag(alone.gram)[None])).delta_chi2[0]
+    deltas = [(solve_fixed_size if sized else solve_normal_equations)(Normal(b[None], G[None], np.diag(alone.gram)[None])).delta_chi2[0]
               for b, G in ((alone.right, alone.gram), (right, gram))]
     return float(deltas[1] / deltas[0])
 
 
-def beside(model: LinearisedModel, found: Tolerated) -> LinearisedModel:
+def model_with_tolerances(model: LinearisedModel, found: ToleranceModel) -> LinearisedModel:
     """The LinearisedModel with what tolerances do among the nuisances, each known beforehand to its prior."""
     linear, more = model.linear, len(found.sigma)
     closures = linear.blocks[CLOSURES]
@@ -184,8 +184,8 @@ def beside(model: LinearisedModel, found: Tolerated) -> LinearisedModel:
     return replace(model, linear=grown.marginalise(Column(tuple(parts))))
 
 
-def slight(model: LinearisedModel, found: Tolerated) -> list[Slight]:
-    """[Slight] of what tolerances are beyond chance, the surest first; what is admitted belongs among the nuisances."""
+def significant_tolerances(model: LinearisedModel, found: ToleranceModel) -> list[SignificantTolerance]:
+    """[SignificantTolerance] of what tolerances are beyond chance, the surest first; what is admitted belongs among the nuisances."""
     seen = found.projected(model)
     covariance = np.linalg.inv(seen.gram + np.diag(found.sigma**-2.0))
     values, out = covariance @ seen.right, []
@@ -193,5 +193,5 @@ def slight(model: LinearisedModel, found: Tolerated) -> list[Slight]:
         own, block = values[site.columns], covariance[site.columns, site.columns]
         p = float(scipy.special.chdtrc(len(own), own @ np.linalg.solve(block, own))) * len(found.sites)
         if p < ALPHA:
-            out.append(Slight(site, own, np.sqrt(np.diag(block)), p))
+            out.append(SignificantTolerance(site, own, np.sqrt(np.diag(block)), p))
     return sorted(out, key=lambda s: s.p_value)

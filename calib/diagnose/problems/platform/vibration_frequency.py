@@ -3,8 +3,8 @@
 import numpy as np
 import scipy
 
-from calib.diagnose.engine.chance_probability import dispersion
-from calib.diagnose.engine.frame_inner_products import FrameProducts, Normal, framewise, solve
+from calib.diagnose.engine.chance_probability import residual_dispersion
+from calib.diagnose.engine.frame_inner_products import FrameProducts, Normal, normal_of_weighted_directions, solve_normal_equations
 from calib.diagnose.engine.candidate_score import Score
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
@@ -19,7 +19,7 @@ TICK = 1e-4  # s, to which exposures' times are compared
 SOFT = 1e-9  # of a direction's power, added so that those that move nothing can be solved for
 
 
-def wave(model: LinearisedModel, frequencies: np.ndarray) -> np.ndarray:
+def sinusoid_directions(model: LinearisedModel, frequencies: np.ndarray) -> np.ndarray:
     """(k, F, a, 12) m of axes under the sine, then the cosine of frequencies (k,) Hz along each of six directions."""
     k = model.point
     modes = np.stack([k.swayed(np.tile(unit, (len(k.t), 1))) for unit in np.eye(6)], axis=-1)
@@ -41,11 +41,11 @@ def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, product
     spectrum, frequency = spectrum[inside], frequency[inside]
     peaks = np.argsort(-spectrum)[:PEAKS]
     near = np.unique(np.concatenate([frequency[p] + np.linspace(-1, 1, 21) / (OVERSAMPLED * length) for p in peaks]))
-    normal = framewise(products, wave(model, near))
+    normal = normal_of_weighted_directions(products, sinusoid_directions(model, near))
     deltas, coefficients = (np.array(part) for part in zip(*(one_direction(*pair) for pair in zip(normal.b, normal.G))))
     best = int(np.argmax(deltas))
-    seen = solve(Normal(*(part[best : best + 1] for part in normal))).seen[0]
-    ratio = dispersion(model.linear, products, wave(model, near[best : best + 1])[0], coefficients[best]).ratio
+    seen = solve_normal_equations(Normal(*(part[best : best + 1] for part in normal))).seen[0]
+    ratio = residual_dispersion(model.linear, products, sinusoid_directions(model, near[best : best + 1])[0], coefficients[best]).ratio
     delta = deltas[best] / ratio
     p = min(1.0, length * high * float(scipy.special.chdtrc(free, delta)))
     return Score(candidate, {**node, "frequency": float(near[best])}, coefficients[best], float(delta), float(p), free + candidate.extra, ratio,
@@ -61,7 +61,7 @@ def _bins(length: float, high: float) -> tuple[int, float]:
 def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tuple[np.ndarray, np.ndarray]:
     """(delta chi-square of all directions, Hz) up to beyond `high`, nuisances and what frames weigh unevenly left aside."""
     t = model.point.t
-    modes = wave(model, np.zeros(1))[0, :, :, 6:]
+    modes = sinusoid_directions(model, np.zeros(1))[0, :, :, 6:]
     beta, power = np.einsum("fad,fa->fd", modes, products.beta), np.einsum("fad,fab,fbe->de", modes, products.gamma, modes)
     own = np.diag(power)
     half = np.linalg.cholesky(np.linalg.inv(power + SOFT * np.diag(np.maximum(own, SOFT * own.max()))))

@@ -9,13 +9,13 @@ from rig.errors import FileError
 from rig.formats.importers.camera_calibrations import caliscope, kalibr, multical, opencv_and_ros
 from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera
 from rig.formats.input_files import read_text
-from rig.formats.toml_positions import positions
+from rig.formats.toml_positions import value_positions
 
 KINDS = {"Kalibr": kalibr, "multical": multical, "caliscope": caliscope, "ROS camera_info or OpenCV": opencv_and_ros}
 LARGEST = 1 << 22  # bytes
 
 
-def cameras(path: Path) -> tuple[str, list[ForeignCamera]]:
+def read_cameras(path: Path) -> tuple[str, list[ForeignCamera]]:
     """(whose file it is, its cameras). Raises FileError, with line and key, for anything that cannot be used."""
     root = _root(path)
     for kind, module in KINDS.items():
@@ -35,6 +35,6 @@ def _root(path: Path) -> Entries:
         return yaml_file.load(path)
     text = read_text(path, LARGEST)
     try:
-        return Entries(tomllib.loads(text), (), path, positions(text))
+        return Entries(tomllib.loads(text), (), path, value_positions(text))
     except (ValueError, RecursionError) as error:
         raise FileError(path, f"not valid TOML: {str(error) or 'nested too deep'}") from None

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, pinhole, rigid, size, terms
-from rig.formats.importers.camera_calibrations.fisheye_lens import became, four, rational
+from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, camera_transform, image_size, distortion_terms
+from rig.formats.importers.camera_calibrations.fisheye_lens import conversion_sentence, require_four_terms, rational_lens_of_fisheye
 
 NAME = re.compile(r"cam_\d{1,4}")
 
@@ -37,18 +37,18 @@ def _tables(root: Entries) -> dict[str, Entries]:
 
 
 def _camera(e: Entries, name: str) -> ForeignCamera:
-    matrix, wide, values = pinhole(e, "matrix", e.array("matrix", (3, 3))), size(e, "size"), e.array("distortions", (None,))
+    matrix, wide, values = camera_matrix(e, "matrix", e.array("matrix", (3, 3))), image_size(e, "size"), e.array("distortions", (None,))
     said: tuple[str, ...] = ()
     name = e.text("name", default=name)
     if e.flag("fisheye", False):
-        four(e, "distortions", values)
-        distortion, off = rational(e, "fisheye", values, matrix, wide)
-        said = (became(name, off),)
+        require_four_terms(e, "distortions", values)
+        distortion, off = rational_lens_of_fisheye(e, "fisheye", values, matrix, wide)
+        said = (conversion_sentence(name, off),)
     else:
-        distortion = terms(e, "distortions", values)
+        distortion = distortion_terms(e, "distortions", values)
     if "rotation" not in e.tree or "translation" not in e.tree:
         return ForeignCamera(name, wide, matrix, distortion, None, e, said)
     rows = e.get("rotation")
     whole = isinstance(rows, list) and bool(rows) and isinstance(rows[0], list)
     R = e.array("rotation", (3, 3)) if whole else Rotation.from_rotvec(e.turn("rotation")).as_matrix()
-    return ForeignCamera(name, wide, matrix, distortion, rigid(e, "rotation", np.asarray(R), e.array("translation", (3,))).inv(), e, said)
+    return ForeignCamera(name, wide, matrix, distortion, camera_transform(e, "rotation", np.asarray(R), e.array("translation", (3,))).inv(), e, said)

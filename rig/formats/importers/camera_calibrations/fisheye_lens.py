@@ -14,7 +14,7 @@ POINTS = 400  # along the radius
 ROUNDS = 8  # of the fit, weighted by the last one's denominator
 
 
-def rational(e: Entries, key: str, k: np.ndarray, matrix: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, float]:
+def rational_lens_of_fisheye(e: Entries, key: str, k: np.ndarray, matrix: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, float]:
     """(distortion (8,) in OpenCV's order, the most it is off in px) of equidistant coefficients k (4,).
 
     matrix : (3, 3) px; size : (width, height) px. Raises FileError where no rational lens follows it, with how far one does
@@ -40,13 +40,13 @@ def rational(e: Entries, key: str, k: np.ndarray, matrix: np.ndarray, size: tupl
     return np.array([a[0], a[1], 0, 0, a[2], *d]), off
 
 
-def four(e: Entries, key: str, values: np.ndarray) -> None:
+def require_four_terms(e: Entries, key: str, values: np.ndarray) -> None:
     """Raise FileError for terms (n,) that are not the four of a fisheye."""
     if len(values) != 4:
         e.fail(f"{e.name(key)}: a fisheye has 4 terms, got {len(values)}", key)
 
 
-def became(name: str, off: float) -> str:
+def conversion_sentence(name: str, off: float) -> str:
     """What is said of a camera whose fisheye became a rational lens. off : px"""
     return f"{name}: its fisheye becomes OpenCV's rational lens, which follows it to {off:.2g} px in the whole image"
 

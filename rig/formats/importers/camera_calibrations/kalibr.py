@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, rigid, size
-from rig.formats.importers.camera_calibrations.fisheye_lens import rational
+from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_transform, image_size
+from rig.formats.importers.camera_calibrations.fisheye_lens import rational_lens_of_fisheye
 
 NAME = re.compile(r"cam(\d{1,4})")
 OTHERS = {"omni": "the omnidirectional", "ds": "the double sphere", "eucm": "the extended unified"}
@@ -43,7 +43,7 @@ def _step(e: Entries) -> RigidTransform:
     M = e.array(key, (4, 4))
     if np.abs(M[3] - [0, 0, 0, 1]).max() > 1e-9:
         e.fail(f"{e.name(key)}: its last row must be 0, 0, 0, 1, not {M[3].tolist()}", key, 3)
-    return rigid(e, key, M[:3, :3], M[:3, 3]).inv()
+    return camera_transform(e, key, M[:3, :3], M[:3, 3]).inv()
 
 
 def _camera(e: Entries, name: str, T: RigidTransform) -> ForeignCamera:
@@ -56,14 +56,14 @@ def _camera(e: Entries, name: str, T: RigidTransform) -> ForeignCamera:
     for i, focal in enumerate((fx, fy)):
         if focal <= 0:
             e.fail(f"{e.name('intrinsics')}[{i + 1}]: the focal length must be positive px, not {focal:g}", "intrinsics", i, value=focal)
-    matrix, wide = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size(e, "resolution")
+    matrix, wide = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), image_size(e, "resolution")
     kind = e.text("distortion_model", default="none")
     if kind == "none":
         return ForeignCamera(name, wide, matrix, np.zeros(4), T, e)
     if kind == "radtan":
         return ForeignCamera(name, wide, matrix, e.array("distortion_coeffs", (4,)), T, e)
     if kind == "equidistant":
-        distortion, off = rational(e, "distortion_model", e.array("distortion_coeffs", (4,)), matrix, wide)
+        distortion, off = rational_lens_of_fisheye(e, "distortion_model", e.array("distortion_coeffs", (4,)), matrix, wide)
         return ForeignCamera(name, wide, matrix, distortion, T, e,
                              (f"{name}: its equidistant lens becomes OpenCV's rational one, which follows it to {off:.2g} px in the whole image",))
     e.fail(f"{e.name('distortion_model')} = {kind!r} has no place here; radtan, equidistant and none have", "distortion_model", value=kind)

@@ -7,8 +7,8 @@ import numpy as np
 
 from rig.formats.rig_toml.camera_entries import LARGEST_IMAGE
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, pinhole, terms
-from rig.formats.importers.camera_calibrations.fisheye_lens import became, four, rational
+from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, distortion_terms
+from rig.formats.importers.camera_calibrations.fisheye_lens import conversion_sentence, require_four_terms, rational_lens_of_fisheye
 
 MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "mtx")
 DISTORTION = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "Distortion_Coefficients", "D", "dist")
@@ -25,17 +25,17 @@ def read(root: Entries) -> list[ForeignCamera]:
     """The one camera. Raises FileError for a lens that has no place here, by its name."""
     name = root.text("camera_name", default=root.file.stem)
     key, bent = _key(root, MATRIX) or MATRIX[0], _key(root, DISTORTION) or DISTORTION[0]
-    matrix, values = pinhole(root, key, _matrix(root, key, (3, 3))), _matrix(root, bent, None).ravel()
+    matrix, values = camera_matrix(root, key, _matrix(root, key, (3, 3))), _matrix(root, bent, None).ravel()
     width, height = (root.whole(word, 1, most=LARGEST_IMAGE) if word in root.tree else None for word in ("image_width", "image_height"))
     size = None if width is None or height is None else (width, height)
     model = root.text("distortion_model", MODELS, default="plumb_bob")
     if model not in FISHEYES and root.get("fisheye_model", 0) in (0, False):
-        return [ForeignCamera(name, size, matrix, terms(root, bent, values), None, root)]
-    four(root, bent, values)
+        return [ForeignCamera(name, size, matrix, distortion_terms(root, bent, values), None, root)]
+    require_four_terms(root, bent, values)
     if size is None:
         root.fail(f"image_width and image_height are missing, over which a fisheye is to become a lens of {root.file.name}'s camera here")
-    distortion, off = rational(root, "distortion_model" if model in FISHEYES else "fisheye_model", values, matrix, size)
-    return [ForeignCamera(name, size, matrix, distortion, None, root, (became(name, off),))]
+    distortion, off = rational_lens_of_fisheye(root, "distortion_model" if model in FISHEYES else "fisheye_model", values, matrix, size)
+    return [ForeignCamera(name, size, matrix, distortion, None, root, (conversion_sentence(name, off),))]
 
 
 def _key(root: Entries, names: tuple[str, ...]) -> str | None:

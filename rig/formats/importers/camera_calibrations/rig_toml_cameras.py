@@ -12,14 +12,14 @@ from rig.formats.rig_toml.design_file import camera_block, with_cameras
 from rig.formats.checked_entries import LARGEST_RIG, name_problem
 from rig.errors import RigError
 from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera
-from rig.formats.importers.camera_calibrations.calibration_reader import cameras
+from rig.formats.importers.camera_calibrations.calibration_reader import read_cameras
 from rig.formats.importers.import_recipe import Cameras
-from rig.formats.number_parsing import numbers
-from rig.formats.input_files import shown
+from rig.formats.number_parsing import parse_numbers
+from rig.formats.input_files import value_text
 from rig.model.pose import pose
 
 
-def onto(stated: Cameras, text: str, there: Sequence[Camera]) -> tuple[str, tuple[str, ...]]:
+def rig_toml_with_cameras(stated: Cameras, text: str, there: Sequence[Camera]) -> tuple[str, tuple[str, ...]]:
     """(rig.toml with the cameras, sentences about what was found out).
 
     text : a valid rig.toml; there : its cameras. Raises RigError where names or places are not told, and for another size of image
@@ -28,7 +28,7 @@ def onto(stated: Cameras, text: str, there: Sequence[Camera]) -> tuple[str, tupl
     said: tuple[str, ...] = ()
     changed: list[Camera] = []
     for file in stated.files:
-        kind, found = cameras(file)
+        kind, found = read_cameras(file)
         named = {_ours(one, stated, known, alone=len(found) * len(stated.files) == 1): one for one in found}
         if len(named) < len(found):
             raise RigError(f"{file}: two of its cameras would be one: --set cameras.names.THEIRS=OURS tells them apart")
@@ -57,7 +57,7 @@ def _ours(one: ForeignCamera, stated: Cameras, known: dict[str, Camera], alone: 
         name = next(iter(known))
     if name is None:
         setting = f"--set cameras.names.{one.name}="
-        one.at.fail(f"camera {shown(one.name)} is none of rig.toml's, {', '.join(known)}: {setting}{next(iter(known))} says which it is, "
+        one.at.fail(f"camera {value_text(one.name)} is none of rig.toml's, {', '.join(known)}: {setting}{next(iter(known))} says which it is, "
                     f"{setting}{one.name} adds it")
     if name_problem(name):
         one.at.fail(f"camera {name_problem(name)}: --set cameras.names.{one.name}=cam0 gives it another", value=name)
@@ -81,11 +81,11 @@ def _anchor(named: dict[str, ForeignCamera], known: dict[str, Camera], stated: C
 
 def _pose(text: str) -> RigidTransform:
     try:
-        figures = numbers(text.replace(",", " ").split())
+        figures = parse_numbers(text.replace(",", " ").split())
     except ValueError:
         figures = []
     if len(figures) != 6 or not np.isfinite(figures).all() or np.abs(figures[:3]).max() > LARGEST_RIG:
-        raise RigError(f"cameras.at takes six figures, x y z rx ry rz in m and rad, not {shown(text)}")
+        raise RigError(f"cameras.at takes six figures, x y z rx ry rz in m and rad, not {value_text(text)}")
     return pose(figures[:3], figures[3:])
 
 

@@ -14,7 +14,7 @@ from calib.models.arm.certification import calibrate, certify
 from rig.cli import command_line
 from rig.errors import NotEnoughData, Unreachable
 from rig.planning.plan import low_discrepancy
-from rig.model.pose import difference, exp, vector
+from rig.model.pose import pose_difference, exp, pose_to_vector
 from tests.calib import arm_worlds as worlds
 from tests.cli import run
 from tests.conftest import make_recording
@@ -52,9 +52,9 @@ def test_commands_give_wanted_poses_of_the_real_arm(nominal):
     bent = np.abs(q[:, len(q[0]) - 4]) > 0.3  # a stretched elbow's poses may be out of the fitted arm's reach by micrometres
     wanted = error_model.predicted(q[bent], true)
     commands = correction.inverse(wanted)
-    assert np.abs(difference(correction.predict(commands), wanted)).max() < 1e-10
-    errors = difference(error_model.predicted(commands, true), wanted)
-    before = difference(error_model.predicted(correction.uncorrected(wanted), true), wanted)
+    assert np.abs(pose_difference(correction.predict(commands), wanted)).max() < 1e-10
+    errors = pose_difference(error_model.predicted(commands, true), wanted)
+    before = pose_difference(error_model.predicted(correction.uncorrected(wanted), true), wanted)
     assert np.linalg.norm(errors[:, :3], axis=1).max() < 5e-5 < np.linalg.norm(before[:, :3], axis=1).mean()
 
 
@@ -81,10 +81,10 @@ def test_joint_profiles_are_found_where_they_pay():
     done = certify(samples, UR10, worlds.TRACKER, np.random.default_rng(0))
     assert done.held_out.after.mean[0] < 0.5 * done.geometry.after.mean[0] and done.held_out.after.position[0] < 1.5 * done.held_out.floor[0]
     q = configurations(UR10, 50, rng, 0.45)
-    error = difference(done.correction.predict(q), error_model.predicted(q + geared(q), true))
+    error = pose_difference(done.correction.predict(q), error_model.predicted(q + geared(q), true))
     assert np.linalg.norm(error[:, :3], axis=1).mean() < 5e-5
     wanted = error_model.predicted(q, true)
-    np.testing.assert_allclose(difference(done.correction.predict(done.correction.inverse(wanted)), wanted), 0, atol=1e-10)
+    np.testing.assert_allclose(pose_difference(done.correction.predict(done.correction.inverse(wanted)), wanted), 0, atol=1e-10)
 
 
 def test_profiles_that_do_not_pay_are_dropped():
@@ -109,7 +109,7 @@ def test_stated_uncertainty_of_a_command_covers_its_error(plain):
     calibration = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
     q = configurations(UR10, 200, np.random.default_rng(5), 0.5)
     covariance = certifying.model_covariance(calibration, q)
-    error = difference(done.correction.predict(q), error_model.predicted(q, true))
+    error = pose_difference(done.correction.predict(q), error_model.predicted(q, true))
     nees = np.einsum("mi,mij,mj->m", error, np.linalg.inv(covariance), error)
     assert 1.5 < nees.mean() < 18  # one draw of 30 parameters, so not 6 exactly
 
@@ -119,7 +119,9 @@ def test_the_file_keeps_everything(plain, tmp_path):
     calibration = Calibration(done.correction, done.found.covariance, done.found.scatter, (1, 2), (3,), done.held_out, {"seed": 0})
     calibration_file.save(tmp_path / "c.json", calibration)
     again = calibration_file.load(tmp_path / "c.json")
-    np.testing.assert_allclose(difference(again.correction.predict(samples.commanded), done.correction.predict(samples.commanded)), 0, atol=1e-12)
+    np.testing.assert_allclose(
+        pose_difference(again.correction.predict(samples.commanded), done.correction.predict(samples.commanded)), 0, atol=1e-12
+    )
     assert again.held_out == done.held_out and again.correction.visited.shape == (150, 6)
     assert json.loads((tmp_path / "c.json").read_text())["parameter_order"].startswith("base x, base y")
 
@@ -143,11 +145,11 @@ def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
         return
     q = np.array([[0.4, 0.3, 1.0, -0.7, 0.9, 0.2], [-0.8, -0.6, -1.2, 0.5, -1.1, 1.0]])
     wanted = error_model.predicted(q, true)
-    rows = [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in enumerate(vector(wanted))]
+    rows = [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in enumerate(pose_to_vector(wanted))]
     (tmp_path / "wanted.csv").write_text("\n".join(["frame,x,y,z,rx,ry,rz", *rows]) + "\n")
     assert command_line.main(["correct", str(tmp_path / "c.json"), "--poses", str(tmp_path / "wanted.csv"), "--out", str(tmp_path / "q.csv")]) == 0
     commands = np.loadtxt(tmp_path / "q.csv", delimiter=",", skiprows=1)[:, 1:]
-    assert np.linalg.norm(difference(error_model.predicted(commands, true), wanted)[:, :3], axis=1).max() < 5e-5
+    assert np.linalg.norm(pose_difference(error_model.predicted(commands, true), wanted)[:, :3], axis=1).max() < 5e-5
 
 
 def test_an_instrument_that_is_not_where_it_says_is_an_error(tmp_path, capsys):
@@ -180,7 +182,7 @@ def test_few_poses_are_fitted_or_say_what_it_takes(count):
         assert done.rank.free.sum() == 30
         return
     done = certify(samples, UR10, worlds.TRACKER, rng)
-    claim = certifying.promised(samples, done, rng)
+    claim = certifying.workspace_claim_of(samples, done, rng)
     assert claim.distinct == count and (claim.ratio is None) == (done.held_out is None) == (count < 8)
 
 
@@ -191,12 +193,12 @@ def test_an_arms_claims_cover_what_is_found_elsewhere():
         true = worlds.secret(UR10, rng)
         samples = worlds.tracked(true, UR10, 36 + 4 * seed, rng, again=4 * seed)
         done = certify(samples, UR10, worlds.TRACKER, rng)
-        claim = certifying.promised(samples, done, rng)
+        claim = certifying.workspace_claim_of(samples, done, rng)
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
         q = low_discrepancy(seen, 200, seed=seed)
         real = error_model.predicted(q, true)
         before, after = (
-            np.mean(difference(T, real)[:, :3] ** 2) for T in (error_model.predicted(q, done.correction.nominal), done.correction.predict(q))
+            np.mean(pose_difference(T, real)[:, :3] ** 2) for T in (error_model.predicted(q, done.correction.nominal), done.correction.predict(q))
         )
         inside.append(claim.ratio[1] <= np.sqrt(before / after) <= claim.ratio[2])
         assert claim.distinct == 36

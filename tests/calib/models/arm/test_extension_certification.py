@@ -10,16 +10,16 @@ import pytest
 from calib.files import calibration_file
 from calib.models.arm import error_model
 from calib.models.arm.certification import model_covariance
-from calib.models.arm.extension_certification import certify_extended, left, owners, promised_alone, single_step_misses
+from calib.models.arm.extension_certification import certify_extended, left, owners, claim_without_geometry, single_step_errors
 from calib.certify.calibration import Calibration
 from calib.certify.extension_certification import Asked
-from calib.correct.interpolation.interpolation_methods import as_dict, from_entries
+from calib.correct.interpolation.interpolation_methods import field_to_dict, field_from_entries
 from calib.samples.pose_samples import Samples
 from rig.recording import recording_folder
-from rig.planning.configuration_sets import division, low_discrepancy
+from rig.planning.configuration_sets import grid_division, low_discrepancy
 from rig.formats.checked_entries import Entries
 from rig.errors import RigError
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from rig.recording.recording_tables import write_poses
 from rig.recording.recording_folder import Poses
 from tests.calib import arm_worlds as worlds
@@ -45,7 +45,7 @@ def samples_at(q, true, sigma=OWN, seed=1):
 def gridded():
     """(Samples on a grid of 64 vertices and at 30 configurations beside it, true Arm)."""
     true = worlds.secret(UR10, np.random.default_rng(3))
-    return samples_at(np.concatenate([division(BOX, "1x1x1x1x1x1@1"), low_discrepancy(BOX, 30, 0.9, 8)]), true), true
+    return samples_at(np.concatenate([grid_division(BOX, "1x1x1x1x1x1@1"), low_discrepancy(BOX, 30, 0.9, 8)]), true), true
 
 
 @pytest.mark.parametrize("alone", [False, True])
@@ -53,27 +53,27 @@ def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridde
     samples, true = gridded
     done, tried = certify_extended(samples, UR10, worlds.TRACKER, Asked("simplex", alone), np.random.default_rng(0))
     on = slice(0, 64)
-    assert np.abs(difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max() < 1e-10
+    assert np.abs(pose_difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max() < 1e-10
     assert (done.correction.fitted is done.correction.nominal) == alone and [one.kind for one in tried if one.chosen] == ["simplex"]
     assert done.held_out.after.n == 30 and done.held_out.after.position[0] < 0.6 * done.held_out.before.position[0]
     wanted = error_model.predicted(low_discrepancy(BOX, 20, 0.6, 3), true)
     commands = done.correction.inverse(wanted)
-    assert np.abs(difference(done.correction.predict(commands), wanted)).max() < 1e-10
-    real, bare = (difference(error_model.predicted(c - geared(c), true), wanted) for c in (commands, done.correction.uncorrected(wanted)))
+    assert np.abs(pose_difference(done.correction.predict(commands), wanted)).max() < 1e-10
+    real, bare = (pose_difference(error_model.predicted(c - geared(c), true), wanted) for c in (commands, done.correction.uncorrected(wanted)))
     assert np.linalg.norm(real[:, :3], axis=1).mean() < 0.5 * np.linalg.norm(bare[:, :3], axis=1).mean()
-    assert 0 < single_step_misses(done.correction)[1] < 1e-5
+    assert 0 < single_step_errors(done.correction)[1] < 1e-5
 
 
 def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
     samples, true = gridded
     done, _ = certify_extended(samples, UR10, worlds.TRACKER, Asked("linear", True), np.random.default_rng(0))
-    claim = promised_alone(samples, done, np.random.default_rng(0))
+    claim = claim_without_geometry(samples, done, np.random.default_rng(0))
     kept = Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim)
     calibration_file.save(tmp_path / "c.json", kept)
     again = calibration_file.load(tmp_path / "c.json")
     inner = low_discrepancy(BOX, 60, 0.7, 4)
     np.testing.assert_array_equal(again.correction.rho(inner), done.correction.rho(inner))
-    error = difference(again.correction.predict(inner), error_model.predicted(inner - geared(inner), true))
+    error = pose_difference(again.correction.predict(inner), error_model.predicted(inner - geared(inner), true))
     stated = np.sqrt(np.einsum("nii->ni", model_covariance(again, inner))[:, :3].sum(axis=1).mean())
     assert 0.4 < np.sqrt((error[:, :3] ** 2).sum(axis=1).mean()) / stated < 2  # the extension's own error is in what is stated
     plain = replace(again, correction=replace(again.correction, extension=None))
@@ -90,7 +90,7 @@ def test_summands_meet_the_poses_and_keep_none_where_a_pose_tells_no_joint(arm):
     samples = samples_at(q, true)
     plain, _ = owners(samples, arm, worlds.TRACKER, replace(arm, base=true.base, tool=true.tool))
     known = left(samples, plain.fitted, np.zeros(0))
-    missed = np.abs(difference(error_model.predicted(q - known.values, plain.fitted), samples.T_base_platform)).max(axis=1)
+    missed = np.abs(pose_difference(error_model.predicted(q - known.values, plain.fitted), samples.T_base_platform)).max(axis=1)
     assert (missed < 1e-11).mean() > 0.7 and np.abs(known.values).max() < 0.05
     if len(arm.joints) == 6:
         assert missed[0] > 1e-6 and known.variances[0].max() >= known.variances.max() / 4
@@ -130,7 +130,7 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
     for name, more in (("radial", ()), ("bare", ("--uncorrected",)), ("single", ("--single-step",))):
         rig("correct", tmp_path / "radial.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "c.csv", *more)
         c = np.genfromtxt(tmp_path / "c.csv", delimiter=",", skip_header=1)[:, 1:]
-        left[name] = np.sqrt((difference(error_model.predicted(c - geared(c), true), wanted)[:, :3] ** 2).sum(axis=1).mean())
+        left[name] = np.sqrt((pose_difference(error_model.predicted(c - geared(c), true), wanted)[:, :3] ** 2).sum(axis=1).mean())
     assert left["radial"] < 0.1 * left["bare"] and left["radial"] < 6e-5 and left["single"] < 2 * left["radial"]
     stated = rig("certify", tmp_path / "radial.json", tmp_path / "rec2", "--out", tmp_path / "certificate.json")
     assert "95 %" in stated and json.loads((tmp_path / "certificate.json").read_text())
@@ -143,12 +143,12 @@ def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
     true, box = worlds.secret(UR10, np.random.default_rng(3)), BOX + [-0.45, 0.45]
     samples = samples_at(low_discrepancy(box, 100, 1.0, 1), true)
     done, _ = certify_extended(samples, UR10, worlds.TRACKER, Asked("radial", True), np.random.default_rng(0))
-    claim, q = promised_alone(samples, done, np.random.default_rng(0)), low_discrepancy(box, 256, 0.8, 7)
-    error = difference(done.correction.predict(q), error_model.predicted(q - geared(q), true))[:, :3]
+    claim, q = claim_without_geometry(samples, done, np.random.default_rng(0)), low_discrepancy(box, 256, 0.8, 7)
+    error = pose_difference(done.correction.predict(q), error_model.predicted(q - geared(q), true))[:, :3]
     assert done.correction.extension.inflation > 1.5
     size = np.sqrt((error**2).sum(axis=1).mean())  # nearer the middle than most that were held out
     assert 0.6 < size / claim.after[0][0] < 1.3 and claim.after[0][1] < claim.after[0][2] < 3 * claim.after[0][1]
-    again = from_entries(Entries(json.loads(json.dumps(as_dict(done.correction.extension))), ("extension",), "c.json", {}), 6)
+    again = field_from_entries(Entries(json.loads(json.dumps(field_to_dict(done.correction.extension))), ("extension",), "c.json", {}), 6)
     np.testing.assert_array_equal(again.error(q), done.correction.extension.error(q))
 
 
@@ -161,5 +161,5 @@ def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):
     x, y, k = (np.stack([rows[f"{name}{i}"] for i in range(1, 7)], axis=1) for name in "xyk")
     np.testing.assert_allclose(k, x - y, atol=2e-12)
     placed = calibration_file.load(tmp_path / "c.json").correction.nominal
-    missed = difference(error_model.predicted(y, placed), recording_folder.load(tmp_path / "rec").poses.T_base_platform)
+    missed = pose_difference(error_model.predicted(y, placed), recording_folder.load(tmp_path / "rec").poses.T_base_platform)
     assert (np.abs(missed).max(axis=1) < 1e-9).mean() > 0.7 and 1e-4 < np.sqrt((k**2).mean()) < 1e-2

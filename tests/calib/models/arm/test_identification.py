@@ -9,7 +9,7 @@ from calib.models.arm import error_model, instrument_placement
 from calib.models.arm.identification import identify, parameters
 from calib.models.arm.instrument_observations import of_poses
 from rig.errors import NotEnoughData
-from rig.model.pose import difference, exp, log, pose
+from rig.model.pose import pose_difference, exp, log, pose
 from tests.calib import arm_worlds as worlds
 from tests.numeric import jacobian
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
@@ -48,9 +48,9 @@ def test_an_unknown_place_is_found(base, tool):
     true = replace(UR10, base=worlds.BASE, tool=worlds.TOOL)
     seen = of_poses(worlds.tracked(true, UR10, 30, rng))
     start = replace(UR10, base=UR10.base if base else true.base, tool=UR10.tool if tool else true.tool)
-    found = instrument_placement.placed(seen, start, base, tool)
+    found = instrument_placement.place_arm(seen, start, base, tool)
     for ours, theirs in ((found.base, true.base), (found.tool, true.tool)):
-        assert np.abs(difference(ours, theirs)).max() < 2e-4
+        assert np.abs(pose_difference(ours, theirs)).max() < 2e-4
 
 
 @pytest.mark.parametrize("nominal", [UR10, SEVEN], ids=["UR10", "seven"])
@@ -61,12 +61,12 @@ def test_identification_of_near_parallel_axes_is_as_good_as_it_says(nominal):
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
         seen = of_poses(worlds.tracked(true, nominal, 80, rng))
-        found = identify(seen, instrument_placement.placed(seen, nominal, True, True))
+        found = identify(seen, instrument_placement.place_arm(seen, nominal, True, True))
         assert not found.scatter.any() and found.inliers.all() and found.rank.free.sum() == 4 * len(nominal.joints) + 6
         q = configurations(nominal, 40, rng, 0.5)
         J = error_model.parameter_jacobian(q, found.arm)
         sigma = np.sqrt(np.einsum("mki,ij,mkj->mk", J, found.covariance, J))
-        scores.append(difference(error_model.predicted(q, found.arm), error_model.predicted(q, true)) / sigma)
+        scores.append(pose_difference(error_model.predicted(q, found.arm), error_model.predicted(q, true)) / sigma)
     assert np.abs(scores).max() < 5
     assert np.mean(np.square(scores)) == pytest.approx(1, abs=0.35)
 
@@ -78,7 +78,7 @@ def test_parameters_lie_within_three_sigma():
         rng = np.random.default_rng(seed)
         true = worlds.secret(UR10, rng)
         seen = of_poses(worlds.tracked(true, UR10, 80, rng))
-        found = identify(seen, instrument_placement.placed(seen, UR10, True, True))
+        found = identify(seen, instrument_placement.place_arm(seen, UR10, True, True))
         z.append(worlds.scores(found, true, UR10, free))
     z = np.array(z)
     assert (np.abs(z) < 3).mean() > 0.985 and np.abs(z).max() < 4.5
@@ -91,10 +91,10 @@ def test_positions_and_distances_suffice_too():
     q = configurations(UR10, 60, rng, 0.5)
     want = error_model.predicted(q, true).translation
     seen = worlds.touched(true, UR10, 120, rng)
-    found = identify(seen, instrument_placement.placed(seen, UR10, True, True))
+    found = identify(seen, instrument_placement.place_arm(seen, UR10, True, True))
     assert np.linalg.norm(error_model.predicted(q, found.arm).translation - want, axis=1).max() < 1e-4
     wire = worlds.wired(true, UR10, 400, rng)
-    start = instrument_placement.placed(wire, replace(UR10, tool=worlds.TOOL), True, False)
+    start = instrument_placement.place_arm(wire, replace(UR10, tool=worlds.TOOL), True, False)
     found = identify(wire, start)
     assert np.abs(np.linalg.norm(error_model.predicted(q, found.arm).translation, axis=1) - np.linalg.norm(want, axis=1)).max() < 2e-4
     assert not found.scatter.any()
@@ -105,7 +105,7 @@ def test_errors_common_to_all_poses_are_not_taken_for_the_arms():
     rng = np.random.default_rng(7)
     true = worlds.secret(UR10, rng)
     seen = of_poses(worlds.tracked(true, UR10, 60, rng, common=(1e-4, 1e-4)))
-    found = identify(seen, instrument_placement.placed(seen, UR10, True, True))
+    found = identify(seen, instrument_placement.place_arm(seen, UR10, True, True))
     assert found.shared.shape == (6,) and (np.sqrt(np.diag(found.covariance))[-6:] > 0.9e-4).all()
 
 
@@ -114,7 +114,7 @@ def test_dependent_columns_are_held_and_named():
     rng = np.random.default_rng(8)
     true = replace(worlds.secret(UR10, rng), tool=pose([0, 0, 0.1], [0, 0, 0]))
     seen = worlds.touched(true, UR10, 120, rng)
-    found = identify(seen, instrument_placement.placed(seen, UR10, True, True))
+    found = identify(seen, instrument_placement.place_arm(seen, UR10, True, True))
     assert found.rank.dependent and found.rank.free.sum() + len(found.rank.dependent) == 27
     assert any("5" in name or "tool" in name for name, _ in found.rank.dependent)
     assert all("stays as stated" in line for line in found.rank.report()[1:])
@@ -127,7 +127,7 @@ def test_a_joint_that_never_moved_is_reported():
     q = seen.q.copy()
     q[:, 3] = 0.4
     still = replace(seen, q=q, value=error_model.predicted(q, true) * exp(2e-5 * rng.normal(size=(60, 6))))
-    found = identify(still, instrument_placement.placed(still, UR10, True, True))
+    found = identify(still, instrument_placement.place_arm(still, UR10, True, True))
     assert found.rank.free.sum() < 30 and len(found.rank.report()) > 1
 
 
@@ -137,7 +137,7 @@ def test_wild_poses_are_left_out():
     seen = of_poses(worlds.tracked(true, UR10, 90, rng))
     wild = seen.value.as_matrix()
     wild[[5, 30, 61], :3, 3] += 0.05
-    found = identify(replace(seen, value=type(seen.value).from_matrix(wild)), instrument_placement.placed(seen, UR10, True, True))
+    found = identify(replace(seen, value=type(seen.value).from_matrix(wild)), instrument_placement.place_arm(seen, UR10, True, True))
     assert np.flatnonzero(~found.inliers).tolist() == [5, 30, 61] and not found.scatter.any()
 
 
@@ -147,4 +147,4 @@ def test_too_few_poses_are_refused():
     with pytest.raises(NotEnoughData, match="5 observations give 30 equations, too few for 30"):
         identify(seen, UR10)
     with pytest.raises(NotEnoughData, match="2 observations of a pose"):
-        instrument_placement.placed(seen.take(np.arange(2)), UR10, True, True)
+        instrument_placement.place_arm(seen.take(np.arange(2)), UR10, True, True)

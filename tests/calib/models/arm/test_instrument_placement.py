@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from calib.models.arm import error_model
 from calib.models.arm.identification import identify
 from calib.models.arm.instrument_observations import Observations, of_positions, of_samples
-from calib.models.arm.instrument_placement import placed
+from calib.models.arm.instrument_placement import place_arm
 from calib.samples.pose_samples import Samples
 from rig.formats.rig_toml import design_file
 from rig.model.design import Arm
@@ -56,7 +56,7 @@ def case(seed: int) -> tuple[Arm, Arm, np.ndarray, Observations, np.ndarray]:
 def missed(seed: int) -> float:
     """m, the greatest error at fresh poses of the arm identified from where it was placed."""
     nominal, true, _, seen, fresh = case(seed)
-    found = identify(seen, placed(seen, nominal, True, True))
+    found = identify(seen, place_arm(seen, nominal, True, True))
     return float(np.linalg.norm(error_model.predicted(fresh, found.arm).translation - error_model.predicted(fresh, true).translation, axis=1).max())
 
 
@@ -73,7 +73,7 @@ def test_what_a_level_hand_leaves_open_goes_nowhere():
         T = error_model.predicted(q, true) * exp(np.repeat(SIGMA, 3) * rng.normal(size=(120, 6)))
         covariance = np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (120, 1, 1))
         seen = of_samples(Samples(np.arange(120), np.arange(120) * 1.0, q, T, covariance, np.zeros((120, 6, 0))))
-        start = placed(seen, UR10, True, True)
+        start = place_arm(seen, UR10, True, True)
         assert np.linalg.norm(start.base.translation) < 5 and np.linalg.norm(start.tool.translation) < 2
         assert (identify(seen, start).scatter < 0.5 * np.repeat(SIGMA, 3)).all(), "geometry explains all but noise"
 
@@ -95,7 +95,7 @@ def test_what_no_placement_explains_is_refused(spoil):
     else:
         q = np.degrees(q)
     with pytest.raises(RigError, match=r"no place of base and tool fits: the best of \d+ starts still leaves \d+ mm"):
-        placed(replace(seen, q=q), nominal, True, True)
+        place_arm(replace(seen, q=q), nominal, True, True)
 
 
 def test_places_that_the_poses_do_not_tell_apart_are_no_answer():
@@ -105,4 +105,4 @@ def test_places_that_the_poses_do_not_tell_apart_are_no_answer():
     q[:, 0] = np.linspace(-1, 1, 40)
     seen = of_positions(q, error_model.predicted(q, replace(UR10, base=worlds.BASE, tool=worlds.TOOL)).translation, 1e-5)
     with pytest.raises(RigError, match="base and tool can be placed in two ways that fit alike"):
-        placed(seen, UR10, True, True)
+        place_arm(seen, UR10, True, True)

@@ -12,9 +12,9 @@ from calib.models.arm import error_model
 from calib.models.arm.certification import start_of
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.instrument_observations import of_samples
-from calib.models.arm.joint_physics_fit import Beforehand, History, together
+from calib.models.arm.joint_physics_fit import Prior, History, fit_geometry_and_effects
 from calib.certify.calibration import Calibration
-from calib.models.wanted_pose_commands import command
+from calib.models.wanted_pose_commands import commands_along_route
 from calib.correct.physics import Physics
 from calib.correct.pose_route import Pace
 from calib.samples.recording_samples import sample_recording
@@ -26,8 +26,8 @@ from rig.planning.layout import shipped_arms
 from rig.cli.command_line import main
 from rig.planning.configuration_sets import low_discrepancy
 from rig.effects.framework.fit_coordinates import coordinates_of
-from rig.effects.texts.effect_text import parse
-from rig.model.pose import difference
+from rig.effects.texts.effect_text import parse_effect
+from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Poses, Sensors
 from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine
@@ -40,7 +40,7 @@ GAP = "backlash:joint 2:gap=4e-4"
 
 
 def arm_named(tmp_path, name):
-    (tmp_path / "rig.toml").write_text(shipped_arms.design(name))
+    (tmp_path / "rig.toml").write_text(shipped_arms.shipped_arm_rig_toml(name))
     return design_file.load(tmp_path / "rig.toml")
 
 
@@ -57,19 +57,19 @@ def known_to_be(design, *effects):
 @pytest.mark.parametrize(("name", "text"), [("puma560", text) for text in (*MOVING, SAG)] + [("scara", text) for text in MOVING])
 def test_whatever_moves_the_arm_is_undone(tmp_path, name, text):
     design = arm_named(tmp_path, name)
-    calibration = known_to_be(design, parse(text), parse("scale_error:joint 1:scale=1e-4"))
+    calibration = known_to_be(design, parse_effect(text), parse_effect("scale_error:joint 1:scale=1e-4"))
     m, count = design.mechanism, 8
     T = error_model.predicted(low_discrepancy(m.limits, count, 0.6, 3), m)
     t = 60 + 40.0 * np.arange(count)
     warm = Sensors(np.array([0.0, 500.0]), {"ambient_temperature_C": np.array([20.0, 27.0])})
-    done = command(calibration, T, np.zeros(len(m.joints)), Pace(t, 0.0, 0.5, None), warm)
-    run = motion_simulation.run(design, done.route.commands(done.values), t, calibration.physics.effects, warm)
-    rest = difference(run.T_base_platform, T)
+    done = commands_along_route(calibration, T, np.zeros(len(m.joints)), Pace(t, 0.0, 0.5, None), warm)
+    run = motion_simulation.run_machine(design, done.route.commands(done.values), t, calibration.physics.effects, warm)
+    rest = pose_difference(run.T_base_platform, T)
     atol = 1e-8 if name == "puma560" else 2e-5  # what a growing link leaves to four joints is no joint's to undo
     assert np.abs(rest[:, :3]).max() < 1e-8 and np.abs(rest[:, 3:]).max() < atol
     plain = calibration.correction.inverse_without_physics(T)
-    bare = motion_simulation.run(design, done.route.commands(plain), t, calibration.physics.effects, warm)
-    assert np.abs(difference(bare.T_base_platform, T)).max() > 1e-5
+    bare = motion_simulation.run_machine(design, done.route.commands(plain), t, calibration.physics.effects, warm)
+    assert np.abs(pose_difference(bare.T_base_platform, T)).max() > 1e-5
     np.testing.assert_allclose(done.T_base_platform.as_matrix(), T.as_matrix(), atol=1e-9)
 
 
@@ -78,9 +78,12 @@ def played(tmp_path_factory):
     """(Recording of a SCARA whose second joint has play, its secret)."""
     at = tmp_path_factory.mktemp("scara")
     design, rng = arm_named(at, "scara"), np.random.default_rng(3)
-    secret = secret_machine.draw(design, rng, 1.0, (parse(GAP),))
-    recording_simulation.write(
-        recording_simulation.simulate(secret, plan.build(design, "sobol:70", 3), rng), at / "rec", shipped_arms.design("scara"), rng
+    secret = secret_machine.draw_machine(design, rng, 1.0, (parse_effect(GAP),))
+    recording_simulation.write_recording(
+        recording_simulation.simulate(secret, plan.build_plan(design, "sobol:70", 3), rng),
+        at / "rec",
+        shipped_arms.shipped_arm_rig_toml("scara"),
+        rng,
     )
     return recording_folder.load(at / "rec"), secret
 
@@ -90,16 +93,16 @@ def fitted(read, effects, before=None, rows=slice(None)):
     sampled = sample_recording(read)
     samples = sampled.samples.take(np.arange(len(sampled.samples))[rows])
     start = start_of(of_samples(samples), read.design.mechanism, sampled.instrument)
-    return together(samples, History(read.design, read.commands, read.sensors), start, effects, before)
+    return fit_geometry_and_effects(samples, History(read.design, read.commands, read.sensors), start, effects, before)
 
 
 def test_a_gap_is_found_as_sure_as_it_says_whatever_it_starts_from(played):
     read, _ = played
-    found = [fitted(read, (parse(f"backlash:joint 2:gap={gap}"),)) for gap in (1e-5, 9e-4)]
+    found = [fitted(read, (parse_effect(f"backlash:joint 2:gap={gap}"),)) for gap in (1e-5, 9e-4)]
     sigma = np.sqrt(found[0].own[0, 0])
     assert 1e-6 < sigma < 3e-5 and abs(found[0].effects[0].gap - 4e-4) < 3 * sigma
     assert found[0].effects[0].gap == pytest.approx(found[1].effects[0].gap, abs=0.02 * sigma)
-    sure = fitted(read, (parse(GAP),), Beforehand(np.array([3e-4]), np.array([sigma])))
+    sure = fitted(read, (parse_effect(GAP),), Prior(np.array([3e-4]), np.array([sigma])))
     between = (found[0].effects[0].gap + 3e-4) / 2  # as sure of the one as of the other
     assert sure.effects[0].gap == pytest.approx(between, abs=0.05 * sigma) and sure.own[0, 0] == pytest.approx(sigma**2 / 2, rel=0.05)
 
@@ -107,7 +110,7 @@ def test_a_gap_is_found_as_sure_as_it_says_whatever_it_starts_from(played):
 def test_what_is_held_out_says_nothing_of_the_gap(played):
     """Held-out poses are poisoned: the gap that foretells them is found without."""
     read, _ = played
-    found = fitted(read, (parse(GAP),))
+    found = fitted(read, (parse_effect(GAP),))
     held = np.arange(len(found.measured)) % 3 == 0
     moved = found.measured.T_base_platform.as_matrix()
     moved[held, :3, 3] += 0.05
@@ -122,7 +125,7 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
     without : how lines begin that its rig.toml lacks; another : whether another recording than the one calibrated was diagnosed
     """
     rig, truth = tmp_path / "rig.toml", tmp_path / "truth.json"
-    text = shipped_arms.design(name)
+    text = shipped_arms.shipped_arm_rig_toml(name)
     rig.write_text("\n".join(line for line in text.splitlines() if not (without and line.startswith(without))) + "\n")
 
     def said(*words):

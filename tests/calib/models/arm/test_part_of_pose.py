@@ -13,7 +13,7 @@ from calib.samples.recording_samples import sample_recording
 from calib.samples.pose_samples import Samples
 from rig.recording import recording_folder
 from rig.errors import FileError, RigError
-from rig.model.pose import difference, exp, pose
+from rig.model.pose import pose_difference, exp, pose
 from tests.calib import arm_worlds as worlds
 from tests.cli import command
 from tests.numeric import jacobian
@@ -45,13 +45,13 @@ def test_orientations_tell_the_rotational_parameters_as_well_as_they_say(nominal
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
         seen = leaning(true, nominal, 60, rng)
-        found = identify(seen, instrument_placement.placed(seen, nominal, True, True))
+        found = identify(seen, instrument_placement.place_arm(seen, nominal, True, True))
         assert found.rank.free.sum() == parameters(nominal, "orientation").sum() == 2 * len(nominal.joints) + 3 and not found.scatter.any()
         np.testing.assert_array_equal(found.arm.rows[:, 1:3], nominal.rows[:, 1:3])
         q = configurations(nominal, 40, rng, 0.5)
         J = error_model.parameter_jacobian(q, found.arm)[:, 3:]
         sigma = np.sqrt(np.einsum("mki,ij,mkj->mk", J, found.covariance, J))
-        scores.append(difference(error_model.predicted(q, found.arm), error_model.predicted(q, true))[:, 3:] / sigma)
+        scores.append(pose_difference(error_model.predicted(q, found.arm), error_model.predicted(q, true))[:, 3:] / sigma)
     assert np.abs(scores).max() < 5 and np.mean(np.square(scores)) == pytest.approx(1, abs=0.35)
 
 
@@ -59,8 +59,8 @@ def test_a_hand_that_turns_about_one_axis_alone_is_not_placed_by_its_rotations()
     rng = np.random.default_rng(3)
     seen = leaning(worlds.secret(SCARA, rng), SCARA, 40, rng)
     with pytest.raises(RigError, match="family of places"):
-        instrument_placement.placed(replace(seen, value=error_model.predicted(seen.q, SCARA)), SCARA, True, True)
-    one = instrument_placement.placed(seen, replace(SCARA, tool=worlds.TOOL), True, False)
+        instrument_placement.place_arm(replace(seen, value=error_model.predicted(seen.q, SCARA)), SCARA, True, True)
+    one = instrument_placement.place_arm(seen, replace(SCARA, tool=worlds.TOOL), True, False)
     assert (one.base.inv() * worlds.BASE).rotation.magnitude() < 0.01
 
 

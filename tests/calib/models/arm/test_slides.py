@@ -68,7 +68,7 @@ def test_an_unknown_place_is_found(name):
     nominal, rng = ARMS[name], np.random.default_rng(3)
     true = worlds.secret(nominal, rng)
     seen = of_poses(worlds.tracked(true, nominal, 40, rng))
-    found = identify(seen, instrument_placement.placed(seen, nominal, True, True))
+    found = identify(seen, instrument_placement.place_arm(seen, nominal, True, True))
     assert found.inliers.all() and not found.scatter.any()
     q = configurations(nominal, 50, rng, 0.5)
     assert np.abs(log(error_model.predicted(q, true).inv() * error_model.predicted(q, found.arm))).max() < 3e-4

@@ -9,7 +9,7 @@ from calib.models.arm import error_model
 from calib.models.arm.certification import calibrate
 from rig.errors import Unreachable
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import difference, pose
+from rig.model.pose import pose_difference, pose
 from tests.calib import arm_worlds as worlds
 from tests.rig.arms import SEVEN, UR10
 
@@ -33,7 +33,7 @@ def test_the_tracker_elsewhere_changes_no_command(arm, seed):
     there, _ = calibrate(replace(samples, T_base_platform=ELSEWHERE * samples.T_base_platform), arm, worlds.TRACKER, False)
     commands = here.inverse(wanted)
     np.testing.assert_allclose(there.inverse(ELSEWHERE * wanted), commands, atol=1e-8)
-    assert np.abs(difference(here.predict(commands), wanted)).max() < 1e-10
+    assert np.abs(pose_difference(here.predict(commands), wanted)).max() < 1e-10
 
 
 def test_the_single_step_is_on_the_elbow_of_the_fixed_point_and_no_whole_turn_is_counted():
@@ -53,5 +53,5 @@ def test_the_single_step_is_on_the_elbow_of_the_fixed_point_and_no_whole_turn_is
 
 def test_joint_values_are_apart_by_less_than_half_a_turn_and_slides_by_all_of_it():
     arm = replace(UR10, slides=np.arange(6) == 2)
-    apart = mechanism.apart(np.array([3.1, 0.0, 7.0, 0.0, 0.0, 0.0]), np.array([-3.1, 0.0, 0.0, 0.0, 0.0, 6.0]), arm)
+    apart = mechanism.joint_difference(np.array([3.1, 0.0, 7.0, 0.0, 0.0, 0.0]), np.array([-3.1, 0.0, 0.0, 0.0, 0.0, 6.0]), arm)
     np.testing.assert_allclose(apart, [6.2 - 2 * np.pi, 0, 7.0, 0, 0, 2 * np.pi - 6.0])

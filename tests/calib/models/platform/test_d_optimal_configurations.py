@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calib.models.platform.d_optimal_configurations import CANDIDATES, CRITERIA, FILL, choose, information
+from calib.models.platform.d_optimal_configurations import CANDIDATES, CRITERIA, FILL, choose_configurations, configuration_information
 from calib.models.platform.identification import identify, parameters
-from calib.models.platform.parameter_observability import PLAUSIBLE, combinations
+from calib.models.platform.parameter_observability import PLAUSIBLE, parameter_combinations
 from rig.planning import plan
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
@@ -16,7 +16,7 @@ SIGMAS = (1e-5, 1e-4)
 
 @pytest.fixture(scope="module")
 def chosen(design):
-    return {criterion: choose(design.mechanism, 24, SIGMAS, criterion) for criterion in CRITERIA}
+    return {criterion: choose_configurations(design.mechanism, 24, SIGMAS, criterion) for criterion in CRITERIA}
 
 
 def singular(root):
@@ -34,10 +34,10 @@ def test_each_criterion_is_best_at_its_own(chosen):
 def test_no_single_exchange_pays_any_more(chosen, design):
     """What the exchange ends in is an optimum among its candidates: tried anew by brute force at one place."""
     found = chosen["determinant"]
-    _, kept = information(found.commands[1:], design.mechanism, SIGMAS)
+    _, kept = configuration_information(found.commands[1:], design.mechanism, SIGMAS)
     base = kept.reshape(-1, 42)
     spread = plan.low_discrepancy(design.mechanism.strut_range, CANDIDATES, FILL, 0)[:400]
-    _, others = information(spread, design.mechanism, SIGMAS)
+    _, others = configuration_information(spread, design.mechanism, SIGMAS)
     now = np.linalg.slogdet((found.root * PLAUSIBLE).T @ (found.root * PLAUSIBLE))[1]
     best = max(np.linalg.slogdet(base.T @ base + rows.T @ rows)[1] for rows in others)
     assert best <= now + 0.01
@@ -57,20 +57,20 @@ def test_what_is_promised_is_what_a_fit_finds(chosen, design):
         samples, true = sampled(design, seed, count=24, commands=chosen["determinant"].commands, own=own)
         found = identify(samples, design.mechanism)
         errors.append(parameters(found.mechanism) - parameters(true))
-    parts, _ = combinations(chosen["determinant"].root, design.mechanism)
+    parts, _ = parameter_combinations(chosen["determinant"].root, design.mechanism)
     z = np.array([np.array(errors) @ part.direction / part.sigma for part in parts])
     assert np.std(z) == pytest.approx(1, abs=0.06)
 
 
 def test_what_is_given_counts(design):
     given = plan.low_discrepancy(design.mechanism.strut_range, 3)
-    found = choose(design.mechanism, 20, SIGMAS, given=given)
-    hidden = [part for part in combinations(found.before, design.mechanism)[0] if not part.determined]
-    assert len(hidden) >= 42 - 18 and all(part.determined for part in combinations(found.root, design.mechanism)[0])
+    found = choose_configurations(design.mechanism, 20, SIGMAS, given=given)
+    hidden = [part for part in parameter_combinations(found.before, design.mechanism)[0] if not part.determined]
+    assert len(hidden) >= 42 - 18 and all(part.determined for part in parameter_combinations(found.root, design.mechanism)[0])
 
 
 def test_too_few_and_unknown_are_refused(design):
     with pytest.raises(RigError, match="3 configurations cannot determine 42"):
-        choose(design.mechanism, 3, SIGMAS)
+        choose_configurations(design.mechanism, 3, SIGMAS)
     with pytest.raises(RigError, match="'D'"):
-        choose(design.mechanism, 30, SIGMAS, "D")
+        choose_configurations(design.mechanism, 30, SIGMAS, "D")

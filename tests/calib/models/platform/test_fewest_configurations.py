@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from calib.models.platform.identification import identify
-from calib.models.platform.fewest_configurations import fewest
+from calib.models.platform.fewest_configurations import fewest_configurations
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.calib.worlds import rms, sampled, workspace
 
 SIGMAS = (1e-5, 1e-4)  # m, rad
@@ -16,7 +16,7 @@ PROMISE = 2e-5  # m
 
 @pytest.fixture(scope="module")
 def found(design):
-    return fewest(design.mechanism, PROMISE, SIGMAS)
+    return fewest_configurations(design.mechanism, PROMISE, SIGMAS)
 
 
 def test_what_is_promised_is_kept_and_not_one_pose_sooner(design, found):
@@ -26,18 +26,18 @@ def test_what_is_promised_is_kept_and_not_one_pose_sooner(design, found):
     for seed in range(12):
         samples, true = sampled(design, seed, len(found.commands), commands=found.commands, own=np.repeat(SIGMAS, 3))
         fitted = identify(samples, design.mechanism, prior=np.full(42, 5e-4)).mechanism
-        left = rms(difference(hexapod.forward(hexapod.inverse(wanted, fitted), true), wanted))[0]
+        left = rms(pose_difference(hexapod.forward(hexapod.inverse(wanted, fitted), true), wanted))[0]
         kept.append(left)
     assert np.mean(np.array(kept) <= PROMISE) >= 11 / 12 and np.median(kept) > 0.3 * PROMISE
 
 
 def test_what_was_visited_counts(design, found):
-    rest = fewest(design.mechanism, PROMISE, SIGMAS, found.commands[:10])
+    rest = fewest_configurations(design.mechanism, PROMISE, SIGMAS, found.commands[:10])
     assert abs(len(rest.commands) + 10 - len(found.commands)) <= 1 and rest.left[0] == pytest.approx(found.left[10], rel=1e-6)
-    assert len(fewest(design.mechanism, PROMISE, SIGMAS, found.commands).commands) == 0
+    assert len(fewest_configurations(design.mechanism, PROMISE, SIGMAS, found.commands).commands) == 0
 
 
 def test_a_promise_that_measuring_cannot_keep_is_refused(design, monkeypatch):
     monkeypatch.setattr("calib.models.platform.fewest_configurations.MOST", 12)
     with pytest.raises(RigError, match="12 poses leave"):
-        fewest(design.mechanism, 1e-7, SIGMAS)
+        fewest_configurations(design.mechanism, 1e-7, SIGMAS)

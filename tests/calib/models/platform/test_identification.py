@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.models.platform.identification import PRIOR, identify, loop_jacobian, parameters, pose_jacobian, with_parameters
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference, exp
+from rig.model.pose import pose_difference, exp
 from tests.calib.designs import worst_jacobian
 from tests.calib.worlds import sampled
 from tests.numeric import jacobian
@@ -25,7 +25,7 @@ def test_pose_jacobian_agrees_with_differences(design):
     lengths = hexapod.inverse(design.mechanism.home, design.mechanism) + np.array([0.01, -0.01, 0.02, 0, 0.005, -0.02])
     T = hexapod.forward(lengths, design.mechanism)
     start = parameters(design.mechanism)
-    numeric = jacobian(lambda p: difference(T, hexapod.forward(lengths, with_parameters(design.mechanism, start + p))), np.zeros(42), 1e-5)
+    numeric = jacobian(lambda p: pose_difference(T, hexapod.forward(lengths, with_parameters(design.mechanism, start + p))), np.zeros(42), 1e-5)
     np.testing.assert_allclose(pose_jacobian(T, design.mechanism), numeric, rtol=1e-5, atol=1e-5)
 
 
@@ -45,7 +45,7 @@ def test_compiled_kinematics_are_the_mechanism_s(design):
         np.testing.assert_allclose(e, 0, atol=1e-11)
     closed_loop_kernels.error(home[:3, :3], home[:3, 3], R, t, e)
     T = design.mechanism.home * exp(np.zeros(6))
-    np.testing.assert_allclose(e, difference(T, samples.T_base_platform[-1]), atol=1e-10)
+    np.testing.assert_allclose(e, pose_difference(T, samples.T_base_platform[-1]), atol=1e-10)
 
 
 def test_without_noise_the_machine_is_found(design):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.correct.camera_refinement import refine
+from calib.correct.camera_refinement import refine_with_cameras
 from calib.models.platform import joint_camera_fit
 from calib.models.platform.identification import identify, parameters
 from calib.samples.recording_samples import sample_recording
@@ -19,7 +19,13 @@ def solved(tmp_path_factory, design, rig_text):
     read = recording_folder.load(folder)
     sampled = sample_recording(read)
     corners, commanded, state = joint_camera_fit.commanded_state(sampled.measurement, sampled.samples)
-    return secret, read, sampled, joint_camera_fit.solve(corners, commanded, state, read.design.cameras, read.design.mechanism), corners
+    return (
+        secret,
+        read,
+        sampled,
+        joint_camera_fit.fit_cameras_and_geometry(corners, commanded, state, read.design.cameras, read.design.mechanism),
+        corners,
+    )
 
 
 def test_two_steps_with_shared_errors_reach_the_joint_optimum(solved):
@@ -44,7 +50,7 @@ def test_moving_cameras_and_missing_base_targets_are_refused(solved):
     _, commanded, state = joint_camera_fit.commanded_state(sampled.measurement, sampled.samples)
     on = corners.take(corners.on_platform)
     with pytest.raises(RigError, match="targets on the base"):
-        joint_camera_fit.solve(on, commanded, state, read.design.cameras, read.design.mechanism)
+        joint_camera_fit.fit_cameras_and_geometry(on, commanded, state, read.design.cameras, read.design.mechanism)
 
 
 def test_a_calibration_is_refined_or_the_reason_said(solved, design):
@@ -54,10 +60,10 @@ def test_a_calibration_is_refined_or_the_reason_said(solved, design):
 
     _, read, sampled, found, _ = solved
     correction, two = calibrate(sampled.samples, read.design.mechanism)
-    better, told = refine(sampled, read.design, correction, two)
+    better, told = refine_with_cameras(sampled, read.design, correction, two)
     np.testing.assert_allclose(parameters(better.fitted), parameters(found.mechanism), atol=1e-9)
     np.testing.assert_allclose(told.covariance, found.covariance, rtol=1e-6, atol=1e-16)
     with pytest.raises(RigError, match="came from poses.csv"):
-        refine(replace(sampled, measurement=None, source="poses.csv"), read.design, correction, two)
+        refine_with_cameras(replace(sampled, measurement=None, source="poses.csv"), read.design, correction, two)
     with pytest.raises(RigError, match="strut 2 scatters by 30.0 um"):
-        refine(sampled, read.design, correction, replace(two, scatter=np.array([0, 3e-5, 0, 0, 0, 0])))
+        refine_with_cameras(sampled, read.design, correction, replace(two, scatter=np.array([0, 3e-5, 0, 0, 0, 0])))

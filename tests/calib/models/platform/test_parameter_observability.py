@@ -4,33 +4,33 @@ import numpy as np
 import pytest
 
 from calib.models.platform.identification import NAMES, identify, parameters, pose_jacobian, with_parameters
-from calib.models.platform.parameter_observability import combinations, gauge
+from calib.models.platform.parameter_observability import parameter_combinations, frame_motion_columns
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference, exp, transform_points
+from rig.model.pose import pose_difference, exp, transform_points
 from tests.calib.worlds import sampled, workspace
 
 
 def test_gauge_is_the_motion_of_the_frames(design):
     """Moving a plate's joints with its frame moves the measured pose as the frame does, and nothing else."""
     T, m = workspace(design, 20), design.mechanism
-    J = pose_jacobian(T, m) @ gauge(m)
+    J = pose_jacobian(T, m) @ frame_motion_columns(m)
     np.testing.assert_allclose(J[:, :, 6:], np.broadcast_to(-np.eye(6), (20, 6, 6)), atol=1e-9)
     for k in range(6):
         xi = np.zeros(6)
         xi[k] = 1e-6
-        np.testing.assert_allclose(J[:, :, k], difference(T, exp(xi) * T) / 1e-6, atol=1e-6)
+        np.testing.assert_allclose(J[:, :, k], pose_difference(T, exp(xi) * T) / 1e-6, atol=1e-6)
 
 
 def test_gauge_agrees_with_joints_moved(design):
     xi = np.array([1e-4, -2e-4, 5e-5, 3e-4, -1e-4, 2e-4])
-    moved = with_parameters(design.mechanism, parameters(design.mechanism) + gauge(design.mechanism) @ np.r_[xi, np.zeros(6)])
+    moved = with_parameters(design.mechanism, parameters(design.mechanism) + frame_motion_columns(design.mechanism) @ np.r_[xi, np.zeros(6)])
     np.testing.assert_allclose(moved.base_joints, transform_points(exp(xi), design.mechanism.base_joints), atol=1e-7)
 
 
 def test_combinations_are_told_apart_and_named(design):
     samples, _ = sampled(design, 1, count=100)
     found = identify(samples, design.mechanism)
-    parts, seen = combinations(found.root, found.mechanism)
+    parts, seen = parameter_combinations(found.root, found.mechanism)
     sigma = [part.sigma for part in parts]
     assert len(parts) == 42 and sigma == sorted(sigma, reverse=True) and seen.condition == pytest.approx(sigma[0] / sigma[-1])
     assert all(part.determined for part in parts) and 50 < seen.condition < 7000
@@ -44,7 +44,7 @@ def test_one_pose_again_and_again_hides_most(design):
     found = identify(samples, design.mechanism)
     J = np.tile(pose_jacobian(design.mechanism.home, found.mechanism) / 1e-5, (50, 1))
     root = np.linalg.qr(J, mode="r")
-    parts, seen = combinations(np.concatenate([root, np.zeros((42 - len(root), 42))]), found.mechanism)
+    parts, seen = parameter_combinations(np.concatenate([root, np.zeros((42 - len(root), 42))]), found.mechanism)
     assert sum(part.determined for part in parts) == 6 and seen.condition > 1e9
 
 

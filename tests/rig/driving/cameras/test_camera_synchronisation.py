@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rig.driving.cameras import CameraError, settling_check
-from rig.driving.cameras.exposure_setting import expose_well
-from rig.driving.cameras.settling_check import NotSettled, changed, settling
+from rig.driving.cameras.exposure_setting import set_exposure_for_markers
+from rig.driving.cameras.settling_check import NotSettled, image_difference, parse_settling
 from rig.driving.cameras.camera_interface import Frame
 from rig.driving.cameras.camera_synchronisation import Shutter
 from rig.errors import RigError
@@ -46,10 +46,10 @@ def test_a_grab_that_failed_is_tried_again_and_then_named():
 @pytest.mark.parametrize("white", [3.0, 40.0, 400.0, 2000.0])
 def test_exposure_brings_white_up_and_never_clips(white):
     source = Flaky(Ticking(), 0, white)
-    exposure, level = expose_well(source, lambda image: (float(image.max()), float((image >= 250).mean())), 1e-3)
+    exposure, level = set_exposure_for_markers(source, lambda image: (float(image.max()), float((image >= 250).mean())), 1e-3)
     assert 150 <= level < 250 and exposure == source.exposure
     with pytest.raises(CameraError, match="change the light"):
-        expose_well(Flaky(Ticking(), 0, 1e5), lambda image: (float(image.max()), float((image >= 250).mean())), 1e-3)
+        set_exposure_for_markers(Flaky(Ticking(), 0, 1e5), lambda image: (float(image.max()), float((image >= 250).mean())), 1e-3)
 
 
 def test_rest_is_told_by_images_from_motion_under_noise():
@@ -59,11 +59,11 @@ def test_rest_is_told_by_images_from_motion_under_noise():
     def image(shift, noise=2.0):
         return np.clip(np.roll(scene, shift, axis=1) + noise * rng.normal(size=scene.shape), 0, 255).astype(np.uint8)
 
-    assert all(changed(image(0), image(0)) < 1 for _ in range(20))
+    assert all(image_difference(image(0), image(0)) < 1 for _ in range(20))
     moved = scene.copy()
     moved[200:240, 300:340] = np.roll(scene, 1, axis=1)[200:240, 300:340]  # a marker alone, by a pixel
-    assert changed(image(0), np.clip(moved + 2 * rng.normal(size=scene.shape), 0, 255).astype(np.uint8)) > 1
-    assert changed(image(0), image(3)) > 1
+    assert image_difference(image(0), np.clip(moved + 2 * rng.normal(size=scene.shape), 0, 255).astype(np.uint8)) > 1
+    assert image_difference(image(0), image(3)) > 1
     clock, shifts = Ticking(), iter([9, 5, 2, 1] + [0] * 20)
     taken = []
 
@@ -72,21 +72,21 @@ def test_rest_is_told_by_images_from_motion_under_noise():
         taken.append(next(shifts))
         return [image(taken[-1])]
 
-    settling("images").wait(clock, images=look)
+    parse_settling("images").wait(clock, images=look)
     assert taken[-3:] == [0, 0, 0] and len(taken) == 7
     with pytest.raises(NotSettled, match="still change"):
-        settling("images").wait(clock, images=lambda: (clock.sleep(0.5), [image(int(rng.integers(1, 90)))])[1])
+        parse_settling("images").wait(clock, images=lambda: (clock.sleep(0.5), [image(int(rng.integers(1, 90)))])[1])
 
 
 def test_rest_is_told_by_limbs_and_by_time():
     clock = Ticking()
-    settling("time:1.5").wait(clock)
+    parse_settling("time:1.5").wait(clock)
     assert clock.now() == 1001.5
-    settling("limbs:1e-6").wait(clock, limbs=lambda: np.full(6, 0.4 + 1e-3 * np.exp(-(clock.now() - 1001.5) / 0.1)))
+    parse_settling("limbs:1e-6").wait(clock, limbs=lambda: np.full(6, 0.4 + 1e-3 * np.exp(-(clock.now() - 1001.5) / 0.1)))
     assert 0.5 < clock.now() - 1001.5 < 1.5
     with pytest.raises(NotSettled, match="limb 3 still moves"):
-        settling("limbs:1e-6").wait(clock, limbs=lambda: 0.4 + 1e-4 * np.sin(clock.now() * 9) * np.eye(6)[2])
+        parse_settling("limbs:1e-6").wait(clock, limbs=lambda: 0.4 + 1e-4 * np.sin(clock.now() * 9) * np.eye(6)[2])
     for text in ("time:-1", "time:x", "images:3", "speed:1", "limbs:inf"):
         with pytest.raises(RigError, match="settling takes"):
-            settling(text)
+            parse_settling(text)
     assert settling_check.MOST < 60

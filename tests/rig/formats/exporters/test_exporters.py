@@ -13,12 +13,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.model import motion_simulation
 from rig.planning import plan
 from rig.model.design import Arm, Hexapod
-from rig.effects.texts.effect_text import parse
+from rig.effects.texts.effect_text import parse_effect
 from rig.errors import RigError
 from rig.formats.exporters import linuxcnc_genhexkins, geometry_json_and_csv, arm_urdf
 from rig.model.mechanisms import arm as serial
 from rig.model.mechanisms import hexapod
-from rig.model.pose import difference, pose
+from rig.model.pose import pose_difference, pose
 from synthetic import secret_machine
 from tests.rig.arms import GANTRY, STANFORD
 from tests.rig.genhexkins import forward, settings
@@ -26,40 +26,40 @@ from tests.rig.genhexkins import forward, settings
 
 @pytest.fixture(scope="module")
 def true(design):
-    return secret_machine.draw(design, np.random.default_rng(3)).true
+    return secret_machine.draw_machine(design, np.random.default_rng(3)).true
 
 
 @pytest.mark.parametrize("units, scale", [("mm", 1e3), ("m", 1.0)])
 def test_genhexkins_goes_where_we_go(true, units, scale):
     m = true.mechanism
     commands = plan.low_discrepancy(m.strut_range, 60, 0.9)
-    found = forward(linuxcnc_genhexkins.text(m, units), commands, m.home, scale)
-    error = difference(hexapod.forward(commands, m), found)
+    found = forward(linuxcnc_genhexkins.genhexkins_settings(m, units), commands, m.home, scale)
+    error = pose_difference(hexapod.forward(commands, m), found)
     assert np.linalg.norm(error[:, :3], axis=1).max() < 1e-9 and np.abs(error[:, 3:]).max() < 1e-8
-    assert settings(linuxcnc_genhexkins.text(m, units))["genhexkins.screw-lead"] == 0
+    assert settings(linuxcnc_genhexkins.genhexkins_settings(m, units))["genhexkins.screw-lead"] == 0
 
 
 @pytest.mark.parametrize("gain", [1.0, -0.6])
 def test_genhexkins_screws_couple_as_ours_do(true, gain):
     """Turning cardans drive the screws: our effect in the forward model of motion against genhexkins' strut length correction."""
     m = true.mechanism
-    steps = plan.settled(plan.low_discrepancy(m.strut_range, 40, 0.9), m.strut_range.mean(axis=1), 0.05)
-    run = motion_simulation.run(true, steps.commands, steps.t, (parse(f"screw_coupling:rig:gain={gain}"),))
-    plain = motion_simulation.run(true, steps.commands, steps.t)
-    assert np.linalg.norm(difference(plain.T_base_platform, run.T_base_platform)[:, :3], axis=1).max() > 5e-6
-    text = linuxcnc_genhexkins.text(m, "mm", true.actuator.screw_lead, gain)
-    error = difference(run.T_base_platform, forward(text, steps.commands.at(steps.t), m.home, 1e3))
+    steps = plan.settled_plan(plan.low_discrepancy(m.strut_range, 40, 0.9), m.strut_range.mean(axis=1), 0.05)
+    run = motion_simulation.run_machine(true, steps.commands, steps.t, (parse_effect(f"screw_coupling:rig:gain={gain}"),))
+    plain = motion_simulation.run_machine(true, steps.commands, steps.t)
+    assert np.linalg.norm(pose_difference(plain.T_base_platform, run.T_base_platform)[:, :3], axis=1).max() > 5e-6
+    text = linuxcnc_genhexkins.genhexkins_settings(m, "mm", true.actuator.screw_lead, gain)
+    error = pose_difference(run.T_base_platform, forward(text, steps.commands.at(steps.t), m.home, 1e3))
     assert np.linalg.norm(error[:, :3], axis=1).max() < 1e-9
 
 
 def test_genhexkins_refuses_what_it_cannot_hold(true):
     with pytest.raises(RigError, match="lead, m per revolution"):
-        linuxcnc_genhexkins.text(true.mechanism, gain=0.5)
+        linuxcnc_genhexkins.genhexkins_settings(true.mechanism, gain=0.5)
     with pytest.raises(ValueError, match="mm or m"):
-        linuxcnc_genhexkins.text(true.mechanism, "inch")
+        linuxcnc_genhexkins.genhexkins_settings(true.mechanism, "inch")
     turned = replace(true.mechanism, platform_joints=Rotation.from_rotvec([0, 0, 1.2]).apply(np.array(true.mechanism.platform_joints)))
     with pytest.raises(RigError, match="degrees to each other"):
-        linuxcnc_genhexkins.text(turned, lead=0.004, gain=1.0)
+        linuxcnc_genhexkins.genhexkins_settings(turned, lead=0.004, gain=1.0)
 
 
 def test_sheets_hold_every_bit_of_a_hexapod(true):
@@ -68,10 +68,10 @@ def test_sheets_hold_every_bit_of_a_hexapod(true):
     again = Hexapod(tree["base_joints"], tree["platform_joints"], tree["strut_range"], pose(tree["home"]["position"], tree["home"]["rotvec"]),
                     tree["strut_zeros"])
     lengths = plan.low_discrepancy(m.strut_range, 20)
-    np.testing.assert_allclose(difference(hexapod.forward(lengths, m), hexapod.forward(lengths, again)), 0, atol=1e-14)
+    np.testing.assert_allclose(pose_difference(hexapod.forward(lengths, m), hexapod.forward(lengths, again)), 0, atol=1e-14)
     rows = np.array([[float(cell) for cell in row] for row in list(csv.reader(io.StringIO(geometry_json_and_csv.as_csv(m))))[1:]])
     from_rows = Hexapod(rows[:, 1:4], rows[:, 4:7], rows[:, 8:10], m.home, rows[:, 7])
-    np.testing.assert_allclose(difference(hexapod.forward(lengths, m), hexapod.forward(lengths, from_rows)), 0, atol=1e-11)
+    np.testing.assert_allclose(pose_difference(hexapod.forward(lengths, m), hexapod.forward(lengths, from_rows)), 0, atol=1e-11)
 
 
 ARMS = {
@@ -84,7 +84,7 @@ ARMS = {
 @pytest.mark.parametrize("arm", [STANFORD, GANTRY], ids=["stanford", "gantry"])
 def test_urdf_of_an_arm_with_slides_is_the_same_chain(arm):
     for q in np.random.default_rng(0).uniform(*arm.limits.T, (20, len(arm.joints))):
-        T = driven(arm_urdf.text(arm), dict(zip(arm.axes, q)))
+        T = driven(arm_urdf.arm_urdf(arm), dict(zip(arm.axes, q)))
         np.testing.assert_allclose(T.as_matrix(), serial.forward(q, arm).as_matrix(), atol=1e-12)
 
 
@@ -96,7 +96,7 @@ def test_urdf_is_the_same_chain(rows):
         for angle, row in zip(q, rows):
             theta, d, a, alpha, beta = [*row, 0][:5]
             T = T * pose([0, 0, d], [0, 0, theta + angle]) * pose([a, 0, 0], [alpha, 0, 0]) * pose([0, 0, 0], [0, beta, 0])
-        np.testing.assert_allclose(driven(arm_urdf.text(arm, "a & b"), dict(zip(arm.axes, q))).as_matrix(), T.as_matrix(), atol=1e-12)
+        np.testing.assert_allclose(driven(arm_urdf.arm_urdf(arm, "a & b"), dict(zip(arm.axes, q))).as_matrix(), T.as_matrix(), atol=1e-12)
 
 
 def driven(text, angles):

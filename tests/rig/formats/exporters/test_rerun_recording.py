@@ -74,7 +74,7 @@ def test_all_that_a_recording_holds_is_where_it_is(seen, stand_in, tmp_path):
     streams, rr = stand_in
     there = recording_folder.load(seen)
     there = replace(there, stages={1: there.poses})
-    assert rerun_recording.write(there, tmp_path / "x.rrd", rr) == 0
+    assert rerun_recording.write_rerun(there, tmp_path / "x.rrd", rr) == 0
     logged = streams[0].logged
     for camera in there.design.cameras:
         T, lens = (next(what for place, what, _ in logged if place == f"base/{camera.name}{end}") for end in ("", "/image"))

@@ -12,7 +12,7 @@ from rig.planning.layout import hexapod_layout
 from rig.planning import plan
 from rig.errors import RigError
 from rig.formats.exporters import hexapod_sdf, hexapod_urdf
-from rig.formats.exporters.simulator_struts import struts
+from rig.formats.exporters.simulator_struts import simulator_struts
 from rig.model.mechanisms import hexapod
 from synthetic import secret_machine
 from tests.calib.checks.test_mistakes import said
@@ -21,7 +21,7 @@ from tests.calib.checks.test_mistakes import said
 @pytest.fixture(scope="module")
 def machine(design):
     """A hexapod with zeros, none of whose joints lie evenly."""
-    return secret_machine.draw(design, np.random.default_rng(3)).true.mechanism
+    return secret_machine.draw_machine(design, np.random.default_rng(3)).true.mechanism
 
 
 def cardans(direction, T_base_cross):
@@ -37,7 +37,7 @@ def driven(model, T, m):
     def put(name, value):
         q[model.joints[model.getJointId(name)].idx_q] = value
 
-    for n, (strut, length) in enumerate(zip(struts(m), hexapod.inverse(T, m)), 1):
+    for n, (strut, length) in enumerate(zip(simulator_struts(m), hexapod.inverse(T, m)), 1):
         along = T.apply(m.platform_joints[n - 1]) - m.base_joints[n - 1]
         turn, tilt = cardans(along / np.linalg.norm(along), strut.T_base_cross)
         put(f"strut_{n}_turn", turn)
@@ -54,7 +54,7 @@ def driven(model, T, m):
 
 
 def test_urdf_closes_its_loops_at_every_pose(machine):
-    model = pinocchio.buildModelFromXML(hexapod_urdf.text(machine, "a & b"))
+    model = pinocchio.buildModelFromXML(hexapod_urdf.hexapod_urdf(machine, "a & b"))
     assert model.nq == 21
     for T in hexapod.forward(plan.low_discrepancy(machine.strut_range, 20, 0.9), machine):
         data = driven(model, T, machine)
@@ -75,7 +75,7 @@ def stood(link):
 
 
 def test_sdf_stands_at_home_with_joints_where_they_are(machine):
-    model = ElementTree.fromstring(hexapod_sdf.text(machine)).find("model")
+    model = ElementTree.fromstring(hexapod_sdf.hexapod_sdf(machine)).find("model")
     links, joints = {link.get("name"): stood(link) for link in model.findall("link")}, {j.get("name"): j for j in model.findall("joint")}
     assert np.abs((links["platform"].inv() * machine.home).as_matrix() - np.eye(4)).max() < 1e-12
     for n in range(1, 7):
@@ -97,11 +97,11 @@ def test_a_joint_on_the_axis_has_no_cardan(machine):
     joints = np.array(machine.base_joints)
     joints[2] = [0, 0, 0.1]
     with pytest.raises(RigError, match="strut 3: its base joint lies on the z axis"):
-        hexapod_urdf.text(replace(machine, base_joints=joints))
+        hexapod_urdf.hexapod_urdf(replace(machine, base_joints=joints))
 
 
 def test_simulators_files_come_from_the_command_line(tmp_path):
-    (tmp_path / "rig.toml").write_text(hexapod_layout.layout(0.3, cameras=2, cubes=2))
+    (tmp_path / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, cameras=2, cubes=2))
     for kind in ("urdf", "sdf"):
         assert said("export", tmp_path / "rig.toml", "--format", kind, "--out", tmp_path / f"h.{kind}")[0] == 0
         assert ElementTree.parse(tmp_path / f"h.{kind}").getroot().tag == {"urdf": "robot", "sdf": "sdf"}[kind]

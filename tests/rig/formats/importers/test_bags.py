@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.planning.layout import hexapod_layout
 from rig.recording import recording_folder
 from rig.errors import RigError
-from rig.formats.importers.ros_image_messages import encoded
+from rig.formats.importers.ros_image_messages import encode_image_message
 from tests.calib.checks.test_mistakes import said
 
 START, WIDTH, HEIGHT = 1763800000 * 10**9, 64, 48
@@ -26,7 +26,7 @@ N = 4  # frames
 @pytest.fixture
 def rig(tmp_path):
     path = tmp_path / "rig.toml"
-    path.write_text(hexapod_layout.layout(0.3, cameras=3, width=WIDTH, height=HEIGHT, cubes=3))
+    path.write_text(hexapod_layout.hexapod_layout(0.3, cameras=3, width=WIDTH, height=HEIGHT, cubes=3))
     return path
 
 
@@ -198,7 +198,9 @@ def test_a_mosaic_becomes_the_grey_of_its_colours(encoding):
     colours = {"R": 200, "G": 120, "B": 40}
     cell = np.array([colours[letter] for letter in PATTERNS[encoding]], np.uint8).reshape(2, 2)
     pixels = np.tile(cell, (8, 8))
-    suffix, content = encoded(SimpleNamespace(encoding=encoding, width=16, height=16, step=16, is_bigendian=0, data=pixels.tobytes()), False, "x")
+    suffix, content = encode_image_message(
+        SimpleNamespace(encoding=encoding, width=16, height=16, step=16, is_bigendian=0, data=pixels.tobytes()), False, "x"
+    )
     grey = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     assert suffix == ".png" and np.abs(grey[2:-2, 2:-2].astype(float) - (0.299 * 200 + 0.587 * 120 + 0.114 * 40)).max() <= 1
 
@@ -206,10 +208,10 @@ def test_a_mosaic_becomes_the_grey_of_its_colours(encoding):
 def test_deep_images_keep_their_depth_and_half_ones_are_refused():
     pixels = (np.arange(12).reshape(3, 4) * 5000).astype(">u2")
     message = SimpleNamespace(encoding="mono16", width=4, height=3, step=8, is_bigendian=1, data=pixels.tobytes())
-    assert np.array_equal(cv2.imdecode(np.frombuffer(encoded(message, False, "x")[1], np.uint8), cv2.IMREAD_UNCHANGED), pixels)
+    assert np.array_equal(cv2.imdecode(np.frombuffer(encode_image_message(message, False, "x")[1], np.uint8), cv2.IMREAD_UNCHANGED), pixels)
     for change, says in ((dict(data=b"123"), "has 3 bytes"), (dict(encoding="yuv422"), "encoding 'yuv422'"), (dict(height=0), "4 x 0 px")):
         with pytest.raises(RigError, match=says):
-            encoded(SimpleNamespace(**{**vars(message), **change}), False, "x")
+            encode_image_message(SimpleNamespace(**{**vars(message), **change}), False, "x")
 
 
 def test_a_missing_library_says_what_installs_it(rig, tmp_path, monkeypatch):

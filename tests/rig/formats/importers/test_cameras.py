@@ -23,7 +23,7 @@ WIDE = {"pinhole": [620.0, 615.0, 642.5, 480.25], "equidistant": [0.012, -0.004,
 def stated(tmp_path):
     """A rig.toml as its owner believes it, and its cameras."""
     path = tmp_path / "rig.toml"
-    path.write_text(hexapod_layout.layout(0.3, cameras=3, width=1280, height=960, cubes=3))
+    path.write_text(hexapod_layout.hexapod_layout(0.3, cameras=3, width=1280, height=960, cubes=3))
     return path, design_file.load(path).cameras
 
 
@@ -177,7 +177,7 @@ def test_camera_info_goes_both_ways(stated, true, tmp_path):
         assert np.abs(camera.matrix - meant.matrix).max() < 1e-6 and np.abs(camera.distortion[:4] - meant.distortion).max() < 1e-9
         assert np.abs((camera.pose.inv() * there.pose).translation).max() < 1e-9  # a camera_info has no place
     with pytest.raises(RigError, match="12 terms; camera_info"):
-        exported.camera_info(replace(true[0], distortion=np.zeros(12)))
+        exported.ros_camera_info(replace(true[0], distortion=np.zeros(12)))
 
 
 def spoilt(true, **changes):

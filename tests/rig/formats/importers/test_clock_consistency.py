@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rig.recording import recording_folder
-from rig.checks.clock_shift import offset, standing_shift
-from rig.planning.plan import build
+from rig.checks.clock_shift import clock_offset_mistake, standing_shift
+from rig.planning.plan import build_plan
 from tests.rig.formats.importers.test_importing import words
 from tests.calib.checks.test_mistakes import said
 
@@ -92,8 +92,8 @@ def test_rows_that_a_log_has_twice_are_taken_once(good, tmp_path):
 def test_clocks_that_differ_though_they_overlap_are_told_by_what_stands_still(ahead):
     rng = np.random.default_rng(1)
     t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
-    assert not list(offset(at, t, values))
-    (found,) = offset(at + ahead, t, values)
+    assert not list(clock_offset_mistake(at, t, values))
+    (found,) = clock_offset_mistake(at + ahead, t, values)
     assert found.spoils and f"clock is {abs(ahead):.4g} s {'ahead of' if ahead > 0 else 'behind'} the commands'" in found.what
     assert f"images.shift={-ahead:.3f}" in found.do
 
@@ -101,10 +101,10 @@ def test_clocks_that_differ_though_they_overlap_are_told_by_what_stands_still(ah
 def test_frames_taken_on_the_way_say_nothing_of_clocks():
     rng = np.random.default_rng(1)
     t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
-    assert not list(offset(np.sort(rng.uniform(0, t[-1], 40)), t, values))
+    assert not list(clock_offset_mistake(np.sort(rng.uniform(0, t[-1], 40)), t, values))
 
 
 @pytest.mark.parametrize("parts", ["sobol:40", "ladder:2", "moving:30", "zigzag:30", "sobol:20,moving:20", "dwell:20", "warmup:20", "repeat:20"])
 def test_a_plan_as_it_was_exposed_is_accused_of_no_clock(design, parts):
-    found = build(design, parts, 3)
-    assert not list(offset(found.t, found.commands.t, found.commands.values))
+    found = build_plan(design, parts, 3)
+    assert not list(clock_offset_mistake(found.t, found.commands.t, found.commands.values))

@@ -16,7 +16,7 @@ def scan(folder, design, files, **stated):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"")
     images = Images((folder / "in",), **stated)
-    return image_file_frames.exposed(image_file_frames.pictures(images, design), images, ANY)
+    return image_file_frames.group_exposures(image_file_frames.list_pictures(images, design), images, ANY)
 
 
 @pytest.mark.parametrize("pattern, stated", [
@@ -58,5 +58,5 @@ def test_the_settings_offered_for_two_figures_work(design, tmp_path):
     with pytest.raises(RigError) as error:
         scan(tmp_path, design, ["cam0_run3_17.png"])
     offered = [line.split("images.names=")[1].rstrip("'") for line in str(error.value).splitlines()[1:]]
-    found = [image_file_frames.pictures(Images((tmp_path / "in",), names), design)[0] for names in offered]
+    found = [image_file_frames.list_pictures(Images((tmp_path / "in",), names), design)[0] for names in offered]
     assert [(one.frame, one.stamp) for one in found] == [(3, None), (17, None), (None, "3"), (None, "17")]

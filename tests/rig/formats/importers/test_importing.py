@@ -73,21 +73,21 @@ def test_what_is_ambiguous_is_refused_with_what_decides(name, good, tmp_path):
 
 def test_times_without_a_unit_are_told_by_what_can_be_or_refused():
     cells = [str(k * 20) for k in range(9)]
-    assert timestamps.read(cells, "commands", "x", None, None, 0.0, lambda t: t[-1] < 1 and t[-1] > 0.01).unit == "ms"
+    assert timestamps.read_times(cells, "commands", "x", None, None, 0.0, lambda t: t[-1] < 1 and t[-1] > 0.01).unit == "ms"
     with pytest.raises(RigError, match=r"160 s in all: --set 'commands.time_unit=s'(.|\n)*0.16 s in all: --set 'commands.time_unit=ms'"):
-        timestamps.read(cells, "commands", "x", None, None, 0.0)
+        timestamps.read_times(cells, "commands", "x", None, None, 0.0)
     for unit, per in (("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)):
         cells = [str(1763800000 * per + k * per // 4) if per > 1 else f"{1763800000 + k / 4}" for k in range(3)]
-        read = timestamps.read(cells, "commands", "x", None, None, 0.0)
+        read = timestamps.read_times(cells, "commands", "x", None, None, 0.0)
         assert read.unit == unit and read.floats().tolist() == [0, 0.25, 0.5]
 
 
 def test_iso_times_keep_nanoseconds_and_zones():
-    read = timestamps.read(["2026-01-31T12:00:00.000000001+01:00", "2026-01-31 11:00:00,5Z"], "x", "x", None, None, 0.0)
+    read = timestamps.read_times(["2026-01-31T12:00:00.000000001+01:00", "2026-01-31 11:00:00,5Z"], "x", "x", None, None, 0.0)
     assert read.floats().tolist() == [0, 0.499999999]
     with pytest.raises(RigError, match="some times state a time zone"):
-        timestamps.read(["2026-01-31T12:00:00Z", "2026-01-31T12:00:00"], "x", "x", None, None, 0.0)
-    assert "UTC" in timestamps.read(["2026-01-31T12:00:00"], "x", "x", None, None, 0.0).said[-1]
+        timestamps.read_times(["2026-01-31T12:00:00Z", "2026-01-31T12:00:00"], "x", "x", None, None, 0.0)
+    assert "UTC" in timestamps.read_times(["2026-01-31T12:00:00"], "x", "x", None, None, 0.0).said[-1]
 
 
 def test_rotations_that_nothing_decides_are_refused(good, tmp_path):

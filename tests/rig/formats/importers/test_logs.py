@@ -100,7 +100,7 @@ def test_samples_lost_that_nothing_counts_are_refused(good, tmp_path):
 def test_names_that_columns_lack_are_asked_for(header, says, tmp_path):
     (tmp_path / "log").write_text("0 0.41 0.42\n1 0.43 0.44\n2 0.45 0.46\n")
     with pytest.raises(FileError) as refused:
-        csv_dialect.read(ForeignTable(tmp_path / "log", header=header), "commands")
+        csv_dialect.read_foreign_table(ForeignTable(tmp_path / "log", header=header), "commands")
     assert says in str(refused.value)
 
 
@@ -131,9 +131,14 @@ def test_tables_go_out_as_parquet(good, tmp_path):
 
 
 def test_what_is_no_parquet_is_refused_and_a_missing_library_says_what_installs_it(good, tmp_path, monkeypatch):
-    whole = parquet_table.content({"t": [0.0, 1.0], "l1": [1.0, 2.0]})
-    bad = {"text": b"t,l1\n", "half": whole[: len(whole) // 2], "empty": parquet_table.content({"t": [], "l1": []}),
-           "none": parquet_table.content({"t": [0.0, None], "l1": [1.0, 2.0]}), "lists": parquet_table.content({"t": [[0.0]], "l1": [1.0]})}
+    whole = parquet_table.parquet_bytes({"t": [0.0, 1.0], "l1": [1.0, 2.0]})
+    bad = {
+        "text": b"t,l1\n",
+        "half": whole[: len(whole) // 2],
+        "empty": parquet_table.parquet_bytes({"t": [], "l1": []}),
+        "none": parquet_table.parquet_bytes({"t": [0.0, None], "l1": [1.0, 2.0]}),
+        "lists": parquet_table.parquet_bytes({"t": [[0.0]], "l1": [1.0]}),
+    }
     for name, data in bad.items():
         (tmp_path / f"{name}.parquet").write_bytes(data)
         status, text = said(*words(good, {"commands": tmp_path / f"{name}.parquet", "poses": good / "poses.csv"}), "--out", tmp_path / "rec")
@@ -147,4 +152,4 @@ def test_what_is_no_parquet_is_refused_and_a_missing_library_says_what_installs_
 
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(MissingLibrary, match=r"pip install 'rig\[parquet\]'"):
-        parquet_table.cells(tmp_path / "half.parquet")
+        parquet_table.read_cells(tmp_path / "half.parquet")

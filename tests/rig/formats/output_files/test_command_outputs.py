@@ -11,8 +11,8 @@ import pytest
 
 from rig.recording import recording_folder as recording
 from rig.errors import FileError, RigError
-from rig.formats.output_files import MANIFEST, Outputs, complete, write_text
-from rig.formats.output_files.folder_manifest import load
+from rig.formats.output_files import MANIFEST, Outputs, require_complete, write_text
+from rig.formats.output_files.folder_manifest import load_manifest
 from tests.conftest import ROOT
 
 
@@ -40,7 +40,7 @@ def test_a_folder_is_replaced_whole(tmp_path):
     (out / "notes.txt").write_text("mine")
     make(out, {"frames.csv": "2", "images/cam1/1.png": "z"})
     assert tree(out) == {"frames.csv": "2", "images/cam1/1.png": "z", "notes.txt": "mine"} and not (out / "images" / "cam0").exists()
-    known = load(out)
+    known = load_manifest(out)
     assert known.origin.command == "measure" and known.origin.complete and set(known.files) == {"frames.csv", "images/cam1/1.png"}
 
 
@@ -182,13 +182,13 @@ def test_killed_at_every_step_a_folder_is_old_or_new_or_marked(tmp_path):
         left = {name: text for name, text in tree(out).items() if not name.startswith(".rig-")}
         assert all(text in (old.get(name), new.get(name)) for name, text in left.items())
         try:
-            complete(out)
+            require_complete(out)
             seen.add("old" if left == old else "new")
             assert left in (old, new)
         except FileError:
             seen.add("marked")
         make(out, new)
-        assert tree(out) == new and complete(out) is None  # nothing staged is left either
+        assert tree(out) == new and require_complete(out) is None  # nothing staged is left either
         if done.returncode == 0:
             break
     assert seen == {"old", "marked", "new"} and step > 10
@@ -243,10 +243,10 @@ def test_a_folder_written_in_place_is_marked_until_its_end(tmp_path):
             other.folder(out)
         raise ZeroDivisionError
     with pytest.raises(FileError, match="not complete"):
-        complete(out)
+        require_complete(out)
     with Outputs("blind") as outputs:
         write_text(outputs.growing(out) / "y", "2")
-    assert complete(out) is None and tree(out) == {"x": "1", "y": "2"}
+    assert require_complete(out) is None and tree(out) == {"x": "1", "y": "2"}
     with pytest.raises(FileError, match="did not make"), Outputs("run") as outputs:
         outputs.growing(out)
 
@@ -255,7 +255,7 @@ def test_two_commands_in_one_folder_do_not_undo_each_other(tmp_path):
     with Outputs("plan") as one, Outputs("design") as two:
         write_text(one.file(tmp_path / "plan.csv"), "p")
         write_text(two.file(tmp_path / "rig.toml"), "d")
-    assert tree(tmp_path) == {"plan.csv": "p", "rig.toml": "d"} and set(load(tmp_path).files) == {"plan.csv", "rig.toml"}
+    assert tree(tmp_path) == {"plan.csv": "p", "rig.toml": "d"} and set(load_manifest(tmp_path).files) == {"plan.csv", "rig.toml"}
 
 
 def test_what_a_killed_command_had_staged_is_swept(tmp_path):

@@ -6,8 +6,8 @@ import pytest
 from rig.formats.rig_toml import design_file
 from rig.model import mechanisms
 from rig.errors import FileError
-from rig.model.pose import difference, exp
-from rig.formats.toml_positions import positions
+from rig.model.pose import pose_difference, exp
+from rig.formats.toml_positions import value_positions
 from tests.conftest import SHARED
 
 MILLIMETRES = ("base_joints = [[0.2911", "base_joints = [[291.1")
@@ -147,14 +147,14 @@ def test_cameras_are_written_back_and_all_else_stays(rig_text, design, tmp_path)
     path.write_text(text)
     again = design_file.load(path)
     np.testing.assert_allclose(again.cameras[1].distortion, moved.distortion)
-    assert np.abs(difference(again.cameras[1].pose, moved.pose)).max() < 1e-8
+    assert np.abs(pose_difference(again.cameras[1].pose, moved.pose)).max() < 1e-8
     assert text.startswith("# keep me") and "# camera in base" in text
     assert design_file.with_cameras(rig_text, []) == rig_text
 
 
 def test_positions_point_at_the_values(rig_text):
     lines = rig_text.splitlines()
-    found = positions(rig_text)
+    found = value_positions(rig_text)
     places = {("camera", 1, "name"): '"cam1"', ("target", 3, "faces", "+z"): "19", ("mechanism", "home", "rotvec"): "[0.0, 0.0, 0.0]"}
     for path, text in places.items():
         line, column = found[path]
@@ -163,7 +163,7 @@ def test_positions_point_at_the_values(rig_text):
 
 def test_positions_survive_odd_toml():
     text = 'a.b = """x\n]]"""  # c\n[t]\n"k e" = [ # why\n  1, \'two\', { y = 3 },\n]\n[[u.v]]\nw = 1979-05-27 07:32:00\n[[u.v]]\nw = -1e-3\n'
-    found = positions(text)
+    found = value_positions(text)
     assert found[("a", "b")] == (1, 7) and found[("t", "k e", 2, "y")] == (5, 19) and found[("u", "v", 1, "w")] == (10, 5)
 
 
@@ -209,5 +209,5 @@ def test_rows_say_which_joints_slide(tmp_path):
         with pytest.raises(FileError, match=says) as error:
             design_file.load(path)
         assert error.value.line is not None
-    assert arm.slides.tolist() == [False, True, False] and mechanisms.units(arm) == ("rad", "m", "rad") and arm.axes == ("q1", "q2", "q3")
-    assert arm.rows[1].tolist() == [0.1, 0.2, 0, 0, 0] and mechanisms.places(arm) == ("joint 1", "slide 2", "joint 3")
+    assert arm.slides.tolist() == [False, True, False] and mechanisms.axis_units(arm) == ("rad", "m", "rad") and arm.axes == ("q1", "q2", "q3")
+    assert arm.rows[1].tolist() == [0.1, 0.2, 0, 0, 0] and mechanisms.axis_places(arm) == ("joint 1", "slide 2", "joint 3")

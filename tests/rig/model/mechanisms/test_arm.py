@@ -9,8 +9,8 @@ import pytest
 from rig.model.design import Arm
 from rig.errors import Unreachable
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import deficient_arm, arm_dynamics, of
-from rig.model.pose import difference, exp, log
+from rig.model.mechanisms import deficient_arm, arm_dynamics, kinematics_of
+from rig.model.pose import pose_difference, exp, log
 from tests.numeric import jacobian
 from tests.rig.arms import GANTRY, SCARA, SEVEN, STANFORD, UR10, configurations, random_arm
 from tests.rig.pinocchio_arm import build, poses
@@ -31,7 +31,7 @@ def test_forward_agrees_with_pinocchio(name):
 
 def test_one_link_is_hand_worked():
     row = np.array([np.pi / 2, 0.3, 0.2, np.pi / 2, 0.0])
-    A = mechanism.link(0.0, row)
+    A = mechanism.link_transform(0.0, row)
     np.testing.assert_allclose(A, [[0, 0, 1, 0], [1, 0, 0, 0.2], [0, 1, 0, 0.3], [0, 0, 0, 1]], atol=1e-15)
 
 
@@ -56,9 +56,9 @@ def test_jacobian_agrees_with_differences(name):
 def test_inverse_finds_every_pose_within_the_limits(name):
     arm = ARMS[name]
     T = mechanism.forward(configurations(arm, 300, np.random.default_rng(3), 0.95), arm)
-    q = of(arm).inverse(T, arm)
+    q = kinematics_of(arm).inverse(T, arm)
     assert (mechanism.limits(q, arm) == 0).all()
-    np.testing.assert_allclose(difference(mechanism.forward(q, arm), T), 0, atol=1e-9)
+    np.testing.assert_allclose(pose_difference(mechanism.forward(q, arm), T), 0, atol=1e-9)
 
 
 def test_inverse_stays_near_the_guess():
@@ -79,7 +79,7 @@ def test_a_pose_out_of_reach_is_named():
 def test_angles_are_wrapped_into_the_limits_near_the_guess():
     q = np.array([[7.0, -7.0, -0.1, 0.2, 12.0, 0.0]])
     near = np.array([[0.0, 0.0, 6.0, 0.0, 0.0, -6.0]])
-    found = mechanism.wrapped(q, UR10, near)
+    found = mechanism.nearest_turn(q, UR10, near)
     np.testing.assert_allclose(np.sin(found), np.sin(q), atol=1e-12)
     assert (mechanism.limits(found, UR10) == 0).all() and abs(found[0, 2] - 6.0) < 0.5 and abs(found[0, 5] + 6.0) < 0.5
 
@@ -105,9 +105,9 @@ def test_weight_and_motion_of_slides_agree_with_pinocchio(name):
     model.gravity.linear = gravity
     q, v, a = rng.normal(size=(3, 20, 6))
     theirs = [pinocchio.rnea(model, model.createData(), *state) for state in zip(q, v, a)]
-    np.testing.assert_allclose(arm_dynamics.torques(q, v, a, arm, own, gravity), theirs, atol=1e-10)
+    np.testing.assert_allclose(arm_dynamics.joint_torques(q, v, a, arm, own, gravity), theirs, atol=1e-10)
     moments = np.column_stack([own.mass, own.mass[:, None] * own.centre]).ravel()
-    still = arm_dynamics.torques(q, 0 * v, 0 * a, arm, own, gravity)
+    still = arm_dynamics.joint_torques(q, 0 * v, 0 * a, arm, own, gravity)
     np.testing.assert_allclose(mechanism.links(mechanism.forward(q, arm), q, arm, gravity) @ moments, still, atol=1e-10)
 
 
@@ -132,18 +132,18 @@ def test_few_joints_come_as_near_as_they_can_and_say_what_is_left(name, reached)
     arm, rng = ARMS[name], np.random.default_rng(11)
     q = configurations(arm, 200, rng, 0.7)
     q[:, 1] = np.abs(q[:, 1]) + 0.7  # not stretched
-    count = deficient_arm.directions(arm)
+    count = deficient_arm.reachable_directions(arm)
     assert count == (3, len(reached) - 3)
     off = np.zeros((200, 6))
     off[:, [3, 4]] = 2e-3 * rng.normal(size=(200, 2))
     asked = 1e-2 * np.eye(6)[list(reached)].T @ rng.normal(size=(len(reached), 200))
     wanted = mechanism.forward(q, arm) * exp(asked.T) * exp(off)
-    found, rest, settled = deficient_arm.nearest(wanted, arm, q, count)
+    found, rest, settled = deficient_arm.nearest_configuration(wanted, arm, q, count)
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12
-    np.testing.assert_allclose(difference(mechanism.forward(found, arm), wanted), rest, atol=1e-12)
+    np.testing.assert_allclose(pose_difference(mechanism.forward(found, arm), wanted), rest, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(rest[:, 3:], axis=1), np.linalg.norm(off[:, 3:], axis=1), atol=1e-5)
     beyond = replace(arm, joints=arm.rows + 1e-3 * rng.normal(size=arm.rows.shape))  # askew: no direction more to be led in
-    found, rest, settled = deficient_arm.nearest(wanted, beyond, q, count)
+    found, rest, settled = deficient_arm.nearest_configuration(wanted, beyond, q, count)
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12 and np.abs(found - q).max() < 0.4
 
 
@@ -154,5 +154,5 @@ def test_an_arm_of_few_joints_has_no_joint_values_for_a_pose_it_cannot_take():
 
 
 def test_whole_turns_are_of_joints_that_turn():
-    found = mechanism.wrapped(np.array([7.0, -7.0, 7.0, 7.0]), SCARA, np.zeros(4))
+    found = mechanism.nearest_turn(np.array([7.0, -7.0, 7.0, 7.0]), SCARA, np.zeros(4))
     np.testing.assert_allclose(found, [7 - 2 * np.pi, 2 * np.pi - 7, 7.0, 7 - 2 * np.pi])

@@ -11,7 +11,7 @@ from tests.rig.model.mechanisms.test_six_joint_inverse import ARMS
 
 @pytest.mark.parametrize("name", ARMS)
 def test_every_branch_is_read_joint_by_joint_and_returns_to_zero(name):
-    six = six_joint_inverse.six(ARMS[name])
+    six = six_joint_inverse.six_joint_arm(ARMS[name])
     T = mechanism.forward(np.random.default_rng(3).uniform(-2.5, 2.5, (12, 6)), ARMS[name])
     found = six_joint_inverse.inverse(T, six)
     zero = six.hand + (six.key - six.hand[0])
@@ -25,12 +25,12 @@ def test_every_branch_is_read_joint_by_joint_and_returns_to_zero(name):
         for before, after in zip(steps, steps[1:]):  # each step is a turn about its axis, of the points that both have
             common = [n for n in before.names if n in after.names]
             at = [step.points[[step.names.index(n) for n in common]] for step in (before, after)]
-            np.testing.assert_allclose(arm_kinematics_steps.turned(at[0], *after.axis, -after.value), at[1], atol=1e-12)
+            np.testing.assert_allclose(arm_kinematics_steps.rotate_points(at[0], *after.axis, -after.value), at[1], atol=1e-12)
 
 
 def test_the_points_of_a_branch_are_hand_worked():
     """A UR10 stretched along x at zero: the elbow E one upper arm out, D on axis 4 one forearm on, A at the crossing of axes 5 and 6."""
-    six = six_joint_inverse.six(UR10)
+    six = six_joint_inverse.six_joint_arm(UR10)
     steps = arm_kinematics_steps.inverse(mechanism.forward(np.zeros(6), UR10), six, np.zeros(6))
     assert steps[1].names == ("A", "B", "C", "D", "E") and steps[3].names == ("A", "B", "C", "D") and steps[4].names == ("A", "B", "C")
     D, E = steps[1].points[3:]
@@ -51,7 +51,7 @@ def test_forward_by_points_is_the_chain(arm):
 
 
 def test_singular_poses_take_what_the_solution_has():
-    six = six_joint_inverse.six(ARMS["puma"])
+    six = six_joint_inverse.six_joint_arm(ARMS["puma"])
     q = np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8])
     T = mechanism.forward(q, ARMS["puma"])
     found = six_joint_inverse.inverse(T, six, near=q)

@@ -12,9 +12,9 @@ def test_a_pose_comes_out_the_same_to_the_last_bit_whatever_stands_beside_it(des
     together = hexapod.forward(commands, design.mechanism).as_matrix()
     alone = np.stack([hexapod.forward(one, design.mechanism).as_matrix() for one in commands[:40]])
     assert (together[:40] == alone).all() and (hexapod.forward(commands[37:90], design.mechanism).as_matrix() == together[37:90]).all()
-    monkeypatch.setattr(hexapod_kernels, "cores", lambda: 3)
+    monkeypatch.setattr(hexapod_kernels, "worker_count", lambda: 3)
     parts = []
-    hexapod_kernels.in_parallel(parts.append, 100, 10)
+    hexapod_kernels.run_in_threads(parts.append, 100, 10)
     assert len(parts) == 3 and sorted(k for part in parts for k in range(100)[part]) == list(range(100))
     many = np.tile(commands, (100, 1))
     assert (hexapod.forward(many, design.mechanism).as_matrix().reshape(100, 300, 4, 4) == together).all()

@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Planar2
 from rig.errors import NotConverged, RigError
-from rig.model.mechanisms import ALL, hexapod, of
+from rig.model.mechanisms import ALL, hexapod, kinematics_of
 from rig.model.pose import exp, pose
 from tests.numeric import jacobian
 
@@ -24,15 +24,15 @@ def samples(kind, design, shape, rng):
 @pytest.mark.parametrize("shape", [(), (1,), (50,), (2, 3, 4)])
 def test_inverse_of_forward_is_the_identity(kind, shape, design):
     mechanism, lengths = samples(kind, design, shape, np.random.default_rng(0))
-    T = of(mechanism).forward(lengths, mechanism)
+    T = kinematics_of(mechanism).forward(lengths, mechanism)
     assert T.shape == shape
-    np.testing.assert_allclose(of(mechanism).inverse(T, mechanism), lengths, atol=1e-10)
+    np.testing.assert_allclose(kinematics_of(mechanism).inverse(T, mechanism), lengths, atol=1e-10)
 
 
 @pytest.mark.parametrize("kind", PARALLEL)
 def test_jacobian_agrees_with_differences(kind, design):
     mechanism, lengths = samples(kind, design, (), np.random.default_rng(1))
-    module = of(mechanism)
+    module = kinematics_of(mechanism)
     T = module.forward(lengths, mechanism)
     np.testing.assert_allclose(module.jacobian(T, mechanism), jacobian(lambda xi: module.inverse(T * exp(xi), mechanism), np.zeros(6)), atol=1e-8)
 
@@ -40,7 +40,7 @@ def test_jacobian_agrees_with_differences(kind, design):
 @pytest.mark.parametrize("kind", PARALLEL)
 def test_limits_are_signed_and_zero_inside(kind, design):
     mechanism, lengths = samples(kind, design, (), np.random.default_rng(2))
-    module = of(mechanism)
+    module = kinematics_of(mechanism)
     assert not module.limits(lengths, mechanism).any()
     low, high = mechanism.strut_range.T
     np.testing.assert_allclose(module.limits(high + 0.01, mechanism), 0.01)
@@ -114,7 +114,7 @@ def test_a_kind_without_kinematics_is_named():
     from rig.model.design import Free
 
     with pytest.raises(RigError, match="'free'"):
-        of(Free())
+        kinematics_of(Free())
 
 
 def test_identity_batches_are_rigid_transforms(design):

@@ -22,13 +22,13 @@ from rig.planning.plan import low_discrepancy
 def machine(limbed):
     """(strut and limb Hexapods as they truly are, poses (40,))"""
     true = limbed[2].world.true
-    limbs = measuring_limbs.stated(true)
+    limbs = measuring_limbs.limb_hexapod(true)
     return true.mechanism, limbs, hexapod.forward(low_discrepancy(true.mechanism.strut_range, 40, 0.8), true.mechanism)
 
 
 def legs(machine, sigma=(1e-6, 1e-6), covariance=None):
     none = np.zeros((42, 42))
-    return redundant_legs.legs(
+    return redundant_legs.combine_legs(
         [(letter, m, np.full(6, s), none if covariance is None else covariance) for letter, m, s in zip("lm", machine[:2], sigma)], machine[0].home
     )
 
@@ -38,7 +38,7 @@ def lengths(machine):
 
 
 def test_legs_that_are_as_stated_close(machine):
-    found = redundant_legs.closures(legs(machine), lengths(machine), np.array([0, 2, 4, 7, 9, 11]))
+    found = redundant_legs.leg_closures(legs(machine), lengths(machine), np.array([0, 2, 4, 7, 9, 11]))
     assert np.abs(found.error).max() < 1e-10 and found.checks.tolist() == [1, 3, 5, 6, 8, 10]
 
 
@@ -50,7 +50,7 @@ def test_closures_scatter_as_expected_of_readings_and_geometry(machine):
                          strut_zeros=m.strut_zeros + d[36:]) for m, d in zip(machine[:2], 2e-6 * rng.normal(size=(2, 42)))]
         as_believed = replace(of, **{name: np.concatenate([getattr(m, key) for m in wrong]) for name, key in
                                      (("base", "base_joints"), ("platform", "platform_joints"), ("zeros", "strut_zeros"))})
-        found = redundant_legs.closures(as_believed, read + of.sigma * rng.normal(size=read.shape), chosen)
+        found = redundant_legs.leg_closures(as_believed, read + of.sigma * rng.normal(size=read.shape), chosen)
         ratios.append((found.error**2).mean(axis=0) / np.einsum("nii->ni", found.covariance).mean(axis=0))
     assert np.mean(ratios, axis=0) == pytest.approx(1.0, abs=0.25) and np.mean(ratios) == pytest.approx(1.0, abs=0.1)
 
@@ -58,7 +58,7 @@ def test_closures_scatter_as_expected_of_readings_and_geometry(machine):
 def test_the_best_six_are_the_best_of_all(machine):
     of, T = legs(machine, (3e-6, 1e-6)), machine[2][:8]
     size = np.linalg.norm(of.platform - of.platform.mean(axis=0), axis=1).mean()
-    J = redundant_legs.rows(of, T)[1] / np.repeat([1.0, size], 3) / of.sigma[:, None]
+    J = redundant_legs.leg_length_jacobians(of, T)[1] / np.repeat([1.0, size], 3) / of.sigma[:, None]
     least = {six: min(np.linalg.svd(one[list(six)], compute_uv=False)[-1] for one in J) for six in list(combinations(range(12), 6))[::7]}
     best = redundant_legs.best_six(of, T)
     assert min(np.linalg.svd(one[best], compute_uv=False)[-1] for one in J) >= max(least.values())
@@ -68,7 +68,7 @@ def test_the_best_six_are_the_best_of_all(machine):
 def test_a_leg_that_is_off_is_named_whether_it_was_chosen_or_not(machine):
     for leg in (3, 8):
         read = lengths(machine) + 1e-6 * np.random.default_rng(0).normal(size=(40, 12)) - 3e-5 * np.eye(12)[leg]
-        found = redundant_legs.closures(legs(machine), read, np.array([0, 1, 2, 3, 4, 5]))
+        found = redundant_legs.leg_closures(legs(machine), read, np.array([0, 1, 2, 3, 4, 5]))
         assert found.share.argmax() == leg and found.off[leg] == pytest.approx(-3e-5, abs=2e-6) and found.share[leg] > 0.95
 
 
@@ -76,19 +76,21 @@ def test_legs_that_leave_the_platform_loose_are_refused(machine):
     m = machine[0]
     flat = replace(m, base_joints=m.base_joints[[0, 0, 1, 1, 2, 2]], platform_joints=m.platform_joints[[0, 0, 1, 1, 2, 2]])
     with pytest.raises(RigError):
-        redundant_legs.closures(legs((flat, machine[1])), np.hstack([hexapod.inverse(machine[2], one) for one in (flat, machine[1])]), np.arange(6))
+        redundant_legs.leg_closures(
+            legs((flat, machine[1])), np.hstack([hexapod.inverse(machine[2], one) for one in (flat, machine[1])]), np.arange(6)
+        )
 
 
 def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
     design, read, done = limbed
     true, limbs, calibration, out = done.world.true, tmp_path / "limbs.json", tmp_path / "c.json", tmp_path / "closures.csv"
     T = done.run.T_base_platform[:30]
-    agreement = measuring_limbs.agreement(T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3))
+    agreement = measuring_limbs.limb_agreement(T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3))
     known = 1e-14 * np.eye(42)
     measuring_limbs_file.save(
         limbs,
         measuring_limbs_file.Accepted(
-            Limbs(measuring_limbs.stated(true), known, np.full(6, 1e-6)), measuring_limbs.stated(design), agreement, None, {}
+            Limbs(measuring_limbs.limb_hexapod(true), known, np.full(6, 1e-6)), measuring_limbs.limb_hexapod(design), agreement, None, {}
         ),
     )
     calibration_file.save(calibration, Calibration(Correction(design.mechanism, true.mechanism, (None,) * 6), known, np.zeros(6), (0,), (), None, {}))

@@ -10,7 +10,7 @@ from rig.model.design import Arm
 from rig.errors import RigError, Unreachable
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import six_joint_inverse
-from rig.model.pose import difference
+from rig.model.pose import pose_difference
 from tests.rig.arms import HALF, SEVEN, UR10, random_arm
 
 PUMA = design_file.load(files("rig") / "arms" / "puma560.toml").mechanism
@@ -49,12 +49,12 @@ def check(six, q):
 def test_forward_is_the_chain_of_denavit_and_hartenberg(name):
     q = np.random.default_rng(0).uniform(-3, 3, (500, 6))
     np.testing.assert_allclose(
-        difference(six_joint_inverse.forward(q, six_joint_inverse.six(ARMS[name])), mechanism.forward(q, ARMS[name])), 0, atol=1e-13
+        pose_difference(six_joint_inverse.forward(q, six_joint_inverse.six_joint_arm(ARMS[name])), mechanism.forward(q, ARMS[name])), 0, atol=1e-13
     )
 
 
 def test_the_frame_stands_at_the_crossing_of_the_first_axes():
-    six = six_joint_inverse.six(PUMA)
+    six = six_joint_inverse.six_joint_arm(PUMA)
     np.testing.assert_allclose(six.axes[:2], [[0, 0, 1], [0, 1, 0]], atol=1e-15)
     np.testing.assert_allclose([six.frame.translation[2], six.points[1] @ six.points[1]], [0.6718, 0], atol=1e-15)
     np.testing.assert_allclose(six.hand[1:] - six.hand[0], [[0, 0, 1], [0, 1, 0]], atol=1e-15)
@@ -63,7 +63,7 @@ def test_the_frame_stands_at_the_crossing_of_the_first_axes():
 @pytest.mark.parametrize("name", ARMS)
 def test_every_branch_returns_and_none_is_missed(name):
     rng = np.random.default_rng(1)
-    closure, missed, found = check(six_joint_inverse.six(ARMS[name]), near_singular(rng.uniform(-np.pi, np.pi, (4000, 6)), rng))
+    closure, missed, found = check(six_joint_inverse.six_joint_arm(ARMS[name]), near_singular(rng.uniform(-np.pi, np.pi, (4000, 6)), rng))
     assert closure.max() < 1e-11 and not missed.any() and not found.reason.any()
     assert np.isnan(found.q[~found.there]).all()
 
@@ -71,7 +71,7 @@ def test_every_branch_returns_and_none_is_missed(name):
 def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
     """Those that the numeric solver finds from many starts are exactly these."""
     q = np.random.default_rng(2).uniform(-2, 2, (5, 6))
-    six = six_joint_inverse.six(OFFSET)
+    six = six_joint_inverse.six_joint_arm(OFFSET)
     T = mechanism.forward(q, OFFSET)
     found = six_joint_inverse.inverse(T, six)
     for i in range(5):
@@ -84,7 +84,7 @@ def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
 
 
 def test_singular_poses_are_named():
-    six = six_joint_inverse.six(PUMA)
+    six = six_joint_inverse.six_joint_arm(PUMA)
     stretched = -np.arctan2(0.0203, 0.4318) + HALF  # elbow, upper arm and wrist in one line
     q = np.tile([0.3, 0.4, 0.5, 0.6, 0.7, 0.8], (4, 1))
     q[[1, 3], 4], q[2:, 2] = 0, -stretched
@@ -93,7 +93,7 @@ def test_singular_poses_are_named():
 
 
 def test_a_free_joint_takes_what_is_near():
-    six = six_joint_inverse.six(PUMA)
+    six = six_joint_inverse.six_joint_arm(PUMA)
     q = np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8])
     found = six_joint_inverse.inverse(mechanism.forward(q, PUMA), six, near=q)
     assert np.nanmin(np.abs(found.q - q).max(axis=1)) < 1e-9
@@ -106,10 +106,10 @@ def test_poses_out_of_reach_say_why(position, reason):
     matrix = np.eye(4)
     matrix[:3, 3] = position
     T = type(mechanism.forward(np.zeros(6), bare)).from_matrix(matrix)
-    found = six_joint_inverse.inverse(T, six_joint_inverse.six(bare))
+    found = six_joint_inverse.inverse(T, six_joint_inverse.six_joint_arm(bare))
     assert not found.there.any() and reason in found.why(0)
     with pytest.raises(Unreachable, match="pose 0: out of reach"):
-        six_joint_inverse.nearest(T, six_joint_inverse.six(bare), np.zeros(6))
+        six_joint_inverse.nearest_solution(T, six_joint_inverse.six_joint_arm(bare), np.zeros(6))
 
 
 @pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
@@ -117,7 +117,7 @@ def test_nearest_branch_within_the_limits(shape):
     rng = np.random.default_rng(4)
     low, high = PUMA.limits.T
     q = rng.uniform(low, high, (*shape, 6))
-    found = six_joint_inverse.nearest(mechanism.forward(q, PUMA), six_joint_inverse.six(PUMA), q + 1e-4)
+    found = six_joint_inverse.nearest_solution(mechanism.forward(q, PUMA), six_joint_inverse.six_joint_arm(PUMA), q + 1e-4)
     np.testing.assert_allclose(found, q, atol=1e-9)
 
 
@@ -125,4 +125,4 @@ def test_nearest_branch_within_the_limits(shape):
                                         (Arm(UR10.joints * [1, 1, 1, 0], UR10.limits), "parallel")])
 def test_arms_without_a_closed_form_are_told_what_misses(arm, words):
     with pytest.raises(RigError, match=words):
-        six_joint_inverse.six(arm)
+        six_joint_inverse.six_joint_arm(arm)

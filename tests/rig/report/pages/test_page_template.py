@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from rig.report.verdict import State, Verdict
-from rig.report.pages.page_template import Link, Page, text
-from rig.report.pages.plots import MOST, RIGHT, Series, bars, panel
-from rig.report.pages.text_layout import wide, wrapped
-from rig.report.pages.html_elements import capital, table, words
+from rig.report.pages.page_template import Link, Page, page_html
+from rig.report.pages.plots import MOST, RIGHT, Series, bar_chart, plot_panel
+from rig.report.pages.text_layout import text_width, wrap_text
+from rig.report.pages.html_elements import capitalised, table, inline_html
 from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane
-from rig.report.pages.axis_scale import around
-from rig.report.pages.svg_elements import text_within, ticks
+from rig.report.pages.axis_scale import scale_of_values
+from rig.report.pages.svg_elements import text_within, round_ticks
 
 
 def test_a_page_says_its_verdict_first_and_needs_no_network():
-    page = text(Page("measure", "Measurement of <rec>", Verdict(State.CHECK, "38 of 40 frames solved"), ["<p>more</p>"],
+    page = page_html(Page("measure", "Measurement of <rec>", Verdict(State.CHECK, "38 of 40 frames solved"), ["<p>more</p>"],
                      ["Do `rig view REC`"], [Link("all pages", "../index.html")]))
     body = page[page.index("<body>"):]
     assert re.sub("<[^>]*>", "", body).split()[:5] == ["check", "38", "of", "40", "frames"]
@@ -25,7 +25,7 @@ def test_a_page_says_its_verdict_first_and_needs_no_network():
 
 
 def test_text_is_text_and_commands_are_marked():
-    assert words("a <b> & `rig x <y>`") == "a &lt;b&gt; &amp; <code>rig x &lt;y&gt;</code>"
+    assert inline_html("a <b> & `rig x <y>`") == "a &lt;b&gt; &amp; <code>rig x &lt;y&gt;</code>"
     made = table(("", "name"), [("<i>", 3)])
     assert "<i>" not in made and "<th scope" in made and made.count("<td></td>") == 1 and 'tabindex="0"' in made
 
@@ -33,22 +33,30 @@ def test_text_is_text_and_commands_are_marked():
 def test_columns_of_text_begin_at_their_left_and_lengths_are_in_micrometres():
     made = table(("kind", "size, um", "note"), [("a", "not known", "x"), ("b", 3.5, "y"), ("c", "-2", "")])
     assert made.count('<td class="text">') == 6 and made.count("<td>") == 3 and "size, µm" in made and " um" not in made
-    assert words("5 um and 3 urad, `--tolerance 5 um`") == "5 µm and 3 µrad, <code>--tolerance 5 um</code>" and words("sum um/m") == "sum µm/m"
-    assert capital("the rest") == "The rest" and capital("rx turns") == "Rx turns" and capital("3 of") == "3 of" and capital("cam0 is") == "cam0 is"
+    assert (
+        inline_html("5 um and 3 urad, `--tolerance 5 um`") == "5 µm and 3 µrad, <code>--tolerance 5 um</code>"
+        and inline_html("sum um/m") == "sum µm/m"
+    )
+    assert (
+        capitalised("the rest") == "The rest"
+        and capitalised("rx turns") == "Rx turns"
+        and capitalised("3 of") == "3 of"
+        and capitalised("cam0 is") == "cam0 is"
+    )
 
 
 def test_words_stay_within_their_figure():
     label = "travel since the last reversal (negative: inward), mm"
-    lines = wrapped(label, 14, 340)
-    assert " ".join(lines) == label and len(lines) == 2 and all(wide(line, 14) <= 340 for line in lines)
-    drawn = panel("t", (label, "y"), [Series(np.arange(3.0), np.arange(3.0))])
-    assert all(f">{line}</text>" in drawn for line in lines) and wide(lines[0], 14) < RIGHT
+    lines = wrap_text(label, 14, 340)
+    assert " ".join(lines) == label and len(lines) == 2 and all(text_width(line, 14) <= 340 for line in lines)
+    drawn = plot_panel("t", (label, "y"), [Series(np.arange(3.0), np.arange(3.0))])
+    assert all(f">{line}</text>" in drawn for line in lines) and text_width(lines[0], 14) < RIGHT
     assert "1234" in text_within((0, 0, 60, 20), "1234") and text_within((0, 0, 20, 20), "1234") == text_within((0, 0, 60, 9), "1234") == ""
 
 
 def test_whole_numbers_have_whole_ticks():
-    assert around(np.array([1.0]), (0, 1), whole=True).ticks == [1.0] and 1.2 in around(np.array([1.0]), (0, 1)).ticks
-    assert ">1.5</text>" not in panel("t", ("visit", "y"), [Series(np.array([1.0, 2.0]), np.array([0.1, 0.7]))])
+    assert scale_of_values(np.array([1.0]), (0, 1), whole=True).ticks == [1.0] and 1.2 in scale_of_values(np.array([1.0]), (0, 1)).ticks
+    assert ">1.5</text>" not in plot_panel("t", ("visit", "y"), [Series(np.array([1.0, 2.0]), np.array([0.1, 0.7]))])
 
 
 def places(svg):
@@ -68,30 +76,30 @@ def values(at, scale):
 def test_a_figure_tells_the_values_it_was_drawn_from(log):
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-5, 7, 40), 10 ** rng.uniform(-3, 1, 40)
-    at, (across, up) = places(panel("t", ("x", "y"), [Series(x, y)], log=log))
+    at, (across, up) = places(plot_panel("t", ("x", "y"), [Series(x, y)], log=log))
     assert np.allclose(values(at[:, 0], across), x, atol=0.002 * 12)
     assert np.allclose(np.log(values(at[:, 1], up)), np.log(y), atol=0.02) if log else np.allclose(values(at[:, 1], up), y, atol=0.06)
 
 
 def test_what_is_not_known_is_not_drawn_and_many_are_thinned():
     x = np.arange(5.0)
-    at, _ = places(panel("t", ("x", "y"), [Series(x, np.array([1.0, np.nan, 0.0, -2.0, 3.0]))], log=True))
+    at, _ = places(plot_panel("t", ("x", "y"), [Series(x, np.array([1.0, np.nan, 0.0, -2.0, 3.0]))], log=True))
     assert len(at) == 2
     many = np.arange(3.0 * MOST)
-    assert len(places(panel("t", ("x", "y"), [Series(many, many)]))[0]) == MOST
+    assert len(places(plot_panel("t", ("x", "y"), [Series(many, many)]))[0]) == MOST
 
 
 def test_ticks_are_round_few_and_within():
     for low, high in ((0, 1), (-3.2, 17.1), (1e-7, 4e-6), (441.3, 523.8), (0, 0.999)):
-        found = ticks(low, high)
+        found = round_ticks(low, high)
         assert 2 <= len(found) <= 5 and min(found) >= low - 1e-12 and max(found) <= high + 1e-12
     with pytest.raises(ValueError, match="range"):
-        ticks(1.0, 1.0)
-    assert around(np.array([2.0, 2.0]), (0, 1)).low < 2 < around(np.zeros(0), (0, 1)).high * 3
+        round_ticks(1.0, 1.0)
+    assert scale_of_values(np.array([2.0, 2.0]), (0, 1)).low < 2 < scale_of_values(np.zeros(0), (0, 1)).high * 3
 
 
 def test_bars_and_cells_say_their_values():
-    drawn = bars("b", ["one", "two"], [("before", [1.0, np.nan], 0), ("noise", [0.5, 0.5], -1)], "px", ["two"])
+    drawn = bar_chart("b", ["one", "two"], [("before", [1.0, np.nan], 0), ("noise", [0.5, 0.5], -1)], "px", ["two"])
     assert 'class="fill grey"' in drawn and 'class="fill c0"' in drawn
     assert "<title>one, before: 1 px</title>" in drawn and 'class="name" x=' in drawn
     plane = image_plane("p", "below", (100, 50), (Cells(np.array([[10.0, 10.0]]), np.array([0.25]), 5.0, "px"),
