@@ -42,7 +42,7 @@ class DrawnCase:
 
     kind : of KINDS; simulation : Simulation with all hidden effects at work; text : the owner's rig.toml; noise : px
     disturbance : of out_of_catalogue.DISTURBANCES or None; plan : in words; rng : what draws the noise
-    hidden : the effects that a diagnosis should find; eyes : ImageSettings that it is drawn into images for, or None for corners
+    hidden : the effects that a diagnosis should find; image_settings : ImageSettings that it is drawn into images for, or None for corners
     """
 
     kind: str
@@ -53,7 +53,7 @@ class DrawnCase:
     plan: str
     rng: np.random.Generator
     hidden: tuple[Effect, ...] = ()
-    eyes: ImageSettings | None = None
+    image_settings: ImageSettings | None = None
 
 
 def schedule_effects(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)) -> tuple[str, list[int], np.random.Generator]:
@@ -170,7 +170,7 @@ def write_recording(case: DrawnCase, folder: Path) -> None:
     if disturbance is not None:
         def spoil(corners: Corners) -> Corners:
             return disturbance(corners, case.simulation.world.stated, case.noise, case.rng)
-    images = None if case.eyes is None else case.eyes.images
+    images = None if case.image_settings is None else case.image_settings.images
     simulation.write_recording(case.simulation, folder, case.text, case.rng, case.noise, images, spoil=spoil)
 
 

@@ -87,7 +87,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     z = told.eigenvectors[:, sharp].T @ off / np.sqrt(told.eigenvalues[sharp])
     assert len(z) > 30 and 0.6 < np.sqrt((z**2).mean()) < 1.4 and np.abs(z).max() < 4
     assert np.abs(exact.step[free]).max() > 20 * np.sqrt(told.eigenvalues[sharp]).min()  # there was something to find
-    assert len(found.untold) == 6 and {one.stands for one in found.untold} == {(2, 1)}
+    assert len(found.undetermined) == 6 and {one.base_stages for one in found.undetermined} == {(2, 1)}
     assert "6 of 6 figures of where stage 2 stands on stage 1" in "\n".join(found.report())
 
 
@@ -98,7 +98,7 @@ def test_of_a_machine_as_stated_nothing_is_off(gantry):
     samples = Samples(np.arange(40), np.arange(40.0), x, T, np.tile(np.diag([1e-10] * 3 + [1e-9] * 3), (40, 1, 1)), np.zeros((40, 6, 0)))
     found = identify(samples, gantry)
     assert np.abs(found.step).max() < 1e-6 and found.inliers.all()
-    for one in found.untold:
+    for one in found.undetermined:
         v = np.zeros(len(found.step))
         for name, weight in one.parameters:
             v[error_model.names(gantry).index(name)] = weight

@@ -36,8 +36,8 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
     assert stage.stage == 1 and stage.seen.all() and np.abs(off[:, :3]).max() < 1.5e-4
     assert np.einsum("ni,nij,nj->n", off, np.linalg.inv(whole), off).mean() < 12
     found, alone = identify(samples, design.mechanism), identify(replace(samples, below=()), design.mechanism)
-    assert not found.untold and {one.stands for one in alone.untold} >= {(2, 1)} and sum(one.stands == (2, 1) for one in alone.untold) == 6
-    assert found.told[1] == (42, 42) and alone.told[1][0] <= 36 and found.below == ((1, 30, 30),)
+    assert not found.undetermined and {one.base_stages for one in alone.undetermined} >= {(2, 1)} and sum(one.base_stages == (2, 1) for one in alone.undetermined) == 6
+    assert found.determined_by_stage[1] == (42, 42) and alone.determined_by_stage[1][0] <= 36 and found.below == ((1, 30, 30),)
     exact = replace(samples, T_base_platform=chain.forward(samples.commanded, true.mechanism), covariance=samples.covariance * 1e-8,
                     common=samples.common[..., :0], below=(replace(stage, T_base_stage=stands, covariance=stage.covariance * 1e-8,
                                                                    common=stage.common[..., :0]),))

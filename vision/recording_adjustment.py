@@ -116,7 +116,7 @@ def measure(observations: Observations, design: Design, marker_map: MarkerMap, f
         frames, cameras = _located(views, cameras, t, set(found) if "poses" in free else None, progress and partial(progress, "locating"))
         state = State(cameras, frames.all_poses(count), frames.all_moving(count), markers)
         unsolved = dict(frames.unsolved)
-        fit = adjust_robustly(observations, state, free, unsolved, stated, frames.vouched, 5 * finest if places else 0.0,
+        fit = adjust_robustly(observations, state, free, unsolved, stated, frames.confirmed, 5 * finest if places else 0.0,
                               progress and partial(progress, "adjusting"))
         covariance = fit.covariance
         cameras, markers = fit.adjustment.state.cameras, fit.adjustment.state.placed

@@ -85,7 +85,7 @@ def combined_held_out_poses(calibration: Calibration, held: Sequence[tuple[Recor
     parts = []
     for recording, sampled in held:
         assert recording.commands is not None  # sample_recording refuses a recording without
-        samples = calibration.told(recording, sampled.samples)
+        samples = calibration.with_physics(recording, sampled.samples)
         plain, errors = errors_before_and_after(calibration.correction, samples)
         parts.append((samples, recording.commands, plain, errors))
     return held_poses(calibration.correction, parts)

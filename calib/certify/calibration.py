@@ -45,8 +45,8 @@ class Calibration:
     strut_covariance: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if self.physics is not None and self.physics.undone():
-            names = tuple(f"{effect.label()} at {effect.place}" for effect in self.physics.undone())
+        if self.physics is not None and self.physics.compensable_effects():
+            names = tuple(f"{effect.label()} at {effect.place}" for effect in self.physics.compensable_effects())
             object.__setattr__(self, "correction", replace(self.correction, physics=names))
 
     def _repr_html_(self) -> str:
@@ -58,11 +58,11 @@ class Calibration:
         first, *rest = ["a calibration of before claims were made"] if self.claim is None else claim_lines(self.claim)
         return result_html(first, rest, rows)
 
-    def told(self, recording: Recording, samples: Samples) -> Samples:
+    def with_physics(self, recording: Recording, samples: Samples) -> Samples:
         """The samples of a recording with what physics says of their commands, under the recording's own sensors and history."""
         if self.physics is None or recording.commands is None:
             return samples
-        return self.physics.told(self.correction.fitted, samples, recording.commands, recording.sensors)
+        return self.physics.with_effects(self.correction.fitted, samples, recording.commands, recording.sensors)
 
     def refuse_kind(self, kind: str, named: str) -> None:
         """Raise RigError for what is of another kind of mechanism. named : it, in words"""
@@ -72,6 +72,6 @@ class Calibration:
     def refuse_physics(self, what: str) -> None:
         """Raise RigError where this holds physics: commands then mean something else at another time, which `what` (a sentence's beginning)
         does not follow."""
-        if self.physics is not None and self.physics.undone():
+        if self.physics is not None and self.physics.compensable_effects():
             raise RigError(f"{what} takes commands as they are, and this calibration knows physics that changes them "
                            f"({', '.join(self.correction.physics)}); give one made without --diagnosis and --find")

@@ -35,7 +35,7 @@ TRUST = 1e-6  # share of honest checks that fail
 class Agreement:
     """Limbs less vision on n poses, by axis (x y z rx ry rz, m and rad, in the platform's frame).
 
-    bias, scatter : (6,); limits : (2, 6) lower and upper limit of agreement; surely : (6,) what these stay within, with 97.5 %
+    bias, scatter : (6,); limits : (2, 6) lower and upper limit of agreement; proven_limits : (6,) what these stay within, with 97.5 %
     expected : (6,) scatter that vision's and the limbs' own covariances account for; moved : (6,) range over which each axis went
     tolerance : (6,); passed : (6,) bool
     """
@@ -44,7 +44,7 @@ class Agreement:
     bias: np.ndarray
     scatter: np.ndarray
     limits: np.ndarray
-    surely: np.ndarray
+    proven_limits: np.ndarray
     expected: np.ndarray
     moved: np.ndarray
     tolerance: np.ndarray
@@ -52,7 +52,7 @@ class Agreement:
     @property
     def passed(self) -> np.ndarray:
         """(6,) bool, whether each axis agrees within its tolerance, shown over a range that says so."""
-        return (self.surely <= self.tolerance) & (self.moved >= MOVES * self.tolerance)
+        return (self.proven_limits <= self.tolerance) & (self.moved >= MOVES * self.tolerance)
 
 
 def stated_limbs(design: Design) -> MeasuringLimbs:

@@ -165,12 +165,12 @@ def thermometer_covariance(calibration: Calibration, held: Sequence[tuple[Record
         sensors = recording.sensors
         added = np.zeros((len(samples), 6, 6))
         if physics is not None and sensors is not None and len(sensors.t) > 2:
-            plain = calibration.told(recording, samples)
+            plain = calibration.with_physics(recording, samples)
             for name in (name for name in physics.channels if name.endswith("temperature_C") and name in sensors.channels):
                 log = sensors.channels[name]
                 off = float(np.sqrt(np.mean((log[1:-1] - (log[:-2] + log[2:]) / 2) ** 2) / 1.5))
                 warmer = replace(recording, sensors=Sensors(sensors.t, {**sensors.channels, name: log + off}))
-                moved = pose_difference(*(calibration.correction.predict(one.effective) for one in (plain, calibration.told(warmer, samples))))
+                moved = pose_difference(*(calibration.correction.predict(one.effective) for one in (plain, calibration.with_physics(warmer, samples))))
                 added, followed = added + moved[:, :, None] * moved[:, None, :], followed or bool(moved.any())
         found.append(added)
     return np.concatenate(found) if followed else None

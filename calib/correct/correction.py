@@ -78,13 +78,13 @@ class Correction(Generic[M, R]):
             T = one.applied(T)
         return T
 
-    def asked(self, T_base_platform: RigidTransform) -> RigidTransform:
+    def target_poses(self, T_base_platform: RigidTransform) -> RigidTransform:
         """The poses (...) that struts are to be set for so that the machine stands at T (...): maps in pose space undone, the last first.
 
         Raises NotConverged as they do
         """
         for one in reversed(self.posed):
-            T_base_platform = one.undone(T_base_platform)
+            T_base_platform = one.compensated(T_base_platform)
         return T_base_platform
 
     def summand(self, commands: np.ndarray) -> np.ndarray:
@@ -124,7 +124,7 @@ class Correction(Generic[M, R]):
         """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""
         return mechanisms.kinematics_of(self.nominal).inverse(T_base_platform, self.nominal)
 
-    def taken(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
+    def reached_poses(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
         """The poses (n,) that commands (n, axes) found for wanted poses (n,) give: these themselves, but for a machine of too few axes."""
         return T_base_platform
 
@@ -154,7 +154,7 @@ class Correction(Generic[M, R]):
 
     def inverse_without_physics(self, T_base_platform: RigidTransform) -> np.ndarray:
         """The commands (..., axes) of `inverse` by the configuration alone, whatever else a calibration knows. Raises NotConverged as `inverse`"""
-        return self.settled(mechanisms.kinematics_of(self.fitted).inverse(self.asked(T_base_platform), self.fitted))
+        return self.settled(mechanisms.kinematics_of(self.fitted).inverse(self.target_poses(T_base_platform), self.fitted))
 
     def _refuse_physics(self) -> None:
         """Raise RigError where commands by the configuration alone would leave known physics out."""
@@ -164,7 +164,7 @@ class Correction(Generic[M, R]):
 
     def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
         """Commands (n, axes) as `inverse` for poses (n,), NaN where none is found. guess : (n, axes), what is near."""
-        goal = mechanisms.kinematics_of(self.fitted).inverse(self.asked(T_base_platform), self.fitted)
+        goal = mechanisms.kinematics_of(self.fitted).inverse(self.target_poses(T_base_platform), self.fitted)
         try:
             return self.settled(goal)
         except NotConverged as error:

@@ -68,7 +68,7 @@ class Physics:
         own = self.channels[channel][1]
         return float(np.hypot(own, ANOTHER_DAY)) if channel.endswith("temperature_C") else own
 
-    def undone(self) -> tuple[Effect, ...]:
+    def compensable_effects(self) -> tuple[Effect, ...]:
         """The effects of the machine's motion that it shows again, so that commands undo them."""
         return tuple(e for e in self.effects if e.lasting and e.stage in MOTION_STAGES)
 
@@ -76,10 +76,10 @@ class Physics:
         """Those that it shows again, at no moment that anybody knows: what happened once is over."""
         return tuple(e for e in self.effects if not e.lasting and e.stage in MOTION_STAGES and not any(p.role == "moment" for p in e.parameters))
 
-    def told(self, mechanism: Struts | Arm | Chain, samples: Samples, commands: Commands, sensors: Sensors | None) -> Samples:
+    def with_effects(self, mechanism: Struts | Arm | Chain, samples: Samples, commands: Commands, sensors: Sensors | None) -> Samples:
         """Samples with what this physics says of their commands, which lasts; mechanism : fitted."""
         there, _ = self.sensed(sensors, samples.t)
-        return told(self.machine(mechanism), samples, commands, self.undone(), there)
+        return told(self.machine(mechanism), samples, commands, self.compensable_effects(), there)
 
 
 def samples_with_effects(design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None) -> Samples:

@@ -44,7 +44,7 @@ class Machine:
 
     def __post_init__(self) -> None:
         there, missing = (self.logged or Sensors(np.zeros(1), {}), ()) if self.physics is None else self.physics.sensed(self.logged, np.zeros(1))
-        for name, value in (("sensors", there), ("missing", missing), ("effects", () if self.physics is None else self.physics.undone())):
+        for name, value in (("sensors", there), ("missing", missing), ("effects", () if self.physics is None else self.physics.compensable_effects())):
             object.__setattr__(self, name, value)
 
     def effective(self, commands: Commands, t: np.ndarray, T: RigidTransform, effects: tuple[Effect, ...] | None = None,

@@ -39,7 +39,7 @@ class PoseMap:
         """Where the machine stands (...) when it is taken to stand at poses (...)."""
         return T * exp(self._whole(self.field.value(self.at(T))))
 
-    def undone(self, T: RigidTransform) -> RigidTransform:
+    def compensated(self, T: RigidTransform) -> RigidTransform:
         """The poses (...) at which the machine is to be taken to stand for it to stand at T (...): the fixed point of T' = T exp(-error(T')).
 
         Raises NotConverged with index, poses and residual (m, rad) where it is not found

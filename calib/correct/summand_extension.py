@@ -64,7 +64,7 @@ def pass_residual_summands(samples: Samples, correction: Correction[Any, Any]) -
 
     Source: configuration-space patent, [0035]
     """
-    known = summands(replace(samples, T_base_platform=correction.asked(samples.T_base_platform)), correction.fitted)
+    known = summands(replace(samples, T_base_platform=correction.target_poses(samples.T_base_platform)), correction.fitted)
     return Known(known.configurations, known.values - correction.rho(samples.commanded), known.variances, known.strokes)
 
 

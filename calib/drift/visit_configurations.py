@@ -41,7 +41,7 @@ class Chosen:
     sigma: np.ndarray
     even: np.ndarray
 
-    def told(self) -> list[tuple[str, float, float, str]]:
+    def expected_accuracy(self) -> list[tuple[str, float, float, str]]:
         """[(name, standard error, that of evenly spread poses, unit)] of what may change; of the struts the worst one."""
         out = []
         for name, rows, scale, unit in (("a strut's zero", slice(0, 6), 1e6, "um"), ("a strut's nut", slice(6, 12), 1e6, "um"),

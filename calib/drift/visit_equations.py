@@ -66,7 +66,7 @@ def visit_equations(recording: Recording, calibration: Calibration, reference: R
     sampled = sample_recording(recording, FREE)
     reference = reference or Reference.of(recording.design, sampled.measurement)
     reference.refuse(recording, sampled.measurement is not None)
-    samples = calibration.told(recording, sampled.samples)
+    samples = calibration.with_physics(recording, sampled.samples)
     T = expected_poses(calibration, samples)
     seen = _by_instrument(samples, T) if sampled.measurement is None else _by_cameras(sampled.measurement, samples, T, reference)
     return _of_machine(seen, T, recording, calibration), reference

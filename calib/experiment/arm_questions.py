@@ -49,10 +49,10 @@ class ArmQuestion(Question[ArmFit]):
     """Of an arm whose poses an instrument measures, or cameras."""
 
     @property
-    def warm(self) -> bool:
+    def follows_temperature(self) -> bool:
         return any(h.fitted.fit.terms[h.number].candidate.kind in WARM for h in self.named)
 
-    def foretold(self, plan: Plan, warmer: float = 0.0) -> Prediction:
+    def predict_outcomes(self, plan: Plan, warmer: float = 0.0) -> Prediction:
         named = self.named
         tables, shapes, _ = _seen([h.fitted for h in named], [h.number for h in named], plan, warmer)
         basis, values, _ = np.linalg.svd(np.concatenate([*tables, shapes], axis=1), full_matrices=False)
@@ -62,7 +62,7 @@ class ArmQuestion(Question[ArmFit]):
         covariances = np.array([_square(part @ h.fitted.fit.inverse) + np.eye(len(part)) for part, h in zip(spread, named)])
         return with_unlisted_hypothesis(self, Prediction(means, covariances, _cosines(self, tables[0], shapes)), basis.T @ shapes)
 
-    def per_frame(self, plan: Plan) -> PerFrame:
+    def predict_outcomes_by_frame(self, plan: Plan) -> PerFrame:
         first, other = self.likeliest
         (one, two), _, seen = _seen([first.fitted, other.fitted], [first.number, other.number], plan, 0.0)
         F, k = len(plan.t), len(one) // len(seen)

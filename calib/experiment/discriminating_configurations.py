@@ -27,7 +27,7 @@ def discriminating_configurations(asked: Sequence[Question], design: Design, cou
     strokes = axis_strokes(design)
     pool = np.concatenate([low_discrepancy(strokes, POOL, seed=seed), grid(strokes, 2)])
     plan = build_plan(design, "pool", own={"pool": pool})
-    return pool[choose_exposures([q.per_frame(plan) for q in open_ones], count)]
+    return pool[choose_exposures([q.predict_outcomes_by_frame(plan) for q in open_ones], count)]
 
 
 def choose_exposures(questions: Sequence[PerFrame], count: int) -> np.ndarray:
@@ -56,7 +56,7 @@ def camera_shares(asked: Sequence[Question], plan: Plan) -> dict[str, float]:
     instrument measures."""
     parts: dict[str, float] = {}
     for question in asked:
-        for name, squares in (question.per_frame(plan).by_camera if len(question.named) > 1 else {}).items():
+        for name, squares in (question.predict_outcomes_by_frame(plan).by_camera if len(question.named) > 1 else {}).items():
             parts[name] = parts.get(name, 0.0) + float(squares.sum())
     whole = max(sum(parts.values()), 1e-300)
     return dict(sorted(((name, part / whole) for name, part in parts.items()), key=lambda item: -item[1]))

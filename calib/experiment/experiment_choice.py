@@ -120,12 +120,12 @@ def evaluate_experiment(asked: Sequence[Question], design: Design, text: str, se
     changes = [(t, mass) for (_, before), (t, mass) in zip(plan.payload[:-1], plan.payload[1:]) if mass != before]
     asks = (*(f"before it begins: {text}" for text in todo),
             *(f"at t = {t:.0f} s: {f'load {mass:.3g} kg' if mass else 'take the load off'}" for t, mass in changes))
-    settles = float(np.prod([0.0 if question.unasked else one.settles for question, one in zip(asked, found)]))
+    settles = float(np.prod([0.0 if question.not_asked else one.settles for question, one in zip(asked, found)]))
     return Experiment(text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
 
 
 def _worth(question: Question, plan: Plan) -> Information:
     """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first recording's and others."""
     odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "by_data"))
-    found = [experiment_information(odds, question.foretold(plan, warmer), behind) for warmer in (DAYS if question.warm else (0.0,))]
+    found = [experiment_information(odds, question.predict_outcomes(plan, warmer), behind) for warmer in (DAYS if question.follows_temperature else (0.0,))]
     return Information(*(float(np.mean([getattr(one, name) for one in found])) for name in ("bits", "settles", "right")))

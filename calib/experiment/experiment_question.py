@@ -20,14 +20,14 @@ F = TypeVar("F")
 class Hypothesis(Generic[F]):
     """One explanation of a finding. name, place; odds : share of all, 0..1; refined : all that is free fitted with it in the finding's place, or None
     where it cannot be fitted (a temperature that nobody logs); number : of it among the effects of `refined`
-    by_data : how much less likely than the finding the data so far make it, as minus twice a logarithm, whatever either costs in simplicity"""
+    data_log_odds : how much less likely than the finding the data so far make it, as minus twice a logarithm, whatever either costs in simplicity"""
 
     name: str
     place: str
     odds: float
     refined: F | None
     number: int
-    by_data: float = 0.0
+    data_log_odds: float = 0.0
 
     @property
     def title(self) -> str:
@@ -69,7 +69,7 @@ class Question(ABC, Generic[F]):
     """Hypotheses of one finding, its own first, something in no catalogue last; what cannot be fitted is left out and named in `unasked`."""
 
     hypotheses: tuple[Hypothesis[F], ...]
-    unasked: tuple[str, ...] = ()
+    not_asked: tuple[str, ...] = ()
 
     @property
     def named(self) -> tuple[Hypothesis[F], ...]:
@@ -86,16 +86,16 @@ class Question(ABC, Generic[F]):
 
     @property
     @abstractmethod
-    def warm(self) -> bool:
+    def follows_temperature(self) -> bool:
         """Whether one of the names follows a temperature."""
 
     @abstractmethod
-    def foretold(self, plan: Plan, warmer: float = 0.0) -> Prediction:
+    def predict_outcomes(self, plan: Plan, warmer: float = 0.0) -> Prediction:
         """Prediction of the hypotheses under a plan. warmer : K, than it was in the first recording
         Raises RigError where the machine as found cannot follow it, or nothing would be seen of some of it"""
 
     @abstractmethod
-    def per_frame(self, plan: Plan) -> PerFrame:
+    def predict_outcomes_by_frame(self, plan: Plan) -> PerFrame:
         """PerFrame of the two likeliest names. Raises what `foretold` raises, and ValueError for a question of one name"""
 
 
@@ -118,21 +118,21 @@ def with_unlisted_hypothesis(question: Question[F], found: Prediction, shapes: n
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival(Generic[F]):
-    """A name in the running. behind : how much less likely it is, as minus twice a logarithm; fit : with it; number, by_data : as of Hypothesis"""
+    """A name in the running. behind : how much less likely it is, as minus twice a logarithm; fit : with it; number, data_log_odds : as of Hypothesis"""
 
     name: str
     place: str
     behind: float
     fit: F
     number: int
-    by_data: float = 0.0
+    data_log_odds: float = 0.0
 
 
 def hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
     """Hypotheses of rivals, the finding's own first, by their odds; something in no catalogue last."""
     weights = np.exp(-np.array([rival.behind for rival in rivals]) / 2)
     shares = (1 - FOREIGN) * weights / weights.sum()
-    named = [Hypothesis(r.name, r.place, float(share), r.fit, r.number, r.by_data) for r, share in zip(rivals, shares)]
+    named = [Hypothesis(r.name, r.place, float(share), r.fit, r.number, r.data_log_odds) for r, share in zip(rivals, shares)]
     return (*named, Hypothesis(UNKNOWN, rivals[0].place, FOREIGN, rivals[0].fit, rivals[0].number))
 
 

@@ -25,7 +25,7 @@ FEWEST = 2  # markers of what moves that a configuration must show
 class Informative:
     """values : (n, axes) m or rad, chosen, ordered so that neither time nor direction is a function of place
     names, units : of the parameters asked for, "m" or "rad"; sigma, even : (p,) their standard errors by
-    these, and by as many spread evenly, along what these tell at all; untold : how many combinations keep half of what they may be off by or more
+    these, and by as many spread evenly, along what these tell at all; undetermined : how many combinations keep half of what they may be off by or more
     seen : share of all configurations tried in which the machine is seen"""
 
     values: np.ndarray
@@ -33,7 +33,7 @@ class Informative:
     units: tuple[str, ...]
     sigma: np.ndarray
     even: np.ndarray
-    untold: int
+    undetermined: int
     seen: float
 
 

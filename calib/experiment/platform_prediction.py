@@ -56,13 +56,13 @@ class PlatformQuestion(Question[Refined]):
     """Of a platform on struts."""
 
     @property
-    def warm(self) -> bool:
+    def follows_temperature(self) -> bool:
         return any(type(h.fitted.point.effects[h.number]) in WARM for h in self.named)
 
-    def foretold(self, plan: Plan, warmer: float = 0.0) -> Prediction:
+    def predict_outcomes(self, plan: Plan, warmer: float = 0.0) -> Prediction:
         return foretold(self, plan, warmer)
 
-    def per_frame(self, plan: Plan) -> PerFrame:
+    def predict_outcomes_by_frame(self, plan: Plan) -> PerFrame:
         return per_frame(self, plan)
 
 

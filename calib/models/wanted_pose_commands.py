@@ -83,7 +83,7 @@ def commands_along_route(calibration: Calibration, T: RigidTransform, start: np.
     """
     of = Machine(calibration.correction, calibration.physics, sensors)
     plain = calibration.correction.inverse_without_physics(T) if given is None else given
-    T = calibration.correction.taken(T, plain)
+    T = calibration.correction.reached_poses(T, plain)
     route = untimed_route(plain, start) if pace is None else timed_route(pace, plain, start)
     if given is not None:
         return Commanded(given, route, T, None, ())

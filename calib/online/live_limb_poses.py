@@ -25,14 +25,14 @@ class LimbLive:
         T = self.accepted.limbs.pose(lengths)
         return T, *self.accepted.limbs.uncertainty(T)
 
-    def closes(self, lengths: np.ndarray) -> Disagreement | None:
+    def is_closed(self, lengths: np.ndarray) -> Disagreement | None:
         """What limbs beyond six say of readings (limbs,) m and those before; where they disagree, limbs are out of force. Raises as `pose`"""
         self._last = [*self._last[1 - redundant_limb_checks.IN_A_ROW :], lengths]
         open_ = redundant_limb_checks.first_unclosed_limb(self.accepted.limbs, np.array(self._last))
         self.in_force = open_ is None
         return None if open_ is None else Disagreement(str(open_), open_.limb, redundant_limb_checks.WHO)
 
-    def due(self, unsure: bool) -> bool:
+    def is_check_due(self, unsure: bool) -> bool:
         """Whether vision looks at the pose in hand, once for each pose. unsure : whether the struts tell otherwise than the limbs"""
         self._looks = LOOKS if unsure else max(self._looks - 1, 0)
         now = self._number % self._every == 0 or self._looks > 0 or self._checks.undecided or not self._checks.count

@@ -57,7 +57,7 @@ def save(path: Path | str, found: Accepted) -> None:
     tree = {"schema": SCHEMA, "units": UNITS, "verdict": found.verdict, "tolerance": a.tolerance.tolist(),
             "stated": mechanism_dict(found.nominal), "limbs": mechanism_dict(found.limbs.hexapod), "covariance": found.limbs.covariance.tolist(),
             "reading_sigma": found.limbs.sigma.tolist(), "chosen": (found.limbs.chosen + 1).tolist(), "checks": _checks_out(found.limbs.checks),
-            "agreement": {"n": a.n, "bias": a.bias.tolist(), "scatter": a.scatter.tolist(), "limits": a.limits.tolist(), "surely": a.surely.tolist(),
+            "agreement": {"n": a.n, "bias": a.bias.tolist(), "scatter": a.scatter.tolist(), "limits": a.limits.tolist(), "surely": a.proven_limits.tolist(),
                           "expected": a.expected.tolist(), "moved": a.moved.tolist()},
             "withdrawn": None if w is None else {"recording": w.recording, "frame": w.frame, "reason": w.reason, "created": w.created},
             "provenance": found.provenance}

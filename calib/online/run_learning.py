@@ -57,11 +57,11 @@ class Learner:
         """T_base_platform that commanded lengths (6,) m should give, by what is known so far."""
         return mechanisms.kinematics_of(self._nominal).forward(commanded - self._correction.rho(commanded), self._online.hexapod)
 
-    def keep(self) -> None:
+    def save(self) -> None:
         """Remember what is known now."""
         self._kept = copy(self._online)
 
-    def back(self) -> None:
+    def restore(self) -> None:
         """Know again what was known when it was last kept, nothing of what came since; poses to come share no errors."""
         self._online = copy(self._kept)
         self._online.new_session()

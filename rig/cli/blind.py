@@ -177,7 +177,7 @@ def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[...,
                        settings.get("images", False))
     blind.write_recording(case, folder)
     world, written = case.simulation.world, recording_folder.load(folder)
-    written = written if case.eyes is None else replace(written, corners=blind.simulated_corners(case))
+    written = written if case.image_settings is None else replace(written, corners=blind.simulated_corners(case))
     values = effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[: len(case.hidden)]
     return partial(blind.write_truth, case), values
 

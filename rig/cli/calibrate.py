@@ -66,7 +66,7 @@ def run(arguments: Namespace) -> None:
         raise RigError("--limbs takes the poses of one recording from measuring limbs; name one")
 
     out = arguments.outputs.file(arguments.out)
-    page = arguments.outputs.beside(out, ".html")
+    page = arguments.outputs.stage_file(out, ".html")
     links = page_links(arguments, arguments.out.with_suffix(".html")) if page else []
     nominal = recording.design.mechanism
     told = page is not None and nominal.kind != "chain"

@@ -173,7 +173,7 @@ def _against_claim(calibration: Calibration, held: list[tuple[Recording, Sampled
     known, claims = calibration_evidence(calibration, refutation_marks.read_refutations(arguments.calibration)), []
     known = with_design(known, calibration, [confounds_of_recordings([recording for recording, _ in held])], "these recordings")
     for recording, sampled in held:
-        one = check_claim_on_recording(calibration, recording.name, calibration.told(recording, sampled.samples), np.random.default_rng(SEED))
+        one = check_claim_on_recording(calibration, recording.name, calibration.with_physics(recording, sampled.samples), np.random.default_rng(SEED))
         if one is None:
             continue
         claims.append(one)

@@ -82,7 +82,7 @@ def run(arguments: Namespace) -> None:
                         "out_of_reach": [{"frame": frame, "reason": line} for frame, line in sorted(refused)],
                         "commands": [{"frame": int(wanted.poses.frame[k]), "values": values} for k, values in zip(keep, done.values.tolist())]}
     if done.covariance is not None:
-        expected = arguments.outputs.beside(out, ".poses.csv")
+        expected = arguments.outputs.stage_file(out, ".poses.csv")
         if expected is not None:
             recording_tables.write_poses(expected, recordings.Poses(wanted.poses.frame[keep], done.T_base_platform, done.covariance))
         if not (arguments.uncorrected or arguments.single_step):
@@ -190,7 +190,7 @@ def _say_rest(arguments: Namespace, calibration: Calibration, out: Path, asked: 
     print(f"an arm of {len(correction.nominal.joints)} joints cannot make up for every error: what it leaves to the wanted poses is "
           f"{np.sqrt(np.mean(place**2)):.4f} mm RMS, {place.max():.4f} at the most, and {np.sqrt(np.mean(turn**2)):.4f} mrad RMS, "
           f"{turn.max():.4f} at the most (frame {frames[int(turn.argmax())]})")
-    beside = arguments.outputs.beside(out, ".poses.csv")
+    beside = arguments.outputs.stage_file(out, ".poses.csv")
     if beside is not None:
         if done.covariance is None:
             covariance = certification.model_covariance(calibration, done.values)

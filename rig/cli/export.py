@@ -183,8 +183,8 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
 
     calibration = calibration_file.load(path)
     correction, left_out = calibration.correction, []
-    if calibration.physics is not None and calibration.physics.undone():
-        names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.undone())
+    if calibration.physics is not None and calibration.physics.compensable_effects():
+        names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
         left_out.append(f"the calibration undoes {names} beside the geometry, which no export holds")
     if correction.posed:
         left_out.append(f"maps in pose space ({len(correction.posed)}) are in no export")

@@ -155,10 +155,10 @@ def _print(found: Agreement, source: str) -> None:
     for i, axis in enumerate(AXES):
         low, high = found.limits[:, i] * 1e6
         moved = f"{found.moved[i] * 1e3:.1f} {'mm' if i < 3 else 'mrad'}"
-        said = "passes" if found.passed[i] else ("fails" if found.surely[i] > found.tolerance[i]
+        said = "passes" if found.passed[i] else ("fails" if found.proven_limits[i] > found.tolerance[i]
                                                  else f"not shown: it must move over {MOVES:g} tolerances")
         print(f"{axis:4}{found.bias[i] * 1e6:9.2f}{found.scatter[i] * 1e6:9.2f}{found.expected[i] * 1e6:9.2f}"
-              f"{f'{low:.2f} .. {high:.2f}':>24}{found.surely[i] * 1e6:15.2f}{found.tolerance[i] * 1e6:11.1f}{moved:>14}  {said}")
+              f"{f'{low:.2f} .. {high:.2f}':>24}{found.proven_limits[i] * 1e6:15.2f}{found.tolerance[i] * 1e6:11.1f}{moved:>14}  {said}")
 
 
 def _learn(arguments: Namespace, recording: Recording, by_limbs: Sampled, state: Path) -> None:

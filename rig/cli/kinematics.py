@@ -65,8 +65,8 @@ def _arm(text: str) -> tuple[Arm, ArmCorrection | None]:
 
     calibration = calibration_file.load(text)
     correction = calibration.correction
-    if calibration.physics is not None and calibration.physics.undone():
-        names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.undone())
+    if calibration.physics is not None and calibration.physics.compensable_effects():
+        names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
         print(f"{text} undoes {names} besides, by what went before a pose: that is not in what follows; rig correct does it", file=sys.stderr)
     if not isinstance(correction, ArmCorrection):
         raise RigError(f"{text} is the calibration of a {correction.nominal.kind}; this takes an arm's")

@@ -272,8 +272,8 @@ def _of_any(arguments: Namespace, design: Design, mechanism: Arm | Chain | Plana
     said = []
     if looked is not None:
         said.append(f"{FEWEST} markers or more are seen in {found.seen:.0%} of the configurations all over the limits; chosen among these")
-    if found.untold:
-        said.append(f"{found.untold} combinations of them no pose tells: they stay as stated, and are left aside here")
+    if found.undetermined:
+        said.append(f"{found.undetermined} combinations of them no pose tells: they stay as stated, and are left aside here")
     said.append(f"{arguments.count} configurations for {len(found.names)} parameters; standard errors, and by as many spread evenly, the least "
                 "gain first:")
     worst = (found.sigma / found.even).argsort()[::-1]

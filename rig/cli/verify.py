@@ -63,7 +63,7 @@ def run(arguments: Namespace) -> int:
     from calib.samples.recording_samples import sample_recording
 
     sampled = sample_recording(recording, progress=progress)
-    samples = calibration.told(recording, sampled.samples)
+    samples = calibration.with_physics(recording, sampled.samples)
     label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
     before, after = errors_before_and_after(calibration.correction, samples)
     held = compare_errors(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)

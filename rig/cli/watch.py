@@ -114,7 +114,7 @@ def _verified(calibration: Calibration, recording: Recording, verdict: Verdict) 
 
     if not verdict.alarm or verdict.chance is None:
         return None
-    return of_samples(calibration, calibration.told(recording, sample_recording(recording).samples), np.random.default_rng(SEED))
+    return of_samples(calibration, calibration.with_physics(recording, sample_recording(recording).samples), np.random.default_rng(SEED))
 
 
 def _names(history: History) -> list[str]:
@@ -147,6 +147,6 @@ def _plan(arguments: Namespace) -> None:
     recording_tables.write_configurations(out, calibration.correction.fitted.axes, chosen.commands)
     print(f"{arguments.count} poses; a pose measured to {SIGMAS[0] * 1e6:g} um and {SIGMAS[1] * 1e6:g} urad, one visit knows, all "
           "other changes allowed for (k=1; beside it as many poses evenly spread):")
-    for name, sigma, even, unit in chosen.told():
+    for name, sigma, even, unit in chosen.expected_accuracy():
         print(f"  {name:24} {sigma:9.3g} {even:9.3g} {unit}")
     print(f"written: {arguments.out}")

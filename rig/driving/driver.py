@@ -43,10 +43,10 @@ class Status:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrival:
-    """A move that is done. lengths : (n,) m, as read back; begun, ended : s on the clock; note : what went wrong on the way, or ""."""
+    """A move that is done. lengths : (n,) m, as read back; start_time, ended : s on the clock; note : what went wrong on the way, or ""."""
 
     lengths: np.ndarray
-    begun: float
+    start_time: float
     ended: float
     note: str
 

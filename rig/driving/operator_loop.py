@@ -59,7 +59,7 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """What a run works with. tolerance : m, of a read-back; way : (start, goal (axes,) m, from, until s) -> share of the way through time
+    """What a run works with. tolerance : m, of a read-back; time_profile : (start, goal (axes,) m, from, until s) -> share of the way through time
     readings : {channel: value} of sensors now, or None; limbs : their (6,) m, or None; save : (path, image) puts an image on disk"""
 
     machine: Machine
@@ -67,7 +67,7 @@ class Bench:
     clock: Clock
     settling: Settling
     tolerance: float
-    way: Callable[[np.ndarray, np.ndarray, float, float], Way]
+    time_profile: Callable[[np.ndarray, np.ndarray, float, float], Way]
     save: Callable[[Path, np.ndarray], None]
     readings: Callable[[], dict[str, float]] | None = None
     limbs: Callable[[], np.ndarray] | None = None
@@ -159,7 +159,7 @@ class Operator:
         begun = self.now()
         self.bench.machine.move(goal)
         ended = self.now()
-        self.write(Arrival(ended, index, tuple(goal.tolist()), True, self.bench.way(start, goal, begun, ended)))
+        self.write(Arrival(ended, index, tuple(goal.tolist()), True, self.bench.time_profile(start, goal, begun, ended)))
 
     def _settle(self) -> None:
         bench, shutter = self.bench, self.bench.shutter

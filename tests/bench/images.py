@@ -114,7 +114,7 @@ def strength(case: blind_cases.DrawnCase) -> list[float]:
         return []
     with tempfile.TemporaryDirectory() as folder:
         # writing draws noise from the case's rng, so that the case's own stays as it was: another is written
-        blind_cases.write_recording(replace(case, eyes=None, rng=np.random.default_rng(0)), Path(folder) / "rec")
+        blind_cases.write_recording(replace(case, image_settings=None, rng=np.random.default_rng(0)), Path(folder) / "rec")
         written = replace(recording_folder.load(Path(folder) / "rec"), corners=blind_cases.simulated_corners(case))
     world = case.simulation.world
     return effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[: len(case.hidden)].tolist()

@@ -168,7 +168,7 @@ def _limbs():
     T, expected = measuring_limbs.held_out_limb_poses(samples, nominal, 1e-6)
     found = measuring_limbs.limb_agreement(samples.T_base_platform, T, expected, (5e-5, 2e-4))
     for part, name, unit in ((slice(0, 3), "position", "um"), (slice(3, 6), "rotation", "urad")):
-        bias, scatter, claim, surely = (np.abs(v[part]).max() * 1e6 for v in (found.bias, found.scatter, found.expected, found.surely))
+        bias, scatter, claim, surely = (np.abs(v[part]).max() * 1e6 for v in (found.bias, found.scatter, found.expected, found.proven_limits))
         yield (f"measuring limbs less vision, {found.n} poses, worst axis in {name}: bias, scatter (expected), limits",
                f"{bias:.1f}, {scatter:.1f} ({claim:.1f}), {surely:.1f} {unit}", "50 um, 200 urad")
     limbs, _ = measuring_limbs.calibrate_limbs(samples, nominal, 1e-6)

@@ -69,7 +69,7 @@ def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES)
     run = motion_simulation.run_machine(secret.true, done.route.commands(np.round(done.values, 10)), t, secret.effects, true)
     errors = pose_difference(T, run.T_base_platform)
     stated = np.sqrt(np.trace(done.covariance[:, :3, :3], axis1=1, axis2=2).mean())
-    return Driven(rms(errors), float(stated), () if calibration.physics is None else calibration.physics.undone())
+    return Driven(rms(errors), float(stated), () if calibration.physics is None else calibration.physics.compensable_effects())
 
 
 def three_ways(folder, design, text, seed, effect, route):

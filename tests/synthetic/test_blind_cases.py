@@ -245,8 +245,8 @@ def test_a_campaign_end_to_end(tmp_path, capsys):
 
 def test_a_case_in_images_draws_optics_and_prints_its_markers_within_tolerance():
     cases = [blind_cases.draw_case(8, index, 40, (), ("one",), (), True) for index in range(1, 7)]
-    assert {(t.eyes.width, t.eyes.height) for t in cases} == set(blind_cases.blind_images.RESOLUTIONS)
-    assert {t.eyes.lens for t in cases} == set(blind_cases.blind_images.LENSES) and all(t.eyes.lens in t.text for t in cases)
+    assert {(t.image_settings.width, t.image_settings.height) for t in cases} == set(blind_cases.blind_images.RESOLUTIONS)
+    assert {t.image_settings.lens for t in cases} == set(blind_cases.blind_images.LENSES) and all(t.image_settings.lens in t.text for t in cases)
     for t in cases:
         (hidden,), (*_, printed) = t.hidden, t.simulation.world.effects
         assert blind_cases.blind_images.drawable(type(hidden)) and hidden in t.simulation.world.effects

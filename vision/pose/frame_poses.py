@@ -24,12 +24,12 @@ Call = tuple[int, np.ndarray, np.ndarray]  # frame, rows of the observations, T_
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
     """poses : {frame: (4, 4) T_base_platform}; moving : {camera: {frame: (4, 4) T_base_camera}}; unsolved : {frame: reason}
-    vouched : {(frame, body)} whose one sighting the frames before and after confirm."""
+    confirmed : {(frame, body)} whose one sighting the frames before and after confirm."""
 
     poses: Poses
     moving: dict[int, Poses]
     unsolved: dict[int, str]
-    vouched: set[tuple[int, int]]
+    confirmed: set[tuple[int, int]]
 
     def all_poses(self, count: int) -> RigidTransform:
         """RigidTransform (count,) of the platform, the identity where there is none."""

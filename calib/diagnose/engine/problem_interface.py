@@ -53,7 +53,7 @@ class Problem(Protocol[Fit, Model, C]):
     def residual(self, fit: Fit) -> Model:
         """What it leaves."""
 
-    def tolerates(self, fit: Fit, best: Score[C] | None) -> bool:
+    def is_explained_by_tolerances(self, fit: Fit, best: Score[C] | None) -> bool:
         """Whether from here on something that is nobody's fault stands among the nuisances, since it explains more than the best there is: a
         change for all Fits, made once."""
 

@@ -91,7 +91,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
         scores = problem.search(model, problem.open(fit), policy.delta_bic, labelled_progress(progress, label))
         fresh = [s for s in scores if hypothesis_key(s) not in taken and not any(s.candidate is c for c in refused)]
         promising = [s for s in fresh if is_significant(s, count, problem.linear(model).size, policy)] or _hidden(problem, fit, model, fresh)
-        if problem.tolerates(fit, promising[0] if promising else None):
+        if problem.is_explained_by_tolerances(fit, promising[0] if promising else None):
             return None
         if not promising:
             return fit
@@ -104,7 +104,7 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
         taken.add(hypothesis_key(score))
         fit = _companions(problem, fit, score, promising, taken, size)
         fit = remove_redundant_terms(problem, problem.refined(fit))
-    return None if problem.tolerates(fit, None) else fit
+    return None if problem.is_explained_by_tolerances(fit, None) else fit
 
 
 def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: list[Score[C]]) -> list[Score[C]]:

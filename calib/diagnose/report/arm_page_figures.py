@@ -92,7 +92,7 @@ class ArmView:
         if len(aside):
             parts.append(paragraph(f"{len(aside)} poses agree with no model and count for next to nothing: frames {', '.join(map(str, aside))}."))
         if d.repeats is not None and any(u.depends_on == ("configuration",) for u in d.left):
-            parts.append(paragraph(f"The same command brings {d.repeats.again:.0%} of what remains again: that is no noise, and of no form that was "
+            parts.append(paragraph(f"The same command brings {d.repeats.recurring_share:.0%} of what remains again: that is no noise, and of no form that was "
                                    "tried."))
         return parts
 

@@ -55,7 +55,7 @@ def arm_report(d: ArmDiagnosis) -> Report:
         for h in d.held
     ]
     again = None if d.repeats is None else {"pairs": d.repeats.pairs, "mean_m": d.repeats.mean, "rms_m": d.repeats.rms,
-                                            "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again}
+                                            "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.recurring_share}
     return Report(
         d.recording,
         d.origin.shown(0.0),

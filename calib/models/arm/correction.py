@@ -72,7 +72,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             return self._nearest(T_base_platform, self._near(T_base_platform), self.nominal, None)
         return mechanism.inverse(T_base_platform, self.nominal, self._found_from(T_base_platform, self._near(T_base_platform))[0])
 
-    def taken(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
+    def reached_poses(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
         """The poses (n,) that commands (n, joints) found for wanted poses (n,) give: with too few joints those nearest to them."""
         return self.predict(commands) if self.deficient else T_base_platform
 

@@ -84,7 +84,7 @@ def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generat
     each = mean_sample_per_configuration(kept, label, mechanism.jacobian(kept.commanded, nominal))
     words = f"the middle {FILL * 100:.0f} % of every travel, all axes free of each other"
     asked = int((error_model.prior(nominal) > 0).sum())
-    told = ConfigurationInformation(len(each), asked - len(found.untold), asked - len(found.untold), asked, "what no pose tells stays as stated")
+    told = ConfigurationInformation(len(each), asked - len(found.undetermined), asked - len(found.undetermined), asked, "what no pose tells stays as stated")
     if len(each) < LEAST:
         return claim_of_too_few_configurations(told, words)
     values, T = commands_with_pose(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), done.correction)

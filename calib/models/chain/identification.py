@@ -32,13 +32,13 @@ GATE = 8.0  # standard deviations, of poses that a robust start leaves out
 @dataclass(frozen=True, slots=True, eq=False)
 class UndeterminedParameters:
     """A combination that poses leave as stated. parameters : ((name, weight), ..) in plausible sizes, the largest first; stages : it spans
-    left : of what is plausible, that remains uncertain (1: all); stands : (upper, lower) stage where it is the upper one's base that moves as a
+    left : of what is plausible, that remains uncertain (1: all); base_stages : (upper, lower) stage where it is the upper one's base that moves as a
     whole on the lower, so that the lower's own parameters do the same; None for anything else."""
 
     parameters: tuple[tuple[str, float], ...]
     stages: tuple[int, ...]
     left: float
-    stands: tuple[int, int] | None = None
+    base_stages: tuple[int, int] | None = None
 
     def __str__(self) -> str:
         parts = ", ".join(f"{weight:+.2f} {name}" for name, weight in self.parameters)
@@ -50,7 +50,7 @@ class Identified:
     """What a fit of a chain found, p parameters in the order of calib.models.chain.error_model.
 
     chain : with the fitted geometry; step : (p,) m and rad from the owner's figures; covariance : (p, p), 0 for what is no freedom
-    told : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; untold : (UndeterminedParameters, ..)
+    determined_by_stage : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; undetermined : (UndeterminedParameters, ..)
     scatter : (6,) m and rad of the last platform beyond the instrument's own; inliers : (n,) bool, its poses that agree
     below : ((stage, poses that agree, of), ..) of the stages that were measured beside it
     """
@@ -58,8 +58,8 @@ class Identified:
     chain: Chain
     step: np.ndarray
     covariance: np.ndarray
-    told: tuple[tuple[int, int], ...]
-    untold: tuple[UndeterminedParameters, ...]
+    determined_by_stage: tuple[tuple[int, int], ...]
+    undetermined: tuple[UndeterminedParameters, ...]
     scatter: np.ndarray
     inliers: np.ndarray
     below: tuple[tuple[int, int, int], ...] = ()
@@ -67,13 +67,13 @@ class Identified:
     def report(self) -> list[str]:
         """Lines for a reader, stage by stage, then what cannot be told apart."""
         lines = [f"stage {k + 1} ({stage.kind}): {told} of {asked} combinations of its parameters are told"
-                 for k, (stage, (told, asked)) in enumerate(zip(self.chain.stages, self.told))]
+                 for k, (stage, (told, asked)) in enumerate(zip(self.chain.stages, self.determined_by_stage))]
         lines += [f"stage {k}: {agree} of {of} poses of its own take part" for k, agree, of in self.below]
-        for upper, lower in sorted({one.stands for one in self.untold if one.stands is not None}):
-            count = sum(one.stands == (upper, lower) for one in self.untold)
+        for upper, lower in sorted({one.base_stages for one in self.undetermined if one.base_stages is not None}):
+            count = sum(one.base_stages == (upper, lower) for one in self.undetermined)
             lines.append(f"{count} of 6 figures of where stage {upper} stands on stage {lower} cannot be told from stage {lower}'s own: its "
                          f"base moved as a whole, the last platform stays; they stay as stated")
-        rest = [one for one in self.untold if one.stands is None]
+        rest = [one for one in self.undetermined if one.base_stages is None]
         if rest:
             lines.append(f"{len(rest)} more combinations that no pose tells stay as stated:")
         return lines + [f"  {one}" for one in rest]

@@ -66,7 +66,7 @@ def say_physics(physics: Physics | None) -> None:
     """Print which of the physics that a calibration knows its commands undo; nothing where it knows none."""
     if physics is None:
         return
-    again, known = physics.undone(), [f"{e.label()} at {e.place}" for e in physics.undone()]
+    again, known = physics.compensable_effects(), [f"{e.label()} at {e.place}" for e in physics.compensable_effects()]
     print("physics that is undone by commands: " + (", ".join(known) or "none"))
     left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in again]
     if left:

@@ -89,7 +89,7 @@ def write_next_plan(arguments: Namespace, asked: Sequence[Question], design: Des
 def _tree(asked: Sequence[Question], experiments: Sequence[Experiment], seen: dict[str, float]) -> dict[str, object]:
     """What next.json holds. seen : {camera: share of what the first experiment shows in images}"""
     return {"schema": "next/1",
-            "questions": [{"finding": question.named[0].title, "unasked": list(question.unasked),
+            "questions": [{"finding": question.named[0].title, "unasked": list(question.not_asked),
                            "hypotheses": [{"title": h.title, "odds": h.odds} for h in question.hypotheses]} for question in asked],
             "experiments": [{"plan": e.text, "seed": e.seed, "exposures": len(e.plan.t), "minutes": e.minutes, "bits": e.bits,
                              "settles": e.settles, "asks": list(e.asks)} for e in experiments], "cameras": seen}
@@ -98,7 +98,7 @@ def _tree(asked: Sequence[Question], experiments: Sequence[Experiment], seen: di
 def odds_lines(asked: Sequence[Question]) -> list[str]:
     """What is alike, with odds."""
     out = ["alike: " + ", ".join(f"{h.title} {h.odds:.2f}" for h in question.hypotheses) for question in asked]
-    return out + [f"cannot be foretold: {text}" for question in asked for text in question.unasked]
+    return out + [f"cannot be foretold: {text}" for question in asked for text in question.not_asked]
 
 
 def experiment_lines(experiments: Sequence[Experiment], seen: dict[str, float]) -> list[str]:

@@ -207,7 +207,7 @@ class Looking:
 
     def _by_limbs(self, shot: Shot, lengths: np.ndarray, source: LimbLive) -> None:
         """A shot's pose from the limbs, learnt; vision looks where it is due, and what it has not confirmed is not said."""
-        open_ = source.closes(lengths)
+        open_ = source.is_closed(lengths)
         if open_ is not None:
             self._withdrawn(source, shot.number, open_)
             if self._live is not None:
@@ -218,7 +218,7 @@ class Looking:
         sight, alarms, live = sight_from_limbs(shot.number, T, own + common @ common.T), list[Alarm](), self._live
         if learnt is not None:
             self._waiting += [Alarm("jump", change_sentence(change, shot.number)) for change in learnt.changes]
-        if live is not None and source.due(learnt is not None and (learnt.unsure or bool(learnt.changes))):
+        if live is not None and source.is_check_due(learnt is not None and (learnt.unsure or bool(learnt.changes))):
             seen, alarms = self._look(shot, live)
             if seen.T_base_platform is not None and seen.covariance is not None:
                 found = source.check(lengths, seen.T_base_platform, seen.covariance)
@@ -228,7 +228,7 @@ class Looking:
                 elif not source.undecided:
                     alarms, self._waiting = alarms + self._waiting, []
                     if self._learner is not None:
-                        self._learner.keep()
+                        self._learner.save()
         self._show(shot, sight, learnt)
         for alarm in alarms:
             self.warn(alarm)
@@ -239,7 +239,7 @@ class Looking:
         """The limbs no longer stand for vision: on file, said, and what was learnt since the last check is forgotten."""
         self._waiting = []
         if self._learner is not None:
-            self._learner.back()
+            self._learner.restore()
         self.withdraw(source, frame, found.reason)
         self.warn(Alarm("limbs", f"frame {frame}: {found.reason}. {found.who}: their acceptance is withdrawn, "
                                  "what was learnt since they last agreed is forgotten, and vision measures"))

@@ -117,7 +117,7 @@ class Outputs:
             staged.allowed.add(place.name)
         return staged.folder / place.name
 
-    def beside(self, file: Path, suffix: str) -> Path | None:
+    def stage_file(self, file: Path, suffix: str) -> Path | None:
         """Where to write what accompanies a file that `file` gave, under its name with another suffix; None for what is no regular file."""
         staged = next((staged for staged in self._staged.values() if staged.folder == file.parent), None)
         return None if staged is None else self.file(staged.place / Path(file.name).with_suffix(suffix))

@@ -168,7 +168,7 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
     physics = Physics(effects, np.zeros((count, count)), np.zeros((42, count)), design.gravity, design.actuator, design.platform,
                       {"ambient_temperature_C": (20.0, 0.1)})
     wiser, fit = replace(known, physics=physics), recording_folder.load(held.folder / "fit")
-    refined, _ = calibrate(wiser.told(fit, sample_recording(fit).samples), known.correction.nominal, "none")
+    refined, _ = calibrate(wiser.with_physics(fit, sample_recording(fit).samples), known.correction.nominal, "none")
     wiser = replace(wiser, correction=refined)
     better = pose_error_promise(combined_held_out_poses(wiser, [(warm, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)).position
     assert better.upper < 0.75 * plain.upper

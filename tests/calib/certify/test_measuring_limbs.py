@@ -69,7 +69,7 @@ def test_limits_of_agreement_are_hand_worked(design):
     sd = np.sqrt(4 / 3) * 1e-5
     assert found.bias[0] == pytest.approx(2e-5) and found.scatter[0] == pytest.approx(sd)
     np.testing.assert_allclose(found.limits[:, 0], [2e-5 - 1.96 * sd, 2e-5 + 1.96 * sd])
-    assert found.surely[0] > found.limits[1, 0] and not found.passed.any()  # nothing moved, so nothing is shown
+    assert found.proven_limits[0] > found.limits[1, 0] and not found.passed.any()  # nothing moved, so nothing is shown
 
 
 @pytest.mark.parametrize("spoil", ["bias", "scatter", "scale"])

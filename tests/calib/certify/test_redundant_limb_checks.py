@@ -75,7 +75,7 @@ def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, lim
     assert which == "chosen" or found.limb is not None
     assert found.limb is None or abs(found.size - 3e-5) < 1e-5
     source = LimbLive(measuring_limbs_file.Accepted(limbs, limbs.hexapod, None, None, {}), 10)
-    told = [source.closes(one) for one in slipped[38:44]]
+    told = [source.is_closed(one) for one in slipped[38:44]]
     assert told[0] is None and told[1] is None and any(told) and not source.in_force
 
 

@@ -132,7 +132,7 @@ def test_repeats_tell_noise_from_what_comes_again():
     quiet = pose_repeatability(fit_poses(seen(None, again=60)))
     assert quiet.pairs == 60 and quiet.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and quiet.p_value > 1e-3
     wavy = pose_repeatability(fit_poses(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), again=60)))
-    assert wavy.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and wavy.again > 0.8 and wavy.p_value < 1e-4
+    assert wavy.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and wavy.recurring_share > 0.8 and wavy.p_value < 1e-4
     assert pose_repeatability(fit_poses(seen(None))) is None
 
 

@@ -131,8 +131,8 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
     found = tolerance_columns.tolerance_model(fit.refined.model, problem.sensitivities)
     assert tolerance_columns.tolerances_explain_residuals(found.projected(fit.refined.model), found.sigma)
     best = problem.search(problem.residual(fit), candidates)[0]
-    assert problem.tolerates(fit, best) is first and problem.tolerant is first
-    assert not problem.tolerates(fit, None) if first else problem.tolerates(fit, None)  # once; alone, whatever they explain is theirs
+    assert problem.is_explained_by_tolerances(fit, best) is first and problem.tolerance_model is first
+    assert not problem.is_explained_by_tolerances(fit, None) if first else problem.is_explained_by_tolerances(fit, None)  # once; alone, whatever they explain is theirs
 
 
 def test_what_has_no_name_beside_tolerances_is_left_and_offered_a_formula(tmp_path, design):

@@ -174,7 +174,7 @@ def test_one_wrong_pose_of_vision_withdraws_nothing_and_several_do(accepted):
 def test_a_run_by_limbs_looks_now_and_then_and_closely_when_struts_tell_otherwise(accepted):
     source, looks = LimbLive(accepted, 10), []
     for k, (read, T) in enumerate(told(accepted, 40, 3e-5, 33)):
-        if source.due(unsure=k in (24, 34)):
+        if source.is_check_due(unsure=k in (24, 34)):
             looks.append(k)
             if source.check(read, T, COVARIANCE) is not None:
                 break

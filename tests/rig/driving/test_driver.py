@@ -28,9 +28,9 @@ def test_homes_and_moves(ready):
     arrived = driver.move(home + STEP)
     np.testing.assert_allclose(arrived.lengths, home + STEP, atol=1e-6)
     np.testing.assert_allclose(truly(emulator, clock), home + STEP, atol=1e-6)
-    assert arrived.note == "" and len(emulator.machine.executed) == 1 and 0.1 < arrived.ended - arrived.begun < 1
+    assert arrived.note == "" and len(emulator.machine.executed) == 1 and 0.1 < arrived.ended - arrived.start_time < 1
     slow = driver.move(home, share=0.1)
-    assert slow.ended - slow.begun > 0.99
+    assert slow.ended - slow.start_time > 0.99
 
 
 def test_struts_start_and_arrive_together_at_no_more_than_their_speeds(ready):

@@ -56,7 +56,7 @@ class ArmProblem:
     def residual(self, fit: Fit) -> Fit:
         return fit
 
-    def tolerates(self, fit: Fit, best: JointScore | None) -> bool:
+    def is_explained_by_tolerances(self, fit: Fit, best: JointScore | None) -> bool:
         return False  # what an instrument may do on its own is in the poses' covariance
 
     def without_term(self, fit: Fit, number: int) -> Fit:

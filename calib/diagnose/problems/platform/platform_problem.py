@@ -40,14 +40,14 @@ PlatformSelection = Selection[PlatformFit, PlatformCandidate]
 class PlatformProblem:
     """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; given : what is said beforehand
     sensitivities : kept from search to search
-    tolerant : whether what tolerances may do on their own is among the nuisances: from where they are seen to be at work on"""
+    tolerance_model : whether what tolerances may do on their own is among the nuisances: from where they are seen to be at work on"""
 
     point: OperatingPoint
     candidates: list[PlatformCandidate]
     policy: SelectionPolicy = PLATFORM
     given: Given = Given()
     sensitivities: Sensitivities = field(init=False)
-    tolerant: bool = field(init=False, default=False)
+    tolerance_model: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
         self.sensitivities = Sensitivities(self.point)
@@ -55,8 +55,8 @@ class PlatformProblem:
     def start(self) -> PlatformFit:
         return PlatformFit(refine(self.point, self.sensitivities))
 
-    def tolerates(self, fit: PlatformFit, best: PlatformScore | None) -> bool:
-        if self.tolerant:
+    def is_explained_by_tolerances(self, fit: PlatformFit, best: PlatformScore | None) -> bool:
+        if self.tolerance_model:
             return False
         model = fit.refined.marginalised
         found = tolerance_columns.tolerance_model(model, self.sensitivities)
@@ -64,10 +64,10 @@ class PlatformProblem:
             return False
         seen = found.projected(model)
         if tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
-            self.tolerant = best is None or tolerance_columns.tolerance_log_likelihood_ratio(seen, found.sigma) > float(
+            self.tolerance_model = best is None or tolerance_columns.tolerance_log_likelihood_ratio(seen, found.sigma) > float(
                 best.raw_delta_bic(model.size)
             )
-        return self.tolerant
+        return self.tolerance_model
 
     def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:
         return list(fit.terms)
@@ -96,7 +96,7 @@ class PlatformProblem:
 
     def beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
-        found = tolerance_columns.tolerance_model(model, self.sensitivities) if self.tolerant else None
+        found = tolerance_columns.tolerance_model(model, self.sensitivities) if self.tolerance_model else None
         return model if found is None else tolerance_columns.model_with_tolerances(model, found)
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:

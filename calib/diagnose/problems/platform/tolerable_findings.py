@@ -40,7 +40,7 @@ class Remarks:
 def separate_tolerable_findings(problem: PlatformProblem, selection: PlatformSelection,
               left: list[LackOfFit]) -> tuple[PlatformSelection, list[LackOfFit], Remarks]:
     """(Selection of what matters, what is left and matters, Remarks)."""
-    fit, known = selection.fit, problem.tolerant
+    fit, known = selection.fit, problem.tolerance_model
     if not known and not selection.findings and not left:
         return selection, left, Remarks([], [], [])
     matters, small = [], []

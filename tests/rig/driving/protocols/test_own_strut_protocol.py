@@ -130,7 +130,7 @@ def test_the_reference_firmware_homes_moves_and_stops(driven):
         np.testing.assert_allclose(status.lengths, home, atol=1e-9)
         arrived = driver.move(home + np.array([2, 2.2, 1.8, 1.5, 2, 1.2]) * 1e-3)
         np.testing.assert_allclose(arrived.lengths - home, np.array([2, 2.2, 1.8, 1.5, 2, 1.2]) * 1e-3, atol=1e-9)
-        assert 0.1 < arrived.ended - arrived.begun < 5
+        assert 0.1 < arrived.ended - arrived.start_time < 5
         assert driver.stop().activity == "idle" and driver.lengths() == pytest.approx(arrived.lengths)
 
 

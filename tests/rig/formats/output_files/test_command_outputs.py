@@ -113,8 +113,8 @@ def test_a_file_is_known_again_and_others_are_kept(tmp_path):
 def test_what_accompanies_a_file_is_not_written_over_either(tmp_path):
     (tmp_path / "c.html").write_text("mine")
     with Outputs("calibrate") as outputs, pytest.raises(FileError, match="c.html: is there"):
-        outputs.beside(outputs.file(tmp_path / "c.json"), ".html")
-    assert Outputs("calibrate").beside(Outputs("calibrate").file("/dev/null"), ".html") is None
+        outputs.stage_file(outputs.file(tmp_path / "c.json"), ".html")
+    assert Outputs("calibrate").stage_file(Outputs("calibrate").file("/dev/null"), ".html") is None
     assert tree(tmp_path) == {"c.html": "mine"}
 
 
