@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 from rig.compute.lazy_exports import handed_on
 
 if TYPE_CHECKING:
+    from calib.certificate.certificate import Certificate as Certificate
     from calib.certify.calibration import Calibration as Calibration
+    from calib.diagnose.report.diagnosis_report import Report as Report
+    from calib.files.calibration_file import load as load
+    from calib.files.calibration_file import save as save
     from calib.models.wanted_pose_commands import Commanded as Commanded
     from calib.models.wanted_pose_commands import commanded as commanded
-    from calib.diagnose.report.diagnosis_report import Report as Report
     from calib.recording_calibration import calibrated as calibrated
     from calib.recording_calibration import certified as certified
     from calib.recording_calibration import diagnosed as diagnosed
-    from calib.certificate.certificate import Certificate as Certificate
-    from calib.files.calibration_file import load as load
-    from calib.files.calibration_file import save as save
 
 __all__ = ["calibrated", "diagnosed", "certified", "commanded", "load", "save", "Calibration", "Commanded", "Report", "Certificate"]
 __getattr__ = handed_on(

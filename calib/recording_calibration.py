@@ -5,28 +5,26 @@ from collections.abc import Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from calib.files import calibration_file
-from calib.models.arm import certification as arm_certify
-from calib.certify import platform_certification
-from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import Progress
-from calib.models.chain import certification as chain_certify
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose_arm
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose_platform
-from calib.diagnose.report import arm_report
-from calib.diagnose.report import platform_report
-from calib.diagnose.report.diagnosis_report import Report
-from calib.files.calibration_from_recording import SEED, calibration_with_provenance
-from calib.diagnose.calibration_left_out_physics import search_left_out_physics
-from calib.samples.recording_samples import Sampled, sample_recording
 from calib.certificate import certificate as statement
 from calib.certificate.certificate import Certificate
 from calib.certificate.certificate_contents import Asked
+from calib.certify import platform_certification
+from calib.certify.calibration import Calibration
+from calib.certify.platform_certification import Progress
+from calib.diagnose.calibration_left_out_physics import search_left_out_physics
+from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose_arm
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose_platform
+from calib.diagnose.report import arm_report, platform_report
+from calib.diagnose.report.diagnosis_report import Report
+from calib.files import calibration_file
+from calib.files.calibration_from_recording import SEED, calibration_with_provenance
+from calib.models.arm import certification as arm_certify
+from calib.models.chain import certification as chain_certify
+from calib.samples.recording_samples import Sampled, sample_recording
 from rig.errors import RigError
 from rig.model.mechanism_kinds import arm_of, chain_of, struts_of
-from rig.recording.data_provenance import marks_of_frames, content_marks, frames_with_known_data
+from rig.recording.data_provenance import content_marks, frames_with_known_data, marks_of_frames
 from rig.recording.recording_folder import Recording
-
 
 
 def calibrated(recording: Recording, progress: Progress | None = None) -> Calibration:

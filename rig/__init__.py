@@ -9,9 +9,9 @@ from rig.compute.kernel_cache import keep_kernels
 from rig.compute.lazy_exports import handed_on
 
 if TYPE_CHECKING:
-    from rig.model.design import Design as Design
-    from rig.formats.rig_toml.design_file import load as load_design
     from rig.errors import RigError as RigError
+    from rig.formats.rig_toml.design_file import load as load_design
+    from rig.model.design import Design as Design
     from rig.recording.recording_folder import Recording as Recording
     from rig.recording.recording_folder import load as load
 

@@ -8,19 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
-from rig.model import motion_simulation, mechanisms
-from rig.planning.configuration_sets import low_discrepancy
-from rig.model.design import Arm, Design, Instrument
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.random_effects import Drawing, log_uniform
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.planning.plan import Plan, build_plan, settled_plan
+from rig.formats.rig_toml import design_file
+from rig.model import mechanisms, motion_simulation
+from rig.model.design import Arm, Design, Instrument
 from rig.model.pose import exp
+from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.plan import Plan, build_plan, settled_plan
 from rig.recording.recording_folder import Commands, Sensors
-from synthetic import recording_simulation as simulation, secret_machine
+from synthetic import recording_simulation as simulation
+from synthetic import secret_machine
 from synthetic.blind_cases import TRIES, schedule_effects
 
 KINDS = ("nothing", "one", "two")  # of what is hidden

@@ -9,20 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.model import motion_simulation, mechanisms
-from rig.model.design import Camera, Design
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.random_effects import Drawing
 from rig.errors import RigError
 from rig.formats.output_files import write_text
+from rig.formats.rig_toml import design_file
+from rig.model import mechanisms, motion_simulation
+from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds import axes_of
-from rig.recording.corner_and_pose_tables import Corners
+from rig.planning.layout import hexapod_layout
 from rig.planning.plan import Plan, build_plan
+from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import Sensors
-from synthetic import blind_image_settings, unlisted_physics, recording_simulation as simulation, secret_machine
+from synthetic import blind_image_settings, secret_machine, unlisted_physics
+from synthetic import recording_simulation as simulation
 from synthetic.blind_image_settings import ImageSettings
 from vision import lens
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.model.design import Design, Sensor
 from rig.effects.framework.effect import Effect
+from rig.model.design import Design, Sensor
 from synthetic.image_simulation import Images, is_drawable
 from synthetic.printing_errors import Printing, draw_printing_errors
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from rig.model.design import Design
 from rig.errors import RigError
+from rig.model.design import Design
 
 
 def cube_stl_files(design: Design, paper: float) -> dict[str, bytes]:

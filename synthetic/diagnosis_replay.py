@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.model import motion_simulation
-from rig.recording import recording_folder
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text import Kinds
 from rig.errors import FileError, RigError
+from rig.model import motion_simulation
 from rig.planning.plan import Plan
+from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_machine
 from synthetic.recording_simulation import Simulation

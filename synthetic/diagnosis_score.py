@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from rig.formats import json_file
 from rig.effects.catalogue.effect_list import BY_NAME
+from rig.formats import json_file
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import value_text
 

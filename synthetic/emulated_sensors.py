@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.model import motion_simulation
 from rig.driving.cameras.emulated_camera import USUAL
 from rig.driving.clock import Clock
 from rig.errors import RigError
-from rig.planning.plan import Plan
+from rig.model import motion_simulation
 from rig.model.pose import transform_points
+from rig.planning.plan import Plan
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import secret_machine as worlds
 from synthetic.image_simulation import Images, render_image
-from synthetic.remounted_cubes import remount_cubes
 from synthetic.recording_simulation import Simulation
+from synthetic.remounted_cubes import remount_cubes
 from synthetic.secret_machine import World
 
 LONGEST = 24 * 3600.0  # s that the temperatures lasts; beyond it stays as it was

@@ -14,15 +14,15 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.compute import dask_cluster
-from rig.model.design import Camera, Sensor
+from rig.compute.worker_processes import process_map, worker_count
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
-from rig.compute.worker_processes import worker_count, process_map
+from rig.model.design import Camera, Sensor
 from synthetic import rig_meshes
-from synthetic.renderer import SAMPLES, Renderer, import_pyrender
 from synthetic.image_sensor import expose_image
 from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
+from synthetic.renderer import SAMPLES, Renderer, import_pyrender
 from vision.predict import State, facing, predict_sightings
 from vision.targets import marker_map
 

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Design, Hexapod
-from synthetic.rig_meshes import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, body_matrices, plate_radius, strut_stages, strut_ends
+from synthetic.rig_meshes import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, body_matrices, plate_radius, strut_ends, strut_stages
 
 OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itself
 

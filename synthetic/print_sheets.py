@@ -11,12 +11,12 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
-from rig.model.design import Design, Target
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
+from rig.model.design import Design, Target
 from synthetic.cube_assembly_page import draw_assembly_page
 from synthetic.cube_nets import NET, SIDES, Piece, Placed, Size, arrange_net
-from synthetic.sheet_rulers import FOOT, LEFT, MARGIN, cut_line_style, fold_line_style, draw_rulers_and_legend, usable_area
+from synthetic.sheet_rulers import FOOT, LEFT, MARGIN, cut_line_style, draw_rulers_and_legend, fold_line_style, usable_area
 from vision.targets import marker_cells
 
 PAPER = {"A4": (210.0, 297.0), "Letter": (215.9, 279.4), "A3": (297.0, 420.0), "Tabloid": (279.4, 431.8), "A2": (420.0, 594.0), "A1": (594.0, 841.0),

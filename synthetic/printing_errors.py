@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.model.design import Design
 from rig.effects.framework.effect import Effect
+from rig.model.design import Design
 from rig.model.pose import exp
 from vision.targets import MarkerMap, marker_map
 

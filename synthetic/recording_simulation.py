@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model import motion_simulation
-from rig.model.cube_quarter_turns import rig_toml_with_turns, quarter_turns
-from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
 from rig.formats.output_files import write_text
+from rig.model import motion_simulation
+from rig.model.cube_quarter_turns import quarter_turns, rig_toml_with_turns
+from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
 from rig.model.mechanism_kinds import axes_of
-from rig.recording.corner_and_pose_tables import DISTANCE, POSE_COLUMNS
+from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import Plan, add_payload_channel
-from rig.model.pose import exp, transform_points, pose_to_vector
+from rig.recording.corner_and_pose_tables import DISTANCE, POSE_COLUMNS
 from rig.recording.recording_folder import LIMB, Corners, Sensors
 from rig.recording.recording_tables import write_corners, write_table
 from synthetic import secret_machine as worlds

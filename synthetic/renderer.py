@@ -21,12 +21,12 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera, Design
-from rig.errors import MissingLibrary
 from rig.compute.numba_kernels import njit
+from rig.errors import MissingLibrary
+from rig.model.design import Camera, Design
 from rig.model.pose import exp
 from synthetic.printed_pattern import bilinear_value, draw_marker_pattern
-from synthetic.rig_meshes import Ink, BLACK, WHITE, Part, body_poses, part_brightness
+from synthetic.rig_meshes import BLACK, WHITE, Ink, Part, body_poses, part_brightness
 from vision import lens
 
 FINER = 1.25  # how many pixels of the pinhole picture to one of the camera's

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.model.design import Arm, Chain, Design, Hexapod, Planar2
 from rig.errors import RigError
 from rig.formats.machine_json import GEOMETRY, PLACES
+from rig.model.design import Arm, Chain, Design, Hexapod, Planar2
 from rig.model.pose import exp, pose
 
 JOINT = 3e-4  # m, standard deviation of a joint's coordinate from where the owner has it

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.formats import machine_json
-from rig.model import mechanisms
-from rig.model.design import Arm, Camera, Chain, Design, Hexapod, Planar2
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text import Kinds
+from rig.formats import machine_json
 from rig.formats.output_files import write_text
+from rig.model import mechanisms
+from rig.model.design import Arm, Camera, Chain, Design, Hexapod, Planar2
 from rig.model.pose import exp
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_geometry

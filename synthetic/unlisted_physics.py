@@ -11,13 +11,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.model.design import Camera, Design
 from rig.effects.framework.effect import Effect, Motion
 from rig.errors import RigError
+from rig.model.design import Camera, Design
 from rig.model.mechanism_kinds import hexapod_of
 from rig.model.mechanisms import hexapod
-from rig.recording.corner_and_pose_tables import Corners
 from rig.model.pose import exp, transform_points
+from rig.recording.corner_and_pose_tables import Corners
 from vision.targets import MarkerMap
 
 WAVES = 4  # sinusoids of a smooth random course

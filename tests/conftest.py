@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
 from rig.planning import plan
+from rig.planning.layout import hexapod_layout
 from rig.recording import recording_folder as recording
 from synthetic import recording_simulation, secret_machine
 

@@ -7,12 +7,12 @@ import socket
 import threading
 from pathlib import Path
 
-from rig.formats.rig_toml import design_file
 from rig.driving import emulators
-from rig.planning.layout import hexapod_layout
 from rig.driving.clock import SystemClock
 from rig.driving.emulators import terminal_and_tcp_server
 from rig.driving.emulators.controller_faults import Faults
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
 
 WIDTH, HEIGHT = 64, 48
 CONTROLLER = """

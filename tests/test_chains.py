@@ -10,23 +10,24 @@ from scipy.spatial.transform import RigidTransform
 from calib.files import calibration_file
 from calib.models.chain import error_model
 from calib.models.chain.identification import identify
-from calib.samples.recording_samples import sample_recording
 from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import sample_recording
 from rig.cli import command_line
-from rig.formats.rig_toml import design_file
-from rig.formats import machine_json, csv_table
-from rig.recording import recording_folder
-from rig.planning.configuration_sets import low_discrepancy
 from rig.effects.texts.effect_text import parse_effect, require_place
 from rig.errors import FileError, RigError, Unreachable
-from rig.model.motion_simulation import run_machine
-from rig.model.mechanisms import axis_places as chain_places
+from rig.formats import csv_table, machine_json
+from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm, chain, hexapod
-from rig.model.pose import pose_difference, exp, log, pose
+from rig.model.mechanisms import axis_places as chain_places
+from rig.model.motion_simulation import run_machine
+from rig.model.pose import exp, log, pose, pose_difference
+from rig.planning.configuration_sets import low_discrepancy
+from rig.recording import recording_folder
 from rig.recording.recording_folder import Commands
 from tests.chained import written
 from tests.loops import holds, lines, rig, verified
 from tests.numeric import jacobian as differences
+
 
 @pytest.fixture
 def design(tmp_path):

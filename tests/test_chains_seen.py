@@ -9,13 +9,13 @@ from calib.models.chain import error_model
 from calib.models.chain.identification import identify
 from calib.samples.recording_samples import sample_recording
 from rig.cli import command_line
-from rig.formats.rig_toml import design_file
-from rig.formats import machine_json
-from rig.recording import recording_folder
-from rig.planning.configuration_sets import low_discrepancy
 from rig.errors import FileError
+from rig.formats import machine_json
+from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import chain
 from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import low_discrepancy
+from rig.recording import recording_folder
 from synthetic import rig_meshes
 from synthetic.occlusion import is_occluded
 from tests.chained import written
@@ -36,7 +36,11 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
     assert stage.stage == 1 and stage.seen.all() and np.abs(off[:, :3]).max() < 1.5e-4
     assert np.einsum("ni,nij,nj->n", off, np.linalg.inv(whole), off).mean() < 12
     found, alone = identify(samples, design.mechanism), identify(replace(samples, below=()), design.mechanism)
-    assert not found.undetermined and {one.base_stages for one in alone.undetermined} >= {(2, 1)} and sum(one.base_stages == (2, 1) for one in alone.undetermined) == 6
+    assert (
+        not found.undetermined
+        and {one.base_stages for one in alone.undetermined} >= {(2, 1)}
+        and sum(one.base_stages == (2, 1) for one in alone.undetermined) == 6
+    )
     assert found.determined_by_stage[1] == (42, 42) and alone.determined_by_stage[1][0] <= 36 and found.below == ((1, 30, 30),)
     exact = replace(samples, T_base_platform=chain.forward(samples.commanded, true.mechanism), covariance=samples.covariance * 1e-8,
                     common=samples.common[..., :0], below=(replace(stage, T_base_stage=stands, covariance=stage.covariance * 1e-8,

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from rig.formats.rig_toml import design_file
-from rig.recording import corner_and_pose_tables, recording_folder, recording_tables
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
+from rig.recording import corner_and_pose_tables, recording_folder, recording_tables
 from tests.cli import RIG, Links, run
 from tests.conftest import BENCH, make_recording
 

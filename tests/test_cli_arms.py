@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from rig.recording import recording_folder
 from rig.formats import csv_table
 from rig.model.pose import pose_difference
+from rig.recording import recording_folder
 from tests.cli import command
 
 

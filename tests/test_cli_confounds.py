@@ -8,9 +8,9 @@ import pytest
 
 from calib.files import calibration_file
 from rig.formats.rig_toml import design_file
-from rig.recording import recording_tables
 from rig.planning.configuration_sets import low_discrepancy
 from rig.planning.plan import axis_strokes
+from rig.recording import recording_tables
 from tests.cli import command
 from tests.conftest import BENCH
 

@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.correct.correction import Correction
 from calib.certify.calibration import Calibration
+from calib.correct.correction import Correction
 from calib.files.calibration_file import save
-from rig.formats.rig_toml import design_file
-from rig.model import mechanisms
 from rig.cli.command_line import main
 from rig.driving.clock import SystemClock
-from rig.errors import RigError
 from rig.driving.controller_lock import Occupied, stop_lock_holder
+from rig.errors import RigError
+from rig.formats.rig_toml import design_file
+from rig.model import mechanisms
 from rig.model.pose import pose_to_vector
 from synthetic import secret_machine
 from tests.conftest import ROOT

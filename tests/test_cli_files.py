@@ -10,8 +10,8 @@ import sys
 import pytest
 
 from rig.cli import command_line
-from rig.recording import recording_folder
 from rig.cli import design as design_command
+from rig.recording import recording_folder
 from tests.cli import RIG
 from tests.conftest import ROOT, make_recording
 

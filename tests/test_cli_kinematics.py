@@ -9,11 +9,11 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.joint_profiles import Profile
-from rig.planning.layout import shipped_arms
 from rig.cli import kinematics
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_kinematics_steps
-from rig.model.pose import pose_difference, pose, pose_to_vector
+from rig.model.pose import pose, pose_difference, pose_to_vector
+from rig.planning.layout import shipped_arms
 from tests.calib import arm_worlds as worlds
 from tests.cli import command
 from tests.rig.arms import UR10

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from calib.samples.effect_playback import FACTORS, effect_displacements, scaled_effect
-from rig.planning import plan
 from rig.cli.command_line import main
 from rig.effects.texts.effect_text import parse_effect
-from rig.report.verdict import State, Verdict
-from rig.report.pages.page_template import Page, write_page
+from rig.planning import plan
 from rig.report.pages.page_index import list_pages, read_page_summary
+from rig.report.pages.page_template import Page, write_page
+from rig.report.verdict import State, Verdict
 
 BENCH = Path(__file__).parent / "data" / "bench"
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rig.formats import csv_table
 from rig.cli.command_line import main
+from rig.formats import csv_table
 
 
 @pytest.fixture

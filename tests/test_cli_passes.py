@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from rig.recording import recording_tables
 from rig.cli.command_line import main
-from rig.planning.configuration_sets import low_discrepancy
 from rig.model.mechanisms import hexapod
-from rig.recording.corner_and_pose_tables import Poses
 from rig.model.pose import exp
+from rig.planning.configuration_sets import low_discrepancy
+from rig.recording import recording_tables
+from rig.recording.corner_and_pose_tables import Poses
 
 SIGMAS = "\n[instrument]\nbase = \"rig\"\ntool = \"rig\"\nposition_sigma = 1e-6\nrotation_sigma = 1e-5\n"
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from rig.formats.rig_toml import design_file
-from rig.recording import recording_folder
 from rig.model.pose import pose_difference
+from rig.recording import recording_folder
 from tests.cli import Links, run
 from tests.conftest import BENCH
 

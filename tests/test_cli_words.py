@@ -15,8 +15,8 @@ import pytest
 from rig.cli import command_line as cli
 from rig.cli.command_line import COMMANDS, command_line, main
 from rig.cli.shared import installation_inventory
+from rig.cli.shared.argument_parser import join_negative_numbers, nearest_word
 from rig.cli.shared.progress_bars import Progress, progress_line
-from rig.cli.shared.argument_parser import nearest_word, join_negative_numbers
 from rig.effects.catalogue.effect_list import ALL
 from tests.cli import RIG
 from tests.conftest import BENCH

@@ -7,14 +7,14 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
 from calib.certify.calibration import Calibration
 from calib.correct.correction import Correction
-from calib.models.platform.identification import identify
+from calib.files import calibration_file
 from calib.models.corrected_pose_covariance import add_workspace
+from calib.models.platform.identification import identify
 from calib.workspace.reachable_poses import is_pose_lost
-from rig.formats import csv_table
 from rig.cli.command_line import main
+from rig.formats import csv_table
 from synthetic import secret_machine
 from tests.calib.worlds import sampled
 from tests.cli import Links

@@ -3,8 +3,8 @@
 import pytest
 
 from rig.formats.rig_toml import design_file
-from rig.planning.configuration_sets import low_discrepancy
 from rig.model.mechanisms import hexapod
+from rig.planning.configuration_sets import low_discrepancy
 from tests.loops import holds, lines, rig, verified
 
 

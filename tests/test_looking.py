@@ -11,23 +11,23 @@ from calib.certify import measuring_limbs
 from calib.online.live_limb_poses import LimbLive
 from calib.online.measuring_limbs_file import Accepted
 from calib.online.run_learning import Learner
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.driving.cameras.camera_interface import Frame
-from rig.driving.clock import SimulatedClock
+from rig.cli.shared.compilation_warm_up import draw_markers, warm_up
 from rig.cli.shared.run_observation import Looking, Stopping
 from rig.cli.shared.run_page import Page
-from rig.cli.shared.run_verdict import run_verdict
 from rig.cli.shared.run_terminal import Block, Lines, view_lines
-from rig.cli.shared.compilation_warm_up import draw_markers, warm_up
-from rig.driving.run_journal import Departure, Ended, Exposed, Readings
-from rig.model.mechanisms import hexapod
+from rig.cli.shared.run_verdict import run_verdict
+from rig.driving.cameras.camera_interface import Frame
+from rig.driving.clock import SimulatedClock
 from rig.driving.operator_loop import Shot
-from rig.planning.plan import build_plan, low_discrepancy
-from rig.model.pose import exp
+from rig.driving.run_journal import Departure, Ended, Exposed, Readings
 from rig.driving.run_steps import steps_of_plan
-from vision.reading.live_measurement import Live, sight_from_limbs
+from rig.formats.rig_toml import design_file
+from rig.model.mechanisms import hexapod
+from rig.model.pose import exp
+from rig.planning.layout import hexapod_layout
+from rig.planning.plan import build_plan, low_discrepancy
 from tests.vision.reading.test_camera_and_marker_alarms import sight
+from vision.reading.live_measurement import Live, sight_from_limbs
 
 
 class Measured:

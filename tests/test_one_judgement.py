@@ -5,8 +5,8 @@ import re
 
 import pytest
 
-from rig.report import refutations
 from rig.cli.command_line import main
+from rig.report import refutations
 from rig.report.pages.page_index import list_pages
 from tests import truth
 from tests.truth.draw_faults import fits

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.experiment.investigation_folder import Look, diagnosis_path, read_looks, plan_path
+from calib.experiment.investigation_folder import Look, diagnosis_path, plan_path, read_looks
 from calib.experiment.investigation_page import investigation_verdict as judged_investigation
 from calib.report.measurement_page import MeasurementResult
 from calib.report.measurement_page import measurement_verdict as judged_measurement

@@ -5,12 +5,12 @@ import shutil
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import design_file
-from rig.recording import recording_folder
-from rig.model.controller_settings import PROTOCOLS
 from rig.driving.run_journal import Departure, Ended, Exposed, Resumed, read_journal
-from rig.planning.plan import build_plan
 from rig.driving.run_steps import steps_of_plan
+from rig.formats.rig_toml import design_file
+from rig.model.controller_settings import PROTOCOLS
+from rig.planning.plan import build_plan
+from rig.recording import recording_folder
 from tests.running import EmulatedRig, runner
 
 PLAN = "sobol:6"

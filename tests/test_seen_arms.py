@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
+from rig.errors import FileError
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
-from rig.recording import recording_folder
-from rig.errors import FileError
 from rig.model.mechanisms import arm
-from rig.planning.configuration_sets import low_discrepancy
 from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import low_discrepancy
+from rig.recording import recording_folder
 from synthetic.secret_machine import world_from_truth
-from vision.recording_measurement import measure_recording
 from tests.loops import holds, lines, rig, verified
+from vision.recording_measurement import measure_recording
 
 
 def recorded(folder, carried, *words, cameras=2, plan="sobol:40", size="1280x1024"):
@@ -113,8 +113,8 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
 
 def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
     from calib.diagnose.problems.arm.effect_separation import effect_separation
-    from rig.planning.layout import shipped_arms
     from rig.effects.texts.effect_text import parse_effect
+    from rig.planning.layout import shipped_arms
     from rig.planning.plan import build_plan
 
     design, found = shipped_arms.load_shipped_arm("puma560"), {}

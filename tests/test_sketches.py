@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.effects.catalogue.effect_list import ALL
 from rig.effects.catalogue.backlash import Backlash
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.catalogue.scale_error import ScaleError
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameter import Parameter
-from rig.effects.catalogue.scale_error import ScaleError
+from rig.effects.sketches.effect_example import Sketch
 from rig.errors import RigError
 from rig.report.pages.standalone_svg import standalone_svg
-from rig.effects.sketches.effect_example import Sketch
 from tests.conftest import ROOT
 from vision.effect_sketches import effect_sketch
 

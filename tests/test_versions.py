@@ -13,22 +13,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
 from calib.diagnose import platform_findings_refit
 from calib.drift import visit_history_file
 from calib.experiment import investigation_folder
-from calib.online import learner_file, measuring_limbs_file, filter_state_file
-from rig.formats.rig_toml import design_file
-from rig.recording import recording_folder
-from rig.report import refutations
-from rig.cli.command_line import main
+from calib.files import calibration_file
+from calib.online import filter_state_file, learner_file, measuring_limbs_file
 from rig.cli import workspace
+from rig.cli.command_line import main
 from rig.cli.effects import _suggested
 from rig.errors import FileError
-from rig.formats.output_files import MANIFEST, folder_manifest
 from rig.formats.importers import import_recipe
-from rig.model.mechanisms import hexapod
+from rig.formats.output_files import MANIFEST, folder_manifest
+from rig.formats.rig_toml import design_file
 from rig.formats.schema_version import NAMED
+from rig.model.mechanisms import hexapod
+from rig.recording import recording_folder
+from rig.report import refutations
 from tests.conftest import ROOT
 
 DATA = ROOT / "tests" / "data"

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
 from calib.certify.claim_verification import Part, Verification
 from calib.drift.change_evidence import ALARM, Suspect, Verdict
 from calib.drift.change_hypotheses import SOMETHING
+from calib.files import calibration_file
 from calib.report.visits_page import Visit, last_visit_verdict
-from rig.formats import csv_table
 from rig.cli.command_line import main
+from rig.formats import csv_table
 from rig.report.verdict import REFUTED as CHANGED
 from rig.report.verdict import Evidence
 from tests.calib.drifting import changed, rig

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.compute import dask_cluster, worker_processes
 from rig.cli.command_line import main
-from rig.errors import FileError, RigError
+from rig.compute import dask_cluster, worker_processes
 from rig.compute.parallel_map import parallel_map
-from rig.compute.worker_processes import WorkerEnded, worker_count, process_map
+from rig.compute.worker_processes import WorkerEnded, process_map, worker_count
+from rig.errors import FileError, RigError
 from tests.conftest import BENCH
 
 SAME = ("corners.csv", "poses.csv", "rpy.csv", "rig.toml", "frames.csv", "report.html")  # of what rig measure writes

@@ -17,8 +17,8 @@ from calib.models.chain import error_model as chains
 from calib.models.chain.identification import identify as identify_chain
 from calib.models.platform.identification import identify, parameters
 from calib.samples.recording_samples import sample_recording
-from rig.recording import recording_folder
 from rig.model.pose import exp, log
+from rig.recording import recording_folder
 from tests.chained import written
 from tests.loops import rig
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from rig.errors import RigError
-from vision.recording_adjustment import Measurement
 from vision.corner_observations import Observations
 from vision.pose.ambiguous_poses import FAR
+from vision.recording_adjustment import Measurement
 from vision.targets import MarkerMap
 
 

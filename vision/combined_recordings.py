@@ -7,21 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from rig.model.cube_quarter_turns import WORDS
 from rig.errors import RigError
+from rig.model.cube_quarter_turns import WORDS
 from rig.model.pose import log
-from rig.recording.data_provenance import marks_of_frames, content_marks, frames_with_known_data
-from rig.recording.recording_folder import Recording
 from rig.recording.combined_recordings import (
     Owners,
-    is_measured_by_instrument,
     camera_name,
     dropped_channels,
+    is_measured_by_instrument,
     join_recordings,
     require_one_rig,
-    target_seats,
     stated_camera_owners,
+    target_seats,
 )
+from rig.recording.data_provenance import content_marks, frames_with_known_data, marks_of_frames
+from rig.recording.recording_folder import Recording
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
 

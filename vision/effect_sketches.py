@@ -7,15 +7,15 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.effects import sketches
-from rig.model.design import Camera, Design, Marker, Target
 from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.sketches.effect_example import Sketch, effect_example, effect_text, sketch_hexapod
+from rig.effects.sketches.motion_effect_figures import HIGH, TIMES, enlargement, enlargement_text, unit_of
+from rig.model.design import Camera, Design, Marker, Target
 from rig.model.motion_simulation import Run
-from rig.report.pages.plots import Series, plot_panel
-from rig.report.pages.image_plane_figures import Arrows, Cells, Quads, image_plane
 from rig.model.pose import pose
 from rig.recording.recording_folder import Sensors
-from rig.effects.sketches.effect_example import Sketch, effect_example, sketch_hexapod, effect_text
-from rig.effects.sketches.motion_effect_figures import HIGH, TIMES, enlargement_text, enlargement, unit_of
+from rig.report.pages.image_plane_figures import Arrows, Cells, Quads, image_plane
+from rig.report.pages.plots import Series, plot_panel
 from vision.predict import Sightings, State, predict_sightings
 from vision.targets import marker_map
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rig.model.design import Camera
 from rig.errors import FileError, RigError
-from rig.recording.exposures import read_image
 from rig.formats.output_files import write_bytes
+from rig.model.design import Camera
+from rig.recording.exposures import read_image
 from rig.recording.recording_folder import Exposures, Recording
 from vision import lens
 from vision.corners.marker_detection import grey_image

@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Design
 from rig.errors import RigError
+from rig.model.design import Design
 from rig.model.pose import adjoint
 from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
 from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
-from vision.hand_mounted_cameras import has_hand_cameras
-from vision.recording_adjustment import Measurement
 from vision.corner_observations import Observations, whitener
+from vision.hand_mounted_cameras import has_hand_cameras
 from vision.predict import Sightings, State, facing, is_inside_image, predict_sightings
+from vision.recording_adjustment import Measurement
 from vision.targets import SQUARE
 
 LEAST = 2  # sightings of markers; one alone leaves two poses alike

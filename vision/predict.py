@@ -9,13 +9,13 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
+from rig.model.design import Camera
 from rig.model.motion_simulation import Run
 from rig.model.pose import exp, transform_points
 from rig.recording.recording_folder import Sensors
-from vision import projection_kernels, lens
+from vision import lens, projection_kernels
 from vision.targets import MarkerMap
 
 STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected

@@ -7,8 +7,8 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera, Design
 from rig.errors import RigError
+from rig.model.design import Camera, Design
 from vision.corners.marker_detection import detect_markers
 from vision.targets import MarkerMap, marker_map
 

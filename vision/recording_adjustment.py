@@ -10,15 +10,15 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera, Design
-from rig.report.notebook_display import result_html
 from rig.recording.recording_folder import Corners
+from rig.report.notebook_display import result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.robust_adjustment import adjust_robustly, repeated_corner_error
 from vision.bundle.printing_variance import estimate_printing_errors
+from vision.bundle.robust_adjustment import adjust_robustly, repeated_corner_error
 from vision.corner_observations import Observations, observations_of_frames
-from vision.pose.frame_poses import Frames, Views, locate_frames, locate_cameras_by_body, locate_fixed_cameras
-from vision.pose.camera_placement import place_cameras_by_poses
 from vision.pose.body_pose import FINEST
+from vision.pose.camera_placement import place_cameras_by_poses
+from vision.pose.frame_poses import Frames, Views, locate_cameras_by_body, locate_fixed_cameras, locate_frames
 from vision.predict import State, predict
 from vision.targets import MarkerMap
 

@@ -4,19 +4,19 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rig.model.design import Camera, Design
 from rig.errors import NotEnoughData
+from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Corners, Recording
 from vision import chain_stages
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import HALVED, are_places_doubtful, marker_displacements
-from vision.hand_mounted_cameras import recording_seen_from_hand, has_hand_cameras, invert_measurement
-from vision.initial_lenses import initial_lenses, are_lenses_plausible
-from vision.recording_adjustment import Measurement, measure
 from vision.corner_observations import Observations, observations_from_corners, observations_of_frames
+from vision.hand_mounted_cameras import has_hand_cameras, invert_measurement, recording_seen_from_hand
+from vision.initial_lenses import are_lenses_plausible, initial_lenses
 from vision.reading.corner_refit import ROUNDS, SETTLED, lens_difference, refit_corners
-from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
 from vision.reading.marker_identity import LOOKED_AT, no_marker_reason
+from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
+from vision.recording_adjustment import Measurement, measure
 from vision.remounted_cubes import is_on_remounted_cube, measure_without_remounted
 from vision.targets import MarkerMap, marker_map
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from rig.model.design import Design
-from vision.recording_adjustment import Measurement
 from vision.corner_observations import Observations
 from vision.predict import predict
+from vision.recording_adjustment import Measurement
 from vision.targets import MarkerMap
 
 

@@ -6,25 +6,25 @@ from typing import Any
 
 import numpy as np
 
+from calib.certificate import certificate_sentences
+from calib.certificate.certificate_contents import Asked, Contents
+from calib.certificate.measuring_conditions import conditions, volume
 from calib.certify import tolerance_conformity, tolerance_limits
-from calib.certify.uncertainty_budget import uncertainty_budget, rms_uncertainty, thermometer_covariance
 from calib.certify.calibration import Calibration
-from calib.certify.tolerance_conformity import Conformity
-from calib.certify.held_out_errors import errors_before_and_after, error_figures
+from calib.certify.held_out_errors import error_figures, errors_before_and_after
 from calib.certify.held_out_poses import HeldPoses, held_poses
-from calib.certify.iso9283 import duty_of, iso9283
-from calib.certify.pose_error_promise import POSITION, ROTATION, Unit, promise_by_cell, depth_bound, pose_error_promise
-from calib.certify.repeatability import pose_repeatability
 from calib.certify.iso230_axis_test import iso230
+from calib.certify.iso9283 import duty_of, iso9283
+from calib.certify.pose_error_promise import POSITION, ROTATION, Unit, depth_bound, pose_error_promise, promise_by_cell
+from calib.certify.repeatability import pose_repeatability
+from calib.certify.tolerance_conformity import Conformity
+from calib.certify.uncertainty_budget import rms_uncertainty, thermometer_covariance, uncertainty_budget
+from calib.models.corrected_pose_covariance import pose_covariance
 from calib.samples.confounded_conditions import confounds_of_recordings
 from calib.samples.recording_samples import Sampled
-from calib.models.corrected_pose_covariance import pose_covariance
-from calib.certificate import certificate_sentences
-from calib.certificate.measuring_conditions import conditions, volume
-from calib.certificate.certificate_contents import Asked, Contents
 from rig.errors import NotEnoughData
-from rig.report.notebook_display import result_html
 from rig.recording.recording_folder import Recording
+from rig.report.notebook_display import result_html
 
 
 @dataclass(frozen=True, slots=True, eq=False)

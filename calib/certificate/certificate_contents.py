@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.recording_claim_check import AgainstClaim
-from calib.certify.uncertainty_budget import Budget
-from calib.certify.tolerance_conformity import Conformity
+from calib.certificate.measuring_conditions import Conditions, Volume
 from calib.certify.held_out_errors import Figures
+from calib.certify.iso230_axis_test import AxisTest
 from calib.certify.iso9283 import Iso9283
 from calib.certify.pose_error_promise import Cell, Promise
+from calib.certify.recording_claim_check import AgainstClaim
 from calib.certify.repeatability import Repeatability
-from calib.certify.iso230_axis_test import AxisTest
+from calib.certify.tolerance_conformity import Conformity
+from calib.certify.uncertainty_budget import Budget
 from calib.samples.confounded_conditions import Confounds
-from calib.certificate.measuring_conditions import Conditions, Volume
 from rig.report.verdict import Evidence
 
 

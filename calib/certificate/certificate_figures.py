@@ -4,7 +4,7 @@ import numpy as np
 
 from calib.certificate.certificate import Certificate
 from calib.certificate.certificate_sentences import micrometre_text
-from rig.report.pages.svg_elements import tooltip, svg, text, text_within, round_ticks
+from rig.report.pages.svg_elements import round_ticks, svg, text, text_within, tooltip
 
 
 def error_distribution_figure(c: Certificate) -> str:

@@ -5,13 +5,13 @@ from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
-from calib.certify.recording_claim_check import AgainstClaim
-from calib.certify.uncertainty_budget import COVERAGE, Budget
-from calib.certify.held_out_errors import Figures
-from calib.certify.pose_error_promise import Promise
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
 from calib.certificate.certificate_verdict import certificate_verdict
+from calib.certify.held_out_errors import Figures
+from calib.certify.pose_error_promise import Promise
+from calib.certify.recording_claim_check import AgainstClaim
+from calib.certify.uncertainty_budget import COVERAGE, Budget
 from rig.formats.json_file import nan_to_null
 
 SCHEMA = "certificate/1"

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from calib.certify.iso9283 import FEWEST
-from calib.report.calibration_page import flattened_rows
 from calib.certificate import certificate_figures, certificate_sentences
 from calib.certificate.certificate import Certificate
 from calib.certificate.certificate_verdict import certificate_verdict
-from rig.report.pages.page_template import Link, Page, write_page
+from calib.certify.iso9283 import FEWEST
+from calib.report.calibration_page import flattened_rows
 from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
+from rig.report.pages.page_template import Link, Page, write_page
 
 NOT_KNOWN = "not known"
 

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from calib.report.calibration_page import flattened_rows
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
+from calib.report.calibration_page import flattened_rows
 from rig.formats.output_files import write_bytes
 
 SIZE = (8.27, 11.69)  # inches, A4

@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from calib.files import calibration_file
 from calib.certify.calibration import Calibration
-from rig.recording.data_provenance import marks_of_frames, content_marks
+from calib.files import calibration_file
+from rig.recording.data_provenance import content_marks, marks_of_frames
 from rig.recording.recording_folder import Recording
 
 

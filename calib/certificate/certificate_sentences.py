@@ -1,12 +1,12 @@
 """A certificate in sentences: the first line says whose scale it rests on, the next what is promised."""
 
-from calib.certify.recording_claim_check import AgainstClaim
-from calib.certify.uncertainty_budget import Contribution, Expanded
-from calib.certify.tolerance_conformity import CONFORMS, FAILS
-from calib.certify.iso9283 import POSES, VISITS
-from calib.certify.iso230_axis_test import AxisTest
-from calib.certify.calibration_verdict import rigid_motion_text, stands
 from calib.certificate.certificate_contents import Contents
+from calib.certify.calibration_verdict import rigid_motion_text, stands
+from calib.certify.iso230_axis_test import AxisTest
+from calib.certify.iso9283 import POSES, VISITS
+from calib.certify.recording_claim_check import AgainstClaim
+from calib.certify.tolerance_conformity import CONFORMS, FAILS
+from calib.certify.uncertainty_budget import Contribution, Expanded
 
 
 def micrometre_text(value: float) -> str:

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from calib.certify.tolerance_conformity import CONFORMS, FAILS
-from calib.certify.calibration_evidence import confound_sentences
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
+from calib.certify.calibration_evidence import confound_sentences
+from calib.certify.tolerance_conformity import CONFORMS, FAILS
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 
 SCALE = Missing("nobody certified the scale of the lengths",

@@ -11,13 +11,13 @@ from xml.etree import ElementTree as ET
 
 from scipy.special import ndtri
 
-from calib.certify import uncertainty_budget
-from calib.certify.uncertainty_budget import COVERAGE
-from calib.certify.tolerance_conformity import CONFORMS, OPEN
-from calib.certify.pose_error_promise import Promise
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
 from calib.certificate.digital_si_values import METRE, ONE, RADIAN, SI, UNIFORM, UNITS, Expanded, Interval, Standard, Uncertainty, si_element
+from calib.certify import uncertainty_budget
+from calib.certify.pose_error_promise import Promise
+from calib.certify.tolerance_conformity import CONFORMS, OPEN
+from calib.certify.uncertainty_budget import COVERAGE
 
 VERSION = "3.3.0"
 DCC = "https://ptb.de/dcc"

@@ -10,25 +10,25 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certify.calibration import Calibration
+from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
+from calib.certify.extension_certification import Stand, Tried, certify_extension_of, stated_position_variance
 from calib.certify.platform_certification import Certified, Progress, model_covariance, silent_progress
 from calib.certify.workspace_claim import DRAWS, extension_scatter, sample_workspace
-from calib.certify.distinct_configurations import configuration_numbers, axis_ranges
-from calib.certify.extension_certification import Stand, Tried, certify_extension_of, stated_position_variance
 from calib.correct.correction import Correction
-from calib.correct.summand_extension import (
-    pose_coordinate_indices,
-    fit_summand_field,
-    geometry_of,
-    home_pose,
-    pass_residual_summands,
-    pass_residual_poses,
-    correction_with_map,
-    correction_with_pass,
-)
 from calib.correct.interpolation.field import Field
 from calib.correct.interpolation.partial_map import Part, Within
 from calib.correct.interpolation.repeated_passes import Passes
 from calib.correct.pose_space_map import PoseMap, pose_coordinates
+from calib.correct.summand_extension import (
+    correction_with_map,
+    correction_with_pass,
+    fit_summand_field,
+    geometry_of,
+    home_pose,
+    pass_residual_poses,
+    pass_residual_summands,
+    pose_coordinate_indices,
+)
 from calib.models.platform.identification import inverse_strut_jacobian
 from calib.samples.pose_samples import Samples
 from rig.errors import NotEnoughData

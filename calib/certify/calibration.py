@@ -5,17 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.workspace_claim import Claim
-from calib.certify.held_out_errors import HeldOut
 from calib.certify.calibration_verdict import claim_lines
-from calib.samples.confounded_conditions import Confounds
+from calib.certify.held_out_errors import HeldOut
+from calib.certify.workspace_claim import Claim
 from calib.correct.correction import Correction
 from calib.correct.physics import Physics
+from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_cells import Workspace
 from rig.errors import RigError
-from rig.report.notebook_display import result_html
 from rig.recording.recording_folder import Recording
+from rig.report.notebook_display import result_html
 
 
 @dataclass(frozen=True, slots=True, eq=False)

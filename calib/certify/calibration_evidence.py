@@ -8,15 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.workspace_claim import Claim
-from calib.certify.distinct_configurations import configuration_numbers, axis_ranges
-from calib.certify.held_out_errors import HeldOut
-from calib.certify.calibration_verdict import WHERE, refutation_sentence, claim_lines
+from calib.certify.calibration_verdict import WHERE, claim_lines, refutation_sentence
 from calib.certify.claim_verification import Verification, verify_claim
+from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
+from calib.certify.held_out_errors import HeldOut
+from calib.certify.workspace_claim import Claim
 from calib.samples.confounded_conditions import Confounds
 from calib.samples.pose_samples import Samples
-from rig.report.verdict import LOOK, Evidence, Missing, State, Verdict, judge_evidence
 from rig.report.refutations import Refutation
+from rig.report.verdict import LOOK, Evidence, Missing, State, Verdict, judge_evidence
 
 MORE = "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that tell most"
 ONWARD = ("Take another recording and hold the calibration against it: `rig certify calibration.json OTHER-REC --out certificate.html`",

@@ -2,10 +2,10 @@
 
 import math
 
+from calib.certify.claim_verification import Verification
 from calib.certify.distinct_configurations import LEAST
 from calib.certify.held_out_errors import HeldOut
 from calib.certify.workspace_claim import Claim
-from calib.certify.claim_verification import Verification
 
 WHERE = {"base": "base, or the instrument,", "platform": "target on the platform"}
 

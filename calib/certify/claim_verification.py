@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.workspace_claim import Claim
 from calib.certify.held_out_errors import pose_errors
+from calib.certify.workspace_claim import Claim
 from calib.samples.pose_samples import Samples
-from rig.report.verdict import REFUTES
 from rig.model.pose import adjoint, exp
+from rig.report.verdict import REFUTES
 
 LEVEL = 0.995  # of each part's quantile: one claim in a hundred that is kept is taken for one that is not
 DRAWS, FEWEST_DRAWS, MOST = 2000, 400, 200_000  # of squares: as many as times the poses make MOST

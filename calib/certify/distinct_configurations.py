@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.samples.pose_samples import Samples, time_block_folds, inverse_covariance
+from calib.samples.pose_samples import Samples, inverse_covariance, time_block_folds
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain
 from rig.model.mechanism_kinds import Struts
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
 
 SAME = 1e-3  # of an axis' range, within which commands are one configuration
 LEAST = 8  # distinct configurations from which a factor is claimed, or has an interval; fewer cannot say whether the model holds elsewhere

@@ -6,6 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from calib.certify.distinct_configurations import axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
+from calib.certify.held_out_error_statistics import both, draw_common_error_squares, held_out_error_statistics, influence
+from calib.certify.held_out_errors import HeldOut, compare_errors, is_significant_gain, pose_errors
 from calib.certify.platform_certification import FOLDS, SURELY, Certified, Progress, of_geometry, silent_progress, sizes_beyond, with_drawn
 from calib.certify.workspace_claim import (
     DRAWS,
@@ -15,28 +18,25 @@ from calib.certify.workspace_claim import (
     ConfigurationInformation,
     Workspace,
     claim_of_drawn_machines,
-    extension_scatter,
     claim_of_too_few_configurations,
+    extension_scatter,
     sample_workspace,
 )
-from calib.certify.distinct_configurations import configuration_folds, configuration_numbers, axis_ranges, mean_sample_per_configuration
-from calib.certify.held_out_error_statistics import both, held_out_error_statistics, influence, draw_common_error_squares
-from calib.certify.held_out_errors import HeldOut, compare_errors, pose_errors, is_significant_gain
 from calib.correct.correction import Correction, commands_with_pose
-from calib.correct.summand_extension import correction_with_field, fit_summand_field, geometry_of, geometry_residual_summands
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Field, Known
-from calib.correct.interpolation.grid import lattice_of_configurations
 from calib.correct.interpolation.gaussian_process import RadialMap
+from calib.correct.interpolation.grid import lattice_of_configurations
 from calib.correct.interpolation.weighted_fields import Weighted
-from calib.models.platform.identification import Identified, identify, pose_jacobian, inverse_strut_jacobian
+from calib.correct.summand_extension import correction_with_field, fit_summand_field, geometry_of, geometry_residual_summands
+from calib.models.platform.identification import Identified, identify, inverse_strut_jacobian, pose_jacobian
 from calib.samples.pose_samples import Samples, inverse_covariance
-from rig.model import mechanisms
-from rig.planning.configuration_sets import FILL, low_discrepancy
-from rig.model.design import Arm
 from rig.errors import RigError
+from rig.model import mechanisms
+from rig.model.design import Arm
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import FILL, low_discrepancy
 
 AUTO = "auto"
 ELSE = "direction, order, temperature or noise explain what is left as well as the place does"

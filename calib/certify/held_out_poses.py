@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.distinct_configurations import configuration_numbers, axis_ranges
+from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
 from calib.correct.correction import Correction
 from calib.samples.pose_samples import Samples
 from rig.errors import NotEnoughData, RigError

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certify.deviation_component_sizes import Closures, draw_component_sizes
-from calib.certify.strut_deviation_kernels import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component, deviation_components, scaled_commands
 from calib.certify.possible_machines import Machines
+from calib.certify.strut_deviation_kernels import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component, deviation_components, scaled_commands
 from calib.models.platform.identification import Identified, loop_jacobian, parameters, strut_jacobian
 from calib.models.platform.stated_geometry_accuracy import Tolerance, parameter_widths
 from calib.samples.pose_samples import Samples

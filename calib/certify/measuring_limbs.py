@@ -15,8 +15,8 @@ from calib.certify import redundant_limb_checks
 from calib.certify.fitted_limbs import Limbs
 from calib.models.platform.identification import Identified, identify
 from calib.samples.pose_samples import Samples, time_block_folds
-from rig.model.design import Design, Hexapod, MeasuringLimbs
 from rig.errors import NotEnoughData, RigError
+from rig.model.design import Design, Hexapod, MeasuringLimbs
 from rig.model.mechanism_kinds import hexapod_of
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.pose import pose_difference, pose_to_vector

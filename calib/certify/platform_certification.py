@@ -8,19 +8,19 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.certify.workspace_claim import Claim, draw_fit_variance_ratio, workspace_claim, sample_workspace
-from calib.certify.distinct_configurations import LEAST, configuration_folds, configuration_numbers, axis_ranges, mean_sample_per_configuration
+from calib.certify.distinct_configurations import LEAST, axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
 from calib.certify.held_out_error_statistics import HeldErrors
 from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after, is_significant_gain
-from calib.certify.machine_draws import COUNT, Sizes, draw_machines, deviation_sizes
+from calib.certify.machine_draws import COUNT, Sizes, deviation_sizes, draw_machines
 from calib.certify.possible_machines import Machines
+from calib.certify.workspace_claim import Claim, draw_fit_variance_ratio, sample_workspace, workspace_claim
 from calib.correct.correction import Correction, calibrate, identify_geometry
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.models.platform.identification import Identified, identify, loop_jacobian, parameters, pose_jacobian, inverse_strut_jacobian
-from calib.samples.pose_samples import Samples, inverse_covariance
+from calib.models.platform.identification import Identified, identify, inverse_strut_jacobian, loop_jacobian, parameters, pose_jacobian
 from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
-from rig.model.mechanism_kinds import Struts
+from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.compute.parallel_map import parallel_map
+from rig.model.mechanism_kinds import Struts
 
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 

@@ -11,7 +11,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from calib.certify import tolerance_limits, noise_free_errors
+from calib.certify import noise_free_errors, tolerance_limits
 from calib.certify.held_out_poses import HeldPoses
 
 DRAWS = 400  # of the shared errors

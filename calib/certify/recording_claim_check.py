@@ -6,8 +6,8 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.calibration_evidence import of_samples
-from calib.certify.held_out_errors import pose_errors
 from calib.certify.claim_verification import Part, Verification
+from calib.certify.held_out_errors import pose_errors
 from calib.samples.pose_samples import Samples
 
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 from calib.certify.fitted_limbs import Checks, Limbs
 from calib.models.platform.identification import PRIOR
 from calib.samples.pose_samples import time_block_folds
-from rig.model.design import Design, MeasuringLimbs
 from rig.errors import NotConverged, RigError
+from rig.model.design import Design, MeasuringLimbs
 from rig.model.mechanisms import redundant_legs
 
 STEPS, SETTLED = 20, 1e-11  # of fitting a leg; m at which it ends

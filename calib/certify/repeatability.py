@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.certify.held_out_poses import HeldPoses
 
+
 @dataclass(frozen=True, slots=True)
 class Repeatability:
     """position m, rotation rad : RMS distance of visits from their pose's barycentre, freedom allowed for, measuring noise included

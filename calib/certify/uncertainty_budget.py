@@ -170,7 +170,9 @@ def thermometer_covariance(calibration: Calibration, held: Sequence[tuple[Record
                 log = sensors.channels[name]
                 off = float(np.sqrt(np.mean((log[1:-1] - (log[:-2] + log[2:]) / 2) ** 2) / 1.5))
                 warmer = replace(recording, sensors=Sensors(sensors.t, {**sensors.channels, name: log + off}))
-                moved = pose_difference(*(calibration.correction.predict(one.effective) for one in (plain, calibration.with_physics(warmer, samples))))
+                moved = pose_difference(
+                    *(calibration.correction.predict(one.effective) for one in (plain, calibration.with_physics(warmer, samples)))
+                )
                 added, followed = added + moved[:, :, None] * moved[:, None, :], followed or bool(moved.any())
         found.append(added)
     return np.concatenate(found) if followed else None

@@ -18,13 +18,13 @@ from calib.certify.held_out_error_statistics import HeldErrors
 from calib.certify.possible_machines import Machines
 from calib.correct.correction import Correction, commands_with_pose
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.models.platform.identification import PRIOR, Identified, parameters, pose_jacobian, inverse_strut_jacobian
-from calib.samples.pose_samples import Samples
+from calib.models.platform.identification import PRIOR, Identified, inverse_strut_jacobian, parameters, pose_jacobian
 from calib.models.platform.stated_geometry_accuracy import Tolerance, parameter_widths
+from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
-from rig.planning.plan import FILL, low_discrepancy
 from rig.model.pose import pose_difference
+from rig.planning.plan import FILL, low_discrepancy
 
 PLACES = 128  # of the workspace
 DRAWS = 1000

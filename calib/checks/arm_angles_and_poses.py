@@ -7,15 +7,15 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.checks.rough_arm_placement import place_arm_roughly
 from calib.models.arm import error_model, instrument_placement
 from calib.models.arm.instrument_observations import Observations, of_positions
-from calib.checks.rough_arm_placement import place_arm_roughly
-from rig.model.design import Arm, Instrument
-from rig.errors import RigError
-from rig.model.mechanisms import arm as mechanism
-from rig.checks.user_mistake import Mistake, sort_mistakes
 from rig.checks.platform_commands_and_poses import LIKELY, written_pose_columns
 from rig.checks.pose_conventions import other_poses
+from rig.checks.user_mistake import Mistake, sort_mistakes
+from rig.errors import RigError
+from rig.model.design import Arm, Instrument
+from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 

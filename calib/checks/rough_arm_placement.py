@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.arm.instrument_placement import solve_rotation_placement, nearest_rotation, rigid_transform
+from calib.models.arm.instrument_placement import nearest_rotation, rigid_transform, solve_rotation_placement
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
 

@@ -9,8 +9,8 @@ from calib.correct.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import Identified
 from calib.models.platform.joint_camera_fit import commanded_state, fit_cameras_and_geometry
 from calib.samples.recording_samples import Sampled
-from rig.model.design import Design
 from rig.errors import RigError
+from rig.model.design import Design
 from rig.model.mechanism_kinds import Struts, hexapod_of
 
 

@@ -13,21 +13,21 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform.identification import Identified, identify, pose_jacobian, strut_jacobian, inverse_strut_jacobian
-from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
 from calib.correct.interpolation import gaussian_process
 from calib.correct.interpolation.field import Field
-from calib.correct.interpolation.partial_map import Within
 from calib.correct.interpolation.gaussian_process import Radial
+from calib.correct.interpolation.partial_map import Within
 from calib.correct.interpolation.simplex import Simplex
 from calib.correct.pose_space_map import PoseMap
+from calib.models.platform.identification import Identified, identify, inverse_strut_jacobian, pose_jacobian, strut_jacobian
+from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples
-from rig.model import mechanisms
-from rig.model.design import Arm, Chain, Hexapod, Planar2
+from rig.compute.parallel_map import parallel_map
 from rig.effects.framework.covariate import DRAWN
 from rig.errors import NotConverged, RigError, Unreachable
+from rig.model import mechanisms
+from rig.model.design import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanism_kinds import Struts, struts_of
-from rig.compute.parallel_map import parallel_map
 
 ITERATIONS = 100
 TOLERANCE = 1e-12  # m

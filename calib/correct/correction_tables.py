@@ -11,10 +11,10 @@ import numpy as np
 from calib.correct.correction import Correction
 from calib.models.platform.identification import strut_jacobian
 from calib.samples.pose_samples import Samples
-from rig.model import mechanisms
-from rig.planning.configuration_sets import FILL, low_discrepancy
 from rig.errors import NotConverged, RigError
+from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
+from rig.planning.configuration_sets import FILL, low_discrepancy
 
 AVERAGED = 256  # configurations over which a table for one joint alone is the mean
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.samples.pose_samples import Samples
-from rig.model import motion_simulation as machine
-from rig.model.design import Actuator, Arm, Chain, Design, Platform
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of
+from rig.model import motion_simulation as machine
+from rig.model.design import Actuator, Arm, Chain, Design, Platform
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors

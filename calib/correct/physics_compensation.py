@@ -15,10 +15,10 @@ from scipy.spatial.transform import RigidTransform
 from calib.correct.correction import Correction
 from calib.correct.physics import Physics
 from calib.correct.pose_route import Route
-from rig.model import motion_simulation, mechanisms
-from rig.model.design import Arm
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, RigError
+from rig.model import mechanisms, motion_simulation
+from rig.model.design import Arm
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -44,7 +44,11 @@ class Machine:
 
     def __post_init__(self) -> None:
         there, missing = (self.logged or Sensors(np.zeros(1), {}), ()) if self.physics is None else self.physics.sensed(self.logged, np.zeros(1))
-        for name, value in (("sensors", there), ("missing", missing), ("effects", () if self.physics is None else self.physics.compensable_effects())):
+        for name, value in (
+            ("sensors", there),
+            ("missing", missing),
+            ("effects", () if self.physics is None else self.physics.compensable_effects()),
+        ):
             object.__setattr__(self, name, value)
 
     def effective(self, commands: Commands, t: np.ndarray, T: RigidTransform, effects: tuple[Effect, ...] | None = None,

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from calib.correct.physics import Physics, Unknown
-from rig.model.design import Actuator, Arm, Chain, Platform
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.fit_coordinates import coordinates_of
-from rig.effects.texts.effect_text import Kinds, effect_from_dict, require_place, effect_to_dict
-from rig.formats.checked_entries import Entries
+from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_place
 from rig.errors import FileError, RigError
+from rig.formats.checked_entries import Entries
+from rig.model.design import Actuator, Arm, Chain, Platform
 from rig.model.mechanism_kinds import Struts
 
 

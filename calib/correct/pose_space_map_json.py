@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from calib.correct.summand_extension import pose_coordinate_indices
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.pose_space_map import NAMES, PoseMap
+from calib.correct.summand_extension import pose_coordinate_indices
 from rig.formats.checked_entries import Entries
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_entry_text

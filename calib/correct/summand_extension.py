@@ -15,15 +15,15 @@ from calib.correct import pose_space_map
 from calib.correct.correction import Correction, commands_with_pose
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Field, Known
-from calib.correct.interpolation.repeated_passes import Passes
 from calib.correct.interpolation.gaussian_process import RadialMap
+from calib.correct.interpolation.repeated_passes import Passes
 from calib.models.platform.identification import PRIOR, Identified, identify, parameters, strut_jacobian
 from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples
 from rig.model import mechanisms
-from rig.planning.configuration_sets import FILL, low_discrepancy
 from rig.model.design import Planar2
 from rig.model.mechanism_kinds import Struts
+from rig.planning.configuration_sets import FILL, low_discrepancy
 
 PLACES = 500  # at which a single step is held against the fixed point
 

@@ -5,19 +5,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from calib.certify.platform_certification import Progress, silent_progress
+from calib.correct.physics import Physics
+from calib.diagnose.platform_findings_refit import Findings, sensor_statistics, unnamed_findings
+from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
+from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
 from calib.models.arm.certification import UNPLACED, Certified, start_of
 from calib.models.arm.error_model import names
 from calib.models.arm.instrument_observations import of_samples
-from calib.models.arm.joint_physics_fit import Prior, History, JointFit, fit_geometry_and_effects
-from calib.certify.platform_certification import Progress, silent_progress
-from calib.correct.physics import Physics
-from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
-from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
-from calib.diagnose.platform_findings_refit import Findings, sensor_statistics, unnamed_findings
+from calib.models.arm.joint_physics_fit import History, JointFit, Prior, fit_geometry_and_effects
 from calib.samples.recording_samples import Sampled
-from rig.model import mechanisms
 from rig.effects.framework.fit_coordinates import coordinates_of
 from rig.errors import RigError
+from rig.model import mechanisms
 from rig.model.mechanism_kinds import arm_of
 from rig.recording.recording_folder import Recording
 

@@ -14,28 +14,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from calib.files import calibration_file
 from calib.certify.calibration import Calibration
-from calib.certify.workspace_claim import Claim
 from calib.certify.calibration_evidence import OfCalibrations, calibration_evidence, of_samples
 from calib.certify.held_out_errors import pose_errors
+from calib.certify.workspace_claim import Claim
 from calib.diagnose.engine.problem_interface import Progress
 from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose_arm
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose_platform
-from calib.diagnose.report import arm_report
-from calib.diagnose.report import platform_report
-from calib.diagnose.report import report_sentences
-from calib.diagnose.report.diagnosis_verdict import doubts, unexplained
-from calib.diagnose.report.diagnosis_report import Report
+from calib.diagnose.report import arm_report, platform_report, report_sentences
 from calib.diagnose.report.diagnosis_json import UNKNOWN
+from calib.diagnose.report.diagnosis_report import Report
+from calib.diagnose.report.diagnosis_verdict import doubts, unexplained
+from calib.files import calibration_file
 from calib.files.calibration_from_recording import SEED
-from calib.samples.recording_samples import Sampled
 from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import Sampled
 from rig.errors import NotEnoughData
-from rig.report.verdict import State
 from rig.recording.data_provenance import Marks, frames_with_known_data
 from rig.recording.recording_folder import Recording
 from rig.report.refutations import refutations_of_file
+from rig.report.verdict import State
 
 LARGEST = 50_000_000  # bytes of a file that is looked into
 NOT_SEARCHED = "nobody looked for what it leaves out"

@@ -7,31 +7,32 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from calib.certify.platform_certification import Certified, Progress, silent_progress, add_machine_draws
+from calib.certify.platform_certification import Certified, Progress, add_machine_draws, silent_progress
 from calib.correct.physics import Physics, Unknown
 from calib.diagnose.engine.chance_probability import Z95
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
+from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.exchanged_markers import exchanged
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording, without_distant_corners
+from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine
-from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.report.diagnosis_json import SCHEMA, UNKNOWN
 from calib.models.platform.identification import Loops, parameters
-from calib.samples.recording_samples import Sampled, freedom_conditions
 from calib.samples.pose_samples import Samples
-from rig.formats import json_file, machine_json
+from calib.samples.recording_samples import Sampled, freedom_conditions
 from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of
-from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.texts.effect_text import Kinds
-from rig.formats.checked_entries import Entries
 from rig.errors import FileError
-from rig.model.mechanism_kinds import struts_of
+from rig.formats import json_file, machine_json
+from rig.formats.checked_entries import Entries
 from rig.formats.output_files.folder_manifest import load_manifest as manifest
+from rig.model.mechanism_kinds import struts_of
 from rig.recording.data_provenance import content_marks, frames_with_known_data
 from rig.recording.recording_folder import Recording
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Findings:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from calib.drift.visit_equations import GEOMETRY
-from calib.drift.machine_changes import GAP, GROWTH, OWN, SOFT, UNITS
 from calib.drift.first_visit_reference import Reference
+from calib.drift.machine_changes import GAP, GROWTH, OWN, SOFT, UNITS
+from calib.drift.visit_equations import GEOMETRY
 from vision.bundle.unknown_priors import POSE_SCALE
 
 SIZES = (1.0, 0.25, 0.0625)  # of the greatest plausible size, each as likely

@@ -5,8 +5,8 @@ from hashlib import sha256
 
 import numpy as np
 
-from rig.model.design import Camera, Design
 from rig.errors import RigError
+from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
 from vision.recording_adjustment import Measurement
 from vision.targets import marker_map

@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.drift.visit_equations import base_motion_columns
 from calib.models.platform.identification import PRIOR, loop_jacobian, parameters, strut_jacobian, with_parameters
-from calib.samples.recording_samples import sample_recording
 from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import sample_recording
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts, struts_of
 from rig.model.pose import exp

@@ -6,13 +6,13 @@ from scipy.spatial.transform import RigidTransform
 from calib.certify.calibration import Calibration
 from calib.models.platform.identification import inverse_strut_jacobian
 from calib.samples.pose_samples import Samples
-from rig.model import motion_simulation
-from rig.model.design import Design, Hexapod, Platform
 from rig.effects.catalogue.backlash import Backlash
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.effects.catalogue.compliance import Compliance
 from rig.effects.catalogue.thermal_expansion import ThermalExpansion
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.errors import RigError
+from rig.model import motion_simulation
+from rig.model.design import Design, Hexapod, Platform
 from rig.recording.recording_folder import Commands, Sensors
 
 GAP = 1e-4  # m, of a worn nut: unit of its columns, and the play at which they are taken

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certify.calibration import Calibration
+from calib.drift.machine_changes import AT_ORIGIN, GAP, OWN, UNITS, fitted_hexapod, machine_change_columns
 from calib.drift.visit_equations import base_motion_columns
-from calib.drift.machine_changes import AT_ORIGIN, GAP, OWN, UNITS, machine_change_columns, fitted_hexapod
 from calib.models.platform.d_optimal_configurations import allowed_configurations
 from calib.models.platform.identification import pose_jacobian
 from calib.workspace.reachable_poses import is_pose_lost
-from rig.planning import plan
-from rig.model.design import Actuator, Design
 from rig.errors import RigError
+from rig.model.design import Actuator, Design
+from rig.planning import plan
 from rig.recording.recording_folder import Commands
 
 CANDIDATES = 400

@@ -11,19 +11,19 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.drift.machine_changes import machine_change_columns, expected_poses, fitted_hexapod
 from calib.drift.first_visit_reference import Reference
-from calib.models.platform.identification import pose_jacobian, inverse_strut_jacobian
-from calib.samples.recording_samples import sample_recording
+from calib.drift.machine_changes import expected_poses, fitted_hexapod, machine_change_columns
+from calib.models.platform.identification import inverse_strut_jacobian, pose_jacobian
 from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import sample_recording
 from rig.errors import RigError
 from rig.model.pose import log, skew
 from rig.recording.recording_folder import Recording
 from vision.bundle.normal_equations import linearise, normal_equations
 from vision.bundle.unknown_priors import POSE_SCALE, adjustment_unknowns
+from vision.corner_observations import whitener
 from vision.lens import terms
 from vision.recording_adjustment import Measurement
-from vision.corner_observations import whitener
 
 GEOMETRY = 42
 REPEATS = 1e-6  # m, to which struts repeat at the best, where the calibration found no scatter

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from calib.certify.calibration import Calibration
 from calib.drift.change_evidence import Verdict, change_verdict, unexplained_squares
 from calib.drift.change_hypotheses import change_hypotheses, prior_information
-from calib.drift.visit_equations import Equations, visit_equations
 from calib.drift.first_visit_reference import Reference
+from calib.drift.visit_equations import Equations, visit_equations
 from rig.errors import RigError
-from rig.recording.data_provenance import marks_of_frames, content_marks, frames_with_known_data
+from rig.recording.data_provenance import content_marks, frames_with_known_data, marks_of_frames
 from rig.recording.recording_folder import Recording
 
 KEPT = 8  # latest visits that a change may have begun with; older ones are one

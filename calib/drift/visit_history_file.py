@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.drift.visit_history import History, Visit
-from calib.drift.visit_equations import GEOMETRY, Equations
-from calib.drift.machine_changes import OWN
 from calib.drift.first_visit_reference import Reference
-from rig.formats import json_file
-from rig.model.design import DISTORTION_TERMS, Camera
-from rig.formats.checked_entries import Entries
+from calib.drift.machine_changes import OWN
+from calib.drift.visit_equations import GEOMETRY, Equations
+from calib.drift.visit_history import History, Visit
 from rig.errors import FileError
+from rig.formats import json_file
+from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
+from rig.model.design import DISTORTION_TERMS, Camera
 from rig.model.pose import pose_entry_text
 
 SCHEMA = "watch/1"

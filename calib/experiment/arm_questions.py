@@ -10,17 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnose.problems.arm.joint_candidates import joint_candidate
-from calib.diagnose.problems.arm.whitened_columns import Columns, Part
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
-from calib.diagnose.problems.arm.pose_fit import Fit, Term
-from calib.diagnose.problems.arm.nonlinear_parameters import optimise_nonlinear_parameters, has_continuous_parameters
-from calib.diagnose.problems.arm.linearised_poses import Arms, Geometry, linearise_planned_poses
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
+from calib.diagnose.problems.arm.joint_candidates import joint_candidate
+from calib.diagnose.problems.arm.linearised_poses import Arms, Geometry, linearise_planned_poses
+from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
+from calib.diagnose.problems.arm.pose_fit import Fit, Term
+from calib.diagnose.problems.arm.whitened_columns import Columns, Part
 from calib.diagnose.problems.platform.temperature_alternatives import WARM
 from calib.experiment.experiment_question import (
-    Prediction,
     PerFrame,
+    Prediction,
     Question,
     Rival,
     data_log_odds,
@@ -29,8 +29,8 @@ from calib.experiment.experiment_question import (
     with_unlisted_hypothesis,
 )
 from calib.experiment.predicted_recording import predicted_sensor_log
-from rig.model.design import Arm
 from rig.errors import RigError
+from rig.model.design import Arm
 from rig.planning.plan import Plan
 
 WEAK = 1e-10  # of the greatest singular value; directions below are none

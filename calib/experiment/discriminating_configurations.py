@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.experiment.experiment_question import PerFrame, Question
-from rig.planning.configuration_sets import grid, low_discrepancy
-from rig.model.design import Design
 from rig.errors import RigError
-from rig.planning.plan import Plan, build_plan, axis_strokes
+from rig.model.design import Design
+from rig.planning.configuration_sets import grid, low_discrepancy
+from rig.planning.plan import Plan, axis_strokes, build_plan
 
 POOL = 96  # configurations to choose from, beside the corners of what the axes reach
 NAME = "apart"  # of the part of a plan that they become

@@ -7,12 +7,12 @@ from itertools import combinations
 import numpy as np
 
 from calib.experiment.discriminating_configurations import NAME, discriminating_configurations
+from calib.experiment.experiment_information import Information, experiment_information
 from calib.experiment.experiment_question import Question
 from calib.experiment.investigation_folder import SETTING_UP
-from calib.experiment.experiment_information import Information, experiment_information
-from rig.model.cube_quarter_turns import turning_instructions, quarter_turns
-from rig.model.design import Design, Permission
 from rig.errors import RigError
+from rig.model.cube_quarter_turns import quarter_turns, turning_instructions
+from rig.model.design import Design, Permission
 from rig.planning.plan import Plan, build_plan
 
 PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts stand
@@ -127,5 +127,7 @@ def evaluate_experiment(asked: Sequence[Question], design: Design, text: str, se
 def _worth(question: Question, plan: Plan) -> Information:
     """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first recording's and others."""
     odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "by_data"))
-    found = [experiment_information(odds, question.predict_outcomes(plan, warmer), behind) for warmer in (DAYS if question.follows_temperature else (0.0,))]
+    found = [
+        experiment_information(odds, question.predict_outcomes(plan, warmer), behind) for warmer in (DAYS if question.follows_temperature else (0.0,))
+    ]
     return Information(*(float(np.mean([getattr(one, name) for one in found])) for name in ("bits", "settles", "right")))

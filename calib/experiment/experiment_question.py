@@ -6,8 +6,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from calib.diagnose.engine.selection_policy import PLATFORM
 from calib.diagnose.engine.candidate_score import Alternative
+from calib.diagnose.engine.selection_policy import PLATFORM
 from calib.diagnose.engine.term_selection import Finding
 from calib.diagnose.report.diagnosis_json import UNKNOWN
 from rig.planning.plan import Plan
@@ -118,7 +118,8 @@ def with_unlisted_hypothesis(question: Question[F], found: Prediction, shapes: n
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival(Generic[F]):
-    """A name in the running. behind : how much less likely it is, as minus twice a logarithm; fit : with it; number, data_log_odds : as of Hypothesis"""
+    """A name in the running. behind : how much less likely it is, as minus twice a logarithm; fit : with it; number, data_log_odds : as of
+    Hypothesis"""
 
     name: str
     place: str

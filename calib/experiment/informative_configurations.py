@@ -9,11 +9,11 @@ from scipy.spatial.transform import RigidTransform
 from calib.correct.correction import filter_closed_commands
 from calib.models.geometric_parameters import geometric_freedoms
 from calib.models.platform.d_optimal_configurations import exchange_configurations, sum_information
+from rig.errors import RigError
 from rig.model import mechanisms
+from rig.model.design import Arm, Chain, Planar2
 from rig.planning.approach_balance import balanced_order
 from rig.planning.configuration_sets import low_discrepancy
-from rig.model.design import Arm, Chain, Planar2
-from rig.errors import RigError
 
 CANDIDATES = 1500
 FILL = 0.95  # of the travels
@@ -25,7 +25,8 @@ FEWEST = 2  # markers of what moves that a configuration must show
 class Informative:
     """values : (n, axes) m or rad, chosen, ordered so that neither time nor direction is a function of place
     names, units : of the parameters asked for, "m" or "rad"; sigma, even : (p,) their standard errors by
-    these, and by as many spread evenly, along what these tell at all; undetermined : how many combinations keep half of what they may be off by or more
+    these, and by as many spread evenly, along what these tell at all; undetermined : how many combinations keep half of what they may be off by or
+    more
     seen : share of all configurations tried in which the machine is seen"""
 
     values: np.ndarray

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.diagnose.report.diagnosis_json import SCHEMA, UNKNOWN
-from rig.formats import json_file, csv_table
+from rig.formats import csv_table, json_file
 from rig.formats.checked_entries import Entries
 from rig.report.verdict import State
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.experiment.laboratory_notebook import next_experiment, minutes_spent
 from calib.experiment.investigation_folder import Look
-from rig.report.verdict import LOOK, Evidence, Missing, Verdict, judge_evidence
+from calib.experiment.laboratory_notebook import minutes_spent, next_experiment
+from rig.report.pages.html_elements import heading, list_html, note, paragraph, table
 from rig.report.pages.page_template import Page, write_page
 from rig.report.pages.plots import COLOURS, Series, plot_panel
-from rig.report.pages.html_elements import heading, list_html, note, paragraph, table
+from rig.report.verdict import LOOK, Evidence, Missing, Verdict, judge_evidence
 
 
 def write_investigation_page(path: Path, rig: str, looks: Sequence[Look], budget: float, ended: str, after: Sequence[str]) -> None:

@@ -11,28 +11,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnose.engine.linear_model import Column, join_columns
-from calib.diagnose.problems.platform.parameter_directions import parameter_directions
-from calib.diagnose.problems.platform.linearised_corners import seat_freedoms
+from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.held_out_validation import change
+from calib.diagnose.problems.platform.linearised_corners import seat_freedoms
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, cube_seats
+from calib.diagnose.problems.platform.parameter_directions import parameter_directions
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
-from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.temperature_alternatives import WARM
-from calib.experiment.experiment_question import Prediction, Hypothesis, PerFrame, Question, with_unlisted_hypothesis
+from calib.experiment.experiment_question import Hypothesis, PerFrame, Prediction, Question, with_unlisted_hypothesis
 from calib.experiment.predicted_recording import (
     fitted_design,
-    predicted_sensor_log,
     point_of_last_recording,
-    predicted_poses,
     point_with_turned_cubes,
+    predicted_poses,
     predicted_recording,
+    predicted_sensor_log,
 )
-from rig.model import mechanisms
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.fit_coordinates import Coordinate
-from rig.planning.plan import Plan
+from rig.model import mechanisms
 from rig.model.manufacturing_tolerances import SEAT
+from rig.planning.plan import Plan
 
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
 

@@ -3,8 +3,8 @@
 from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
-from calib.experiment.platform_prediction import PlatformQuestion
 from calib.experiment.experiment_question import Rival, data_log_odds, hypotheses, is_ruled_out
+from calib.experiment.platform_prediction import PlatformQuestion
 from rig.errors import RigError
 
 

@@ -7,12 +7,12 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, cube_seats, group_sightings
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
+from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
-from rig.errors import RigError
-from rig.recording.corner_and_pose_tables import Corners
-from rig.planning.plan import Plan, add_payload_channel
 from rig.model.pose import exp
+from rig.planning.plan import Plan, add_payload_channel
+from rig.recording.corner_and_pose_tables import Corners
 from rig.recording.recording_folder import PAYLOAD, Sensors
 from vision.corner_observations import observations_from_corners
 from vision.predict import State, facing, is_inside_image, predict_sightings

@@ -6,40 +6,40 @@ import math
 import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from datetime import datetime, UTC
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model import names
-from calib.models.arm.joint_profiles import Profile
 from calib.certify.calibration import Calibration
-from calib.certify.workspace_claim import Claim
 from calib.certify.held_out_errors import Figures, HeldOut
-from calib.models.chain import error_model as chains
-from calib.samples.confounded_conditions import confounds_from_entries
+from calib.certify.workspace_claim import Claim
 from calib.correct.correction import Correction
 from calib.correct.interpolation import interpolation_methods as kinds
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.correct.physics_json import physics_from_entries, physics_dict
-from calib.correct.pose_space_map_json import pose_map_from_entries, pose_map_dict
-from calib.models.platform.identification import parameters
-from calib.workspace.workspace_file import workspace_from_entries, workspace_dict
-from calib.files.mechanism_json import mechanism_from_entries, mechanism_dict
+from calib.correct.physics_json import physics_dict, physics_from_entries
+from calib.correct.pose_space_map_json import pose_map_dict, pose_map_from_entries
 from calib.files.calibration_file_checks import require_contents, require_same_ranges, require_text
-from rig.formats import json_file, remote_folders
-from rig.model.design import Arm, Chain
+from calib.files.mechanism_json import mechanism_dict, mechanism_from_entries
+from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.error_model import names
+from calib.models.arm.joint_profiles import Profile
+from calib.models.chain import error_model as chains
+from calib.models.platform.identification import parameters
+from calib.samples.confounded_conditions import confounds_from_entries
+from calib.workspace.workspace_file import workspace_dict, workspace_from_entries
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text import Kinds
+from rig.formats import json_file, remote_folders
 from rig.formats.checked_entries import Entries
-from rig.recording.exposures import LARGEST_IMAGE_FILE
-from rig.formats.output_files import write_text
-from rig.model.mechanism_kinds import Struts, struts_of
 from rig.formats.input_files import read_bytes
-from rig.recording.data_provenance import marks_of_frames, content_marks, frames_with_known_data
+from rig.formats.output_files import write_text
+from rig.model.design import Arm, Chain
+from rig.model.mechanism_kinds import Struts, struts_of
+from rig.recording.data_provenance import content_marks, frames_with_known_data, marks_of_frames
+from rig.recording.exposures import LARGEST_IMAGE_FILE
 from rig.recording.recording_folder import Recording
 
 SCHEMA = "calibration/1"

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.formats.input_files import value_text
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain, Hexapod, Planar2
-from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.model.mechanism_kinds import Struts
-from rig.formats.input_files import value_text
 
 
 def require_text(tree: Entries, key: str, known: Sequence[str]) -> None:

@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from calib.files import calibration_file
-from calib.models.arm.certification import Certified as ArmCertified
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import Certified
 from calib.certify.workspace_claim import Claim
-from calib.samples.confounded_conditions import confounds_of_samples
-from calib.models.chain.certification import Certified as ChainCertified
 from calib.correct.physics import Physics
-from calib.samples.recording_samples import Sampled
+from calib.files import calibration_file
+from calib.models.arm.certification import Certified as ArmCertified
+from calib.models.chain.certification import Certified as ChainCertified
 from calib.models.corrected_pose_covariance import add_workspace
+from calib.samples.confounded_conditions import confounds_of_samples
+from calib.samples.recording_samples import Sampled
 from rig.recording.recording_folder import Recording
 
 SEED = 0  # of draws; results are the same from run to run

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from calib.files.calibration_file_checks import require_plausible
-from rig.model.design import Arm, Chain, Hexapod, Planar2
 from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.model.design import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import pose_entry_text
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.arm import certification as arms
-from calib.models.chain import certification as chains
 from calib.certify import platform_certification
 from calib.certify.calibration import Calibration
+from calib.models.arm import certification as arms
+from calib.models.chain import certification as chains
 from calib.workspace.workspace_cells import map_workspace
 from rig.model.design import Arm, Chain
 

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from calib.models.arm import identification, error_model
+from calib.models.arm import error_model, identification
 from calib.models.arm.parameter_rank import PLAUSIBLE
 from calib.models.chain import error_model as chains
 from calib.models.platform.identification import NAMES, PRIOR, pose_jacobian

@@ -13,9 +13,9 @@ from calib.correct.physics import Physics
 from calib.correct.physics_compensation import Machine, commands_at_poses, path_memory_length, unknown_history_uncertainty
 from calib.correct.pose_route import Pace, Route, timed_route, untimed_route
 from calib.models.corrected_pose_covariance import pose_covariance
-from rig.model import mechanisms
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
+from rig.model import mechanisms
 from rig.planning.plan import SPEED, UNSTATED_SPEED
 from rig.recording.recording_folder import Sensors
 

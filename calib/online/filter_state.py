@@ -12,8 +12,8 @@ from calib.models.platform.identification import parameters, with_parameters
 from calib.models.platform.parameter_observability import frame_motion_columns
 from calib.online.change_detection import Change, Evidence
 from calib.online.square_root_kernels import ALARM, KINDS, REFUSED, SUMS, WINDOW, Estimate, Machine, Pose, follow, learn
-from rig.model.design import Hexapod
 from rig.errors import RigError
+from rig.model.design import Hexapod
 
 AGAIN = (8, 16, 32, 64, 128)  # poses after which all up to then are linearised again
 LARGER = 3.0  # times a change's size: standard deviation that what changed is opened by

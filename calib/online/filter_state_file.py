@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from calib.online.square_root_kernels import WINDOW, Machine, Pose
 from calib.online.filter_state import AGAIN, Start, State, initial_estimate, state_with_pose
-from rig.formats import json_file
-from rig.model.design import Hexapod
-from rig.formats.checked_entries import LARGEST_RIG, Entries
+from calib.online.square_root_kernels import WINDOW, Machine, Pose
 from rig.errors import FileError, RigError
+from rig.formats import json_file
+from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.output_files import write_text
+from rig.model.design import Hexapod
 from rig.model.pose import pose as pose_of
 from rig.model.pose import pose_to_vector
 

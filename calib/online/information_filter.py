@@ -16,20 +16,20 @@ from scipy.spatial.transform import RigidTransform
 from calib.models.platform.identification import PRIOR, with_parameters
 from calib.online import filter_state_file
 from calib.online.change_detection import SUSPECT, Change, detect_changes
-from calib.online.square_root_kernels import WINDOW, Machine, Pose
 from calib.online.filter_state import (
     AGAIN,
     Start,
     State,
     change_evidence,
     initial_state,
-    state_with_pose,
     relinearised_state,
     state_of_new_session,
     state_with_freed_changes,
+    state_with_pose,
 )
-from rig.model.design import Hexapod
+from calib.online.square_root_kernels import WINDOW, Machine, Pose
 from rig.errors import RigError
+from rig.model.design import Hexapod
 
 LARGEST = 6  # changes at one pose
 EARLY = 2  # times that the first poses are linearised again before what they seem to show is believed

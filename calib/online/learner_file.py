@@ -3,12 +3,12 @@
 import json
 from pathlib import Path
 
+from calib.files.mechanism_json import mechanism_dict, mechanism_from_entries
 from calib.online.learners import LEARNERS, Learner
-from calib.files.mechanism_json import mechanism_from_entries, mechanism_dict
 from rig.formats import json_file
-from rig.model.design import Hexapod
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.output_files import write_text
+from rig.model.design import Hexapod
 
 SCHEMA = "learner/1"
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import RigidTransform
 from calib.models.platform import closed_loop_kernels
 from calib.models.platform.identification import PRIOR, parameters, with_parameters
 from calib.models.platform.parameter_observability import PLAUSIBLE
-from rig.model.design import Hexapod
 from rig.errors import RigError
+from rig.model.design import Hexapod
 
 NO_SCATTER = np.zeros(6)
 

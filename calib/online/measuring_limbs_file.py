@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.measuring_limbs import Agreement, stated_limbs, limb_hexapod
 from calib.certify.fitted_limbs import Checks, Limbs
-from calib.files.mechanism_json import mechanism_from_entries, mechanism_dict
+from calib.certify.measuring_limbs import Agreement, limb_hexapod, stated_limbs
 from calib.files.calibration_file import covariance_in
-from rig.formats import json_file
-from rig.model.design import Design, Hexapod
-from rig.formats.checked_entries import Entries
+from calib.files.mechanism_json import mechanism_dict, mechanism_from_entries
 from rig.errors import FileError, RigError
+from rig.formats import json_file
+from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
+from rig.model.design import Design, Hexapod
 
 SCHEMA = "limbs/1"
 UNITS = "m, rad; covariance in their products, of base joints 1..6 (x y z), platform joints 1..6 (x y z), zeros 1..6; axes x y z rx ry rz"
@@ -54,13 +54,29 @@ class Accepted:
 def save(path: Path | str, found: Accepted) -> None:
     """Write a limbs.json, whole or not at all."""
     a, w = found.agreement, found.withdrawn
-    tree = {"schema": SCHEMA, "units": UNITS, "verdict": found.verdict, "tolerance": a.tolerance.tolist(),
-            "stated": mechanism_dict(found.nominal), "limbs": mechanism_dict(found.limbs.hexapod), "covariance": found.limbs.covariance.tolist(),
-            "reading_sigma": found.limbs.sigma.tolist(), "chosen": (found.limbs.chosen + 1).tolist(), "checks": _checks_out(found.limbs.checks),
-            "agreement": {"n": a.n, "bias": a.bias.tolist(), "scatter": a.scatter.tolist(), "limits": a.limits.tolist(), "surely": a.proven_limits.tolist(),
-                          "expected": a.expected.tolist(), "moved": a.moved.tolist()},
-            "withdrawn": None if w is None else {"recording": w.recording, "frame": w.frame, "reason": w.reason, "created": w.created},
-            "provenance": found.provenance}
+    tree = {
+        "schema": SCHEMA,
+        "units": UNITS,
+        "verdict": found.verdict,
+        "tolerance": a.tolerance.tolist(),
+        "stated": mechanism_dict(found.nominal),
+        "limbs": mechanism_dict(found.limbs.hexapod),
+        "covariance": found.limbs.covariance.tolist(),
+        "reading_sigma": found.limbs.sigma.tolist(),
+        "chosen": (found.limbs.chosen + 1).tolist(),
+        "checks": _checks_out(found.limbs.checks),
+        "agreement": {
+            "n": a.n,
+            "bias": a.bias.tolist(),
+            "scatter": a.scatter.tolist(),
+            "limits": a.limits.tolist(),
+            "surely": a.proven_limits.tolist(),
+            "expected": a.expected.tolist(),
+            "moved": a.moved.tolist(),
+        },
+        "withdrawn": None if w is None else {"recording": w.recording, "frame": w.frame, "reason": w.reason, "created": w.created},
+        "provenance": found.provenance,
+    }
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
 

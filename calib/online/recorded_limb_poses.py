@@ -14,8 +14,8 @@ from calib.certify import measuring_limbs, redundant_limb_checks
 from calib.online.information_filter import Online
 from calib.online.limb_vision_agreement import Disagreement, LimbCheck
 from calib.online.measuring_limbs_file import Accepted
-from calib.samples.recording_samples import Sampled
 from calib.samples.pose_samples import Samples, pair_samples
+from calib.samples.recording_samples import Sampled
 from rig.model.design import Hexapod
 from rig.model.mechanism_kinds import hexapod_of
 from rig.recording.frame_mask import select_frames

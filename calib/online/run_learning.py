@@ -7,11 +7,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify import measuring_limbs, redundant_limb_checks
+from calib.certify.calibration import Calibration
 from calib.correct.correction import Correction
 from calib.online.change_detection import Change
 from calib.online.information_filter import Online
 from calib.samples.pose_samples import Samples
-from calib.certify.calibration import Calibration
 from rig.model import mechanisms
 from rig.model.design import Design, Hexapod
 from rig.model.pose import pose_difference

@@ -7,26 +7,27 @@ from typing import Any
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.held_out_errors import Figures, HeldOut, errors_before_and_after
 from calib.certify.calibration_evidence import calibration_verdict
-from calib.models.platform.parameter_observability import parameter_combinations
 from calib.certify.calibration_verdict import claim_lines
+from calib.certify.held_out_errors import Figures, HeldOut, errors_before_and_after
 from calib.correct.correction import Correction
 from calib.correct.interpolation.gaussian_process import Radial
 from calib.models.platform.identification import Identified
+from calib.models.platform.parameter_observability import parameter_combinations
 from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
-from calib.samples.pose_samples import Samples
 from calib.report.scene_3d import rig_stage
+from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_figures import workspace_section_html
+from rig.formats.machine_json import GEOMETRY
 from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
-from rig.formats.machine_json import GEOMETRY
-from rig.report.pages.page_template import Link, Page, write_page
-from rig.report.pages.plots import Series, plot_panel, panel_row
-from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
 from rig.model.pose import pose_to_vector
-from rig.report.pages.view_3d import view_scripts, view_3d_html as view
 from rig.recording.recording_folder import Recording
+from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, panel_row, plot_panel
+from rig.report.pages.view_3d import view_3d_html as view
+from rig.report.pages.view_3d import view_scripts
 
 
 def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, found: Identified,

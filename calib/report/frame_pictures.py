@@ -5,8 +5,8 @@ import html
 
 import numpy as np
 
-from rig.report.pages.html_elements import note
 from rig.recording.recording_folder import Recording
+from rig.report.pages.html_elements import note
 from vision import jpeg_pictures
 from vision.recording_adjustment import Measurement
 

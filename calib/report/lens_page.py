@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
-from rig.report.pages.page_template import Link, Page, write_page
-from rig.report.pages.plots import Series, plot_panel, panel_row
 from rig.report.pages.html_elements import heading, note, paragraph, table
 from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, panel_row, plot_panel
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 from vision.lenses.board_photographs import Calibrated
 
 DRAWN = 0.03  # of the image's width, by which the common residuals are drawn

@@ -6,21 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.report.frame_pictures import frame_pictures_html, frame_of_median_residual, frame_of_greatest_residual
+from calib.report.frame_pictures import frame_of_greatest_residual, frame_of_median_residual, frame_pictures_html
 from calib.report.pose_figures import pose_coverage_figures
 from calib.samples.pose_samples import rms_uncertainty
-from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
-from rig.report.pages.page_template import Link, Page, write_page
-from rig.report.pages.plots import Series, plot_panel, panel_row
-from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
-from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane, patch_means
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
+from rig.report.pages.html_elements import folding_section, heading, list_html, note, paragraph, table
+from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane, patch_means
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, panel_row, plot_panel
+from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
 from vision.bundle.held_out_frames import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
-from vision.recording_adjustment import Measurement
-from vision.reading.recording_corners import Collected
 from vision.reading.marker_identity import Suspect
+from vision.reading.recording_corners import Collected
+from vision.recording_adjustment import Measurement
 
 SOLVED = 0.5  # of the frames, below which a measurement is bad
 TWICE = 2.0  # of the squares that the covariance predicts, from which it is not to be believed

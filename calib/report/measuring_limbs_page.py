@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.certify.measuring_limbs import AXES, MOVES, Agreement
-from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.html_elements import heading, note, table
 from rig.report.pages.page_template import Link, Page, write_page
 from rig.report.pages.plots import bar_chart, panel_row
-from rig.report.pages.html_elements import heading, note, table
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 
 
 def limbs_page(path: Path | str, name: str, found: Agreement, source: str, withdrawn: str | None, links: Sequence[Link] = ()) -> None:

@@ -8,10 +8,10 @@ import numpy as np
 
 from calib.certify.calibration_evidence import ALONE, OfCalibrations, confound_sentences
 from calib.samples.confounded_conditions import Confounds
-from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.html_elements import heading, list_html, note, paragraph
 from rig.report.pages.page_template import Link, Page, write_page
 from rig.report.pages.plots import Series, plot_panel
-from rig.report.pages.html_elements import heading, list_html, note, paragraph
+from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
 
 MANY = 6  # changes beyond which they are not believed to be steps
 ASK = "Determine what acts on the struts or the measurement: `rig diagnose REC --out found`"

@@ -10,12 +10,12 @@ from calib.report.pose_figures import pose_coverage_figures
 from calib.report.scene_3d import rig_stage
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.report.verdict import State, Verdict
-from rig.report.pages.page_template import Link, Page, write_page
-from rig.report.pages.plots import Series, plot_panel, panel_row
-from rig.report.pages.html_elements import heading, list_html
-from rig.report.pages.view_3d import view_scripts, view_3d_html
 from rig.model.pose import pose_to_vector
+from rig.report.pages.html_elements import heading, list_html
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, panel_row, plot_panel
+from rig.report.pages.view_3d import view_3d_html, view_scripts
+from rig.report.verdict import State, Verdict
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.report.pages.plots import Series, plot_panel, panel_row
+from rig.report.pages.plots import Series, panel_row, plot_panel
 
 
 def pose_coverage_figures(vectors: np.ndarray) -> str:

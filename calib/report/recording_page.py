@@ -6,19 +6,19 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.samples.effect_playback import effect_displacements
 from calib.report.pose_figures import pose_coverage_figures
 from calib.report.scene_3d import rig_stage
-from rig.model import mechanisms
+from calib.samples.effect_playback import effect_displacements
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
-from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
-from rig.report.pages.page_template import Link, Page, write_page
-from rig.report.pages.html_elements import heading, list_html
-from rig.report.pages.view_3d import Effect as Played
-from rig.report.pages.view_3d import view_scripts, view_3d_html
+from rig.model import mechanisms
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
+from rig.report.pages.html_elements import heading, list_html
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.view_3d import Effect as Played
+from rig.report.pages.view_3d import view_3d_html, view_scripts
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 
 
 def write_recording_page(path: Path | str, recording: Recording, effects: Sequence[Effect] = (), links: Sequence[Link] = ()) -> None:

@@ -7,8 +7,8 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms import arm as arms
-from rig.report.pages.view_3d import Effect, Stage
 from rig.model.pose import pose_to_vector
+from rig.report.pages.view_3d import Effect, Stage
 from vision.targets import MarkerMap, marker_map
 
 SIGHT = 0.12  # of a camera's distance: how long its lines are drawn

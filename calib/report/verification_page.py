@@ -9,21 +9,21 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.calibration_evidence import calibration_evidence, evidence_with_verification, with_design
-from calib.certify.held_out_errors import Figures, HeldOut
 from calib.certify.calibration_verdict import verification_line
 from calib.certify.claim_verification import Verification
-from calib.samples.confounded_conditions import Confounds
+from calib.certify.held_out_errors import Figures, HeldOut
 from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
-from calib.samples.pose_samples import Samples
 from calib.report.scene_3d import rig_stage
+from calib.samples.confounded_conditions import Confounds
+from calib.samples.pose_samples import Samples
 from rig.model.design import Design
-from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
-from rig.report.pages.page_template import Link, Page, write_page
-from rig.report.pages.plots import Series, plot_panel, panel_row
-from rig.report.pages.html_elements import heading, paragraph, table
-from rig.report.pages.view_3d import view_scripts, view_3d_html
 from rig.model.pose import pose_to_vector
+from rig.report.pages.html_elements import heading, paragraph, table
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, panel_row, plot_panel
+from rig.report.pages.view_3d import view_3d_html, view_scripts
 from rig.report.refutations import Refutation
+from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
 
 FAR = 3.0  # times the stated uncertainty, which errors that all poses share may reach by chance: beyond it is refuted
 ANOTHER = "Take a recording that the calibration has not seen, and verify by that: `rig verify calibration.json OTHER-REC`"

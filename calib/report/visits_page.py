@@ -8,11 +8,12 @@ import numpy as np
 
 from calib.certify.calibration_verdict import refutation_sentence
 from calib.certify.claim_verification import Verification
-from calib.drift.change_evidence import ALARM, Verdict as Changes
-from rig.report.verdict import Evidence, Verdict, judge_evidence
-from rig.report.pages.page_template import Link, Page, write_page
-from rig.report.pages.plots import Series, bar_chart, plot_panel, panel_row
+from calib.drift.change_evidence import ALARM
+from calib.drift.change_evidence import Verdict as Changes
 from rig.report.pages.html_elements import heading, note, paragraph
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.plots import Series, bar_chart, panel_row, plot_panel
+from rig.report.verdict import Evidence, Verdict, judge_evidence
 
 SHOWN = 8  # suspects
 

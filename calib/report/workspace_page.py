@@ -7,10 +7,10 @@ import numpy as np
 
 from calib.workspace import workspace_figures, workspace_sentences
 from calib.workspace.workspace_cells import Workspace
-from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.html_elements import heading, note, paragraph, table
 from rig.report.pages.page_template import Link, Page, write_page
 from rig.report.pages.plots import panel_row
-from rig.report.pages.html_elements import heading, note, paragraph, table
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 
 SINGULAR = 0.02  # of the greatest singular value, below which a place is near a singularity
 

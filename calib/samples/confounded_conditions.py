@@ -15,9 +15,9 @@ from scipy.special import betainc
 
 from calib.samples.measuring_conditions import conditions_of_exposures
 from calib.samples.pose_samples import Samples
+from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.design import Arm, Chain, Free
-from rig.formats.checked_entries import Entries
 from rig.model.mechanism_kinds import Struts
 from rig.recording.recording_folder import PAYLOAD, Recording
 

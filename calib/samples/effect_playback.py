@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from rig.model import motion_simulation
-from rig.model.design import Design
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.errors import RigError
-from rig.report.pages import view_3d
+from rig.model import motion_simulation
+from rig.model.design import Design
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
+from rig.report.pages import view_3d
 
 FACTORS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the size that it has
 NONE = 1e-9  # m and rad; less than this moves no platform

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.samples.pose_samples import Samples, planar_samples, pair_samples, add_stage_measurements
-from rig.model.design import Instrument
+from calib.samples.pose_samples import Samples, add_stage_measurements, pair_samples, planar_samples
 from rig.errors import NotEnoughData, RigError
+from rig.model.design import Instrument
 from rig.recording.corner_and_pose_tables import Corners, Poses
 from rig.recording.recording_folder import Recording
-from vision.recording_adjustment import Measurement
 from vision.reading.recording_corners import Collected
+from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
 
 UNSTATED = (1e-5, 1e-4)  # m, rad; standard deviations of poses for which nobody states any

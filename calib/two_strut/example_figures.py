@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from calib.two_strut.worked_example import L1, L2, NOMINAL, REAL, Worked, corrected_hinge_positions, grid, worked_example, workspace
 from rig.report.pages.svg_elements import text
-from calib.two_strut.worked_example import L1, L2, NOMINAL, REAL, Worked, corrected_hinge_positions, grid, workspace, worked_example
 
 WIDTH, HEIGHT = 480, 400
 SCALE, LEFT, FLOOR = 560.0, 240.0, 350.0  # px/m; px of the plane's origin

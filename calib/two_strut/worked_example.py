@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform
 from calib.correct.correction import Correction
 from calib.correct.summand_extension import fit_summand_field, summands
 from calib.samples.pose_samples import Samples
-from rig.planning.configuration_sets import FILL, grid_division
 from rig.model.design import Planar2
 from rig.model.mechanisms import two_strut_plane
+from rig.planning.configuration_sets import FILL, grid_division
 
 L1, L2 = 0.42, 0.58  # m
 NOMINAL = Planar2(np.array([[-0.3, 0.0], [0.3, 0.0]]), np.array([[L1, L2], [L1, L2]]))

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import Correction, filter_closed_commands, commands_with_pose
-from rig.model import mechanisms
+from calib.correct.correction import Correction, commands_with_pose, filter_closed_commands
 from rig.errors import NotConverged
+from rig.model import mechanisms
 from rig.model.pose import pose_difference
 
 SAME = 1e-6  # m and rad, within which a command gives the pose that it was found for

@@ -9,11 +9,11 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.correct.correction import Correction
 from calib.correct.summand_extension import home_pose
-from calib.workspace.reachable_poses import Side, uncorrected_machine, reachable_side
+from calib.workspace.reachable_poses import Side, reachable_side, uncorrected_machine
 from rig.model import mechanisms
-from rig.planning.configuration_sets import low_discrepancy
 from rig.model.design import Arm
 from rig.model.pose import pose_to_vector
+from rig.planning.configuration_sets import low_discrepancy
 
 DRAWN, FEWER = 8192, 4096  # configurations of either machine; of an arm, whose commands are sought step by step
 ALONG = {2: 16, 3: 10}  # cells along the longest side of a workspace that is flat, and of one that is not

@@ -8,9 +8,9 @@ import numpy as np
 from calib.workspace import workspace_sentences
 from calib.workspace.workspace_cells import Workspace
 from rig.effects.framework.covariate import DRAWN
-from rig.report.pages.plots import panel_row
 from rig.report.pages.html_elements import heading, note, paragraph
-from rig.report.pages.svg_elements import tooltip, svg, text, text_within
+from rig.report.pages.plots import panel_row
+from rig.report.pages.svg_elements import svg, text, text_within, tooltip
 
 LEFT, WIDE, TALL = 6.0, 388.0, 300.0  # of a view
 

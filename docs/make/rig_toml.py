@@ -11,16 +11,29 @@ from typing import Any
 import tomlkit
 
 from docs.make.told import fields_told, headline
-from rig.formats.rig_toml import design_file, arm_dynamics
-from rig.planning.layout import hexapod_layout, two_strut_layout, shipped_arms
+from rig.formats.checked_entries import REQUIRED, Entries, Key
+from rig.formats.rig_toml import arm_dynamics, design_file
+from rig.formats.rig_toml.arm_dynamics import ArmDynamics
 from rig.formats.rig_toml.arm_joint_entries import Joint
+from rig.formats.toml_positions import value_positions
 from rig.model.controller_settings import Controller
 from rig.model.design import (
-    Actuator, Arm, Camera, Design, Hexapod, Instrument, Marker, MeasuringLimbs, Permission, Planar2, Platform, Sensor, SensorPort, Target,
+    Actuator,
+    Arm,
+    Camera,
+    Design,
+    Hexapod,
+    Instrument,
+    Marker,
+    MeasuringLimbs,
+    Permission,
+    Planar2,
+    Platform,
+    Sensor,
+    SensorPort,
+    Target,
 )
-from rig.formats.rig_toml.arm_dynamics import ArmDynamics
-from rig.formats.checked_entries import REQUIRED, Entries, Key
-from rig.formats.toml_positions import value_positions
+from rig.planning.layout import hexapod_layout, shipped_arms, two_strut_layout
 
 HEAD = """# rig.toml, table by table
 

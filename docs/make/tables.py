@@ -8,11 +8,11 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
+from rig.effects.catalogue.thermal_expansion import AMBIENT
+from rig.formats import csv_table
+from rig.formats.csv_table import Table
 from rig.planning.layout import hexapod_layout
 from rig.recording import recording_folder
-from rig.formats import csv_table
-from rig.effects.catalogue.thermal_expansion import AMBIENT
-from rig.formats.csv_table import Table
 
 HEAD = """# The tables of a recording, column by column
 

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from rig.checks.user_mistake import Mistake
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.checks.user_mistake import Mistake
 from rig.recording.recording_folder import Commands
 
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "micrometres": 1e6, "inches": 1 / 0.0254}  # per metre

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rig.model.design import Design
 from rig.checks.user_mistake import Mistake
+from rig.model.design import Design
 from rig.recording.recording_folder import Sensors
 
 KELVIN = (200.0, 400.0)

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from rig.checks.user_mistake import Mistake
 from rig.formats import remote_folders
 from rig.formats.output_files.folder_manifest import file_digest
-from rig.checks.user_mistake import Mistake
 from rig.recording.recording_folder import Recording
 
 OUTSIDE = 0.02  # share of corners beyond their images, from which it is no outlier's doing

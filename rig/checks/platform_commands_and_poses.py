@@ -8,13 +8,13 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.checks.pose_conventions import other_poses
+from rig.checks.user_mistake import Mistake
+from rig.errors import RigError
 from rig.formats import csv_table
 from rig.model.design import Hexapod
-from rig.errors import RigError
 from rig.model.mechanism_kinds import hexapod_of
 from rig.model.mechanisms import hexapod as kinematics
-from rig.checks.user_mistake import Mistake
-from rig.checks.pose_conventions import other_poses
 from rig.recording.corner_and_pose_tables import POSE_COLUMNS
 from rig.recording.recording_folder import Commands, Recording
 

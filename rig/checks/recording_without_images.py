@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Iterator
 
-from rig.checks import clock_mistakes, environment_values, image_folder, command_units, clock_shift, rig_toml_values
+from rig.checks import clock_mistakes, clock_shift, command_units, environment_values, image_folder, rig_toml_values
 from rig.checks.user_mistake import Mistake, sort_mistakes
 from rig.formats.input_files import read_text
 from rig.recording.recording_folder import Recording

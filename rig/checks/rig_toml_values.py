@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rig.model.design import Arm, Camera, Design
 from rig.checks.user_mistake import Mistake
+from rig.model.design import Arm, Camera, Design
 
 TURN = 2.2 * np.pi  # rad; nobody writes a rotation vector that is longer
 WIDE = (0.15, 20.0)  # focal length in image widths that lenses have

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
-from rig.formats import remote_folders, csv_table
-from rig.model.design import Chain, Free
-from rig.errors import FileError, RigError
-from rig.model.mechanisms import arm
 from rig.checks import clock_mistakes, rig_toml_values
 from rig.checks.user_mistake import Mistake, sort_mistakes
+from rig.errors import FileError, RigError
+from rig.formats import csv_table, remote_folders
 from rig.formats.input_files import read_text
+from rig.formats.rig_toml import design_file
+from rig.model.design import Chain, Free
+from rig.model.mechanisms import arm
 
 SPREAD = {"arm": 0.4, "hexapod": 0.08, "planar2": 0.3}  # of the rig's size, that poses of a recording have about their middle, RMS
 FILES = ("commands.csv", "frames.csv", "sensors.csv")

@@ -17,13 +17,13 @@ from signal import SIGKILL
 from subprocess import CompletedProcess
 from typing import TYPE_CHECKING
 
-from rig.formats import json_file
 from rig.cli.shared.output_options import add_overwrite_option, add_result
 from rig.cli.shared.worker_options import results_with_progress, worker_pool
-from rig.errors import FileError, RigError
-from rig.formats.number_parsing import parse_whole_number
-from rig.formats.input_files import read_bytes, value_text
 from rig.compute.worker_processes import run_child_process
+from rig.errors import FileError, RigError
+from rig.formats import json_file
+from rig.formats.input_files import read_bytes, value_text
+from rig.formats.number_parsing import parse_whole_number
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -68,7 +68,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Blind the cases, diagnose each in a process that cannot read the truth, unblind and score."""
-    from synthetic import blind_cases as blind, blind_arm_cases as blind_arm, diagnosis_score as score
+    from synthetic import blind_arm_cases as blind_arm
+    from synthetic import blind_cases as blind
+    from synthetic import diagnosis_score as score
 
     settings = _settings(arguments, blind, blind_arm)
     indices = _indices(arguments.cases, arguments.season)

@@ -7,11 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared import recording_checks, extension_calibration, limb_poses, user_effects_option
-from rig.cli.shared.output_options import (
-    SEED, Progress, add_overwrite_option, add_recordings, add_result, file_or_stdout, parse_length, page_links, print_comparison, print_unsolved,
-)
+from rig.cli.shared import extension_calibration, limb_poses, recording_checks, user_effects_option
 from rig.cli.shared.calibration_summary import say_joints, say_physics, tell
+from rig.cli.shared.output_options import (
+    SEED,
+    Progress,
+    add_overwrite_option,
+    add_recordings,
+    add_result,
+    file_or_stdout,
+    page_links,
+    parse_length,
+    print_comparison,
+    print_unsolved,
+)
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -19,17 +28,17 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from calib.certify.platform_certification import Certified
+    from calib.diagnose.arm_findings_refit import ArmRefit
+    from calib.diagnose.platform_findings_refit import Findings, PlatformRefit
+    from calib.files.calibration_file import Calibration
     from calib.models.arm.certification import Certified as ArmCertified
     from calib.models.chain.certification import Certified as ChainCertified
-    from calib.certify.platform_certification import Certified
-    from calib.diagnose.platform_findings_refit import Findings, PlatformRefit
-    from calib.diagnose.arm_findings_refit import ArmRefit
-    from calib.samples.recording_samples import Sampled
     from calib.samples.pose_samples import Samples
-    from calib.files.calibration_file import Calibration
+    from calib.samples.recording_samples import Sampled
     from rig.effects.texts.effect_text import Kinds
-    from rig.report.pages.page_template import Link
     from rig.recording.recording_folder import Recording
+    from rig.report.pages.page_template import Link
 
     Places = tuple[Any, Path | None, list[Link]]  # of the file, of its page, and the page's links
 
@@ -121,8 +130,8 @@ def _findings(arguments: Namespace, recording: Recording, own: Kinds) -> Finding
 
 def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> PlatformRefit:
     """PlatformRefit of findings; of what a diagnosis of the recording itself finds where these are None."""
-    from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose
     from calib.diagnose.platform_findings_refit import findings_of_diagnosis, refit_platform_with_findings
+    from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose
 
     if findings is None:
         findings = findings_of_diagnosis(diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values())))
@@ -131,8 +140,8 @@ def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, ow
 
 def _taken_arm(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> ArmRefit:
     """ArmRefit of findings; of what a diagnosis of the recording itself finds where these are None."""
-    from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose
     from calib.diagnose.arm_findings_refit import findings_of_arm_diagnosis, refit_arm_with_findings
+    from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose
 
     if findings is None:
         findings = findings_of_arm_diagnosis(diagnose(recording, progress=progress, kinds=tuple(own.values())))
@@ -168,7 +177,7 @@ def _values_name(out: Path) -> str:
 
 def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator, progress: Progress,
              taken: PlatformRefit | None) -> Calibration:
-    from calib.certify.platform_certification import certify, workspace_claim_of, with_refitted_correction
+    from calib.certify.platform_certification import certify, with_refitted_correction, workspace_claim_of
     from calib.files.calibration_from_recording import calibration_with_provenance
     from calib.report.calibration_page import calibration_page
     from rig.model.mechanism_kinds import hexapod_of, struts_of
@@ -232,9 +241,9 @@ def _before(path: Path, nominal: Any) -> Calibration:
 
 def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
          progress: Progress, taken: ArmRefit | None) -> Calibration:
-    from calib.models.arm.certification import certify, workspace_claim_of
-    from calib.models.arm.calibration_page import calibration_page
     from calib.files.calibration_from_recording import calibration_with_provenance
+    from calib.models.arm.calibration_page import calibration_page
+    from calib.models.arm.certification import certify, workspace_claim_of
     from rig.model.mechanism_kinds import arm_of
 
     together = None if taken is None else taken.together
@@ -254,9 +263,9 @@ def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespa
 
 def _chain(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
            progress: Progress) -> Calibration:
-    from calib.models.chain.certification import certify, workspace_claim_of
-    from calib.models.chain.calibration_page import calibration_page
     from calib.files.calibration_from_recording import calibration_with_provenance
+    from calib.models.chain.calibration_page import calibration_page
+    from calib.models.chain.certification import certify, workspace_claim_of
     from rig.model.mechanism_kinds import chain_of
 
     done = certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
@@ -295,8 +304,8 @@ def _print_poses(sampled: Sampled, done: Certified | ArmCertified | ChainCertifi
 def _stored(out: Any, calibration: Calibration, arguments: Namespace, look: tuple[Recording, Sampled, Progress] | None) -> Calibration:
     """The Calibration, written. look : what is searched for what it leaves out, and what is called meanwhile; None where no model corrects that, or
     where it is known"""
+    from calib.diagnose.calibration_left_out_physics import search_left_out_physics, without_search
     from calib.files import calibration_file
-    from calib.diagnose.calibration_left_out_physics import without_search, search_left_out_physics
 
     if look is not None and arguments.limbs is None:
         calibration = without_search(calibration) if arguments.quick else search_left_out_physics(calibration, *look)

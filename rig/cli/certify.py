@@ -17,22 +17,22 @@ from rig.cli.shared.output_options import (
     add_overwrite_option,
     add_result,
     file_or_stdout,
-    page_links,
     missing_drawing_reason,
+    page_links,
     print_unsolved,
     read_recording,
     require_drawing,
 )
 from rig.errors import RigError
-from rig.report.verdict import Evidence, exit_status
 from rig.formats.number_parsing import parse_number
+from rig.report.verdict import Evidence, exit_status
 
 if TYPE_CHECKING:
-    from calib.certify.recording_claim_check import AgainstClaim
-    from calib.samples.recording_samples import Sampled
     from calib.certificate import digital_certificate_xml
     from calib.certificate.certificate import Certificate
+    from calib.certify.recording_claim_check import AgainstClaim
     from calib.files.calibration_file import Calibration
+    from calib.samples.recording_samples import Sampled
     from rig.recording.recording_folder import Recording
 
 UNITS = {"um": ("position", 1e-6), "mm": ("position", 1e-3), "m": ("position", 1.0), "urad": ("rotation", 1e-6), "mrad": ("rotation", 1e-3),
@@ -127,7 +127,7 @@ def run(arguments: Namespace) -> int:
 
     import numpy as np
 
-    from calib.certificate import certificate_provenance, certificate_json
+    from calib.certificate import certificate_json, certificate_provenance
     from calib.certificate.certificate import certificate_of
     from calib.certificate.certificate_contents import Asked
     from calib.certificate.certificate_verdict import certificate_verdict
@@ -166,8 +166,8 @@ def _against_claim(calibration: Calibration, held: list[tuple[Recording, Sampled
     import numpy as np
 
     from calib.certify import calibration_verdict as words
-    from calib.certify.recording_claim_check import check_claim_on_recording
     from calib.certify.calibration_evidence import calibration_evidence, evidence_with_verification, with_design
+    from calib.certify.recording_claim_check import check_claim_on_recording
     from calib.samples.confounded_conditions import confounds_of_recordings
 
     known, claims = calibration_evidence(calibration, refutation_marks.read_refutations(arguments.calibration)), []
@@ -194,8 +194,8 @@ def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress
 
 
 def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> None:
-    from calib.certificate import digital_certificate_xml as xml
     from calib.certificate import certificate_json
+    from calib.certificate import digital_certificate_xml as xml
     from rig.formats.output_files import write_text
 
     if suffix == ".html":

@@ -5,10 +5,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.checks.user_mistake import Mistake, sort_mistakes
 from rig.cli.shared import recording_checks
 from rig.cli.shared.output_options import add_json, print_json
 from rig.errors import FileError
-from rig.checks.user_mistake import Mistake, sort_mistakes
 
 if TYPE_CHECKING:
     from rig.recording.recording_folder import Corners, Recording
@@ -25,9 +25,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Say all that is wrong or unlikely with a recording, the most likely cause first; 1 where results would mean nothing."""
-    from rig.recording import recording_folder as recordings
     from rig.checks.recording_without_images import file_mistakes
     from rig.checks.unreadable_recording import unreadable_recording_mistakes
+    from rig.recording import recording_folder as recordings
 
     try:
         recording = recordings.load(arguments.recording)

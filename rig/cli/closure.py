@@ -35,8 +35,8 @@ def run(arguments: Namespace) -> int:
     """Choose six legs, say how the others close; 1 where one closes worse than its errors and geometry allow."""
     import numpy as np
 
-    from rig.recording import recording_tables
     from rig.model.mechanisms import redundant_legs
+    from rig.recording import recording_tables
 
     recording = read_recording(arguments)
     out = arguments.outputs.file(arguments.out) if arguments.out else None
@@ -61,8 +61,8 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     import numpy as np
 
-    from calib.files import calibration_file
     from calib.certify import measuring_limbs, redundant_limb_checks
+    from calib.files import calibration_file
     from calib.online import measuring_limbs_file
     from rig.model.mechanism_kinds import hexapod_of
     from rig.model.mechanisms import redundant_legs

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import user_effects_option, reading_correction, refutation_marks
+from rig.cli.shared import reading_correction, refutation_marks, user_effects_option
 from rig.cli.shared.output_options import add_overwrite_option, add_result, file_or_stdout
 from rig.errors import RigError, Unreachable
 from rig.formats.number_parsing import parse_numbers
@@ -15,8 +15,8 @@ from rig.formats.number_parsing import parse_numbers
 if TYPE_CHECKING:
     import numpy as np
 
-    from calib.models.wanted_pose_commands import Commanded
     from calib.files.calibration_file import Calibration
+    from calib.models.wanted_pose_commands import Commanded
     from rig.recording.recording_folder import Sensors, Wanted
 
 
@@ -51,8 +51,8 @@ def run(arguments: Namespace) -> None:
     import numpy as np
 
     from rig.model import mechanisms
-    from rig.recording import recording_tables
     from rig.recording import recording_folder as recordings
+    from rig.recording import recording_tables
 
     calibration = user_effects_option.load_calibration(arguments.calibration, user_effects_option.load_effect_files(arguments))
     refutation_marks.read_refutations(arguments.calibration)
@@ -101,8 +101,8 @@ def run(arguments: Namespace) -> None:
 def _commanded(arguments: Namespace, calibration: Calibration, wanted: Wanted, keep: np.ndarray,
                given: tuple[np.ndarray, Sensors | None]) -> Commanded:
     """Commanded for the wanted poses to keep. given : where the axes start, sensors. Raises Unreachable for those that cannot be."""
-    from calib.models.wanted_pose_commands import commands_along_route, route_pace
     from calib.correct.correction import require_reachable
+    from calib.models.wanted_pose_commands import commands_along_route, route_pace
 
     (start, sensors), T = given, wanted.poses.T_base_platform[keep]
     pace = None if wanted.t is None else route_pace(calibration, wanted.t[keep], sensors)
@@ -178,9 +178,9 @@ def _say_rest(arguments: Namespace, calibration: Calibration, out: Path, asked: 
 
     from calib.models.arm import certification
     from calib.models.arm.correction import ArmCorrection
+    from rig.model.pose import pose_difference
     from rig.recording import recording_folder as recordings
     from rig.recording import recording_tables
-    from rig.model.pose import pose_difference
 
     correction, (wanted, keep) = calibration.correction, asked
     if not isinstance(correction, ArmCorrection) or not correction.deficient:

@@ -38,7 +38,8 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Write or print a rig.toml."""
     from rig.errors import RigError
-    from rig.planning.layout import hexapod_layout as layout, two_strut_layout
+    from rig.planning.layout import hexapod_layout as layout
+    from rig.planning.layout import two_strut_layout
 
     if arguments.arm is not None or arguments.mechanism == "arm":
         _shipped(arguments)
@@ -59,8 +60,8 @@ def run(arguments: Namespace) -> None:
 
 def _shipped(arguments: Namespace) -> None:
     """Write or print the rig.toml of a shipped arm."""
-    from rig.planning.layout import shipped_arms
     from rig.errors import RigError
+    from rig.planning.layout import shipped_arms
 
     if arguments.arm is None:
         raise RigError(f"--mechanism arm takes --arm with the name of a shipped one: {', '.join(shipped_arms.shipped_arm_names())}")

@@ -8,23 +8,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.formats import json_file
-from rig.cli.shared import recording_checks, next_experiment, user_effects_option, refutation_marks
+from rig.cli.shared import next_experiment, recording_checks, refutation_marks, user_effects_option
 from rig.cli.shared.output_options import Progress, add_overwrite_option, add_recordings, add_result, page_links
 from rig.errors import RigError
+from rig.formats import json_file
 from rig.report.verdict import State
 
 if TYPE_CHECKING:
-    from calib.diagnose.engine.stated_terms import Given
     from calib.certify.calibration_evidence import OfCalibrations
+    from calib.diagnose.engine.stated_terms import Given
     from calib.diagnose.report.diagnosis_report import Report
-    from calib.samples.recording_samples import Sampled
     from calib.files.calibration_file import Calibration
-    from rig.recording.recording_folder import Recording
-
+    from calib.samples.recording_samples import Sampled
     from rig.effects.framework.effect import Effect
     from rig.effects.texts.effect_text import Kinds
     from rig.effects.texts.user_effect_files import Plugin
+    from rig.recording.recording_folder import Recording
 
 MENTIONED = 4  # remarks, and rows that were left out, in the terminal
 
@@ -60,8 +59,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Diagnose a recording and write what was found."""
-    from rig.recording import data_provenance
     from rig.effects.texts.effect_text import require_known_effect
+    from rig.recording import data_provenance
 
     next_experiment.refuse_invalid_options(arguments)
     progress = Progress()
@@ -117,9 +116,9 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
     """Report of an arm's or a chain's recording, written to a folder with its page."""
     from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose
     from calib.diagnose.report import arm_report
-    from calib.samples.recording_samples import sample_recording
     from calib.diagnose.report.arm_page_figures import ArmView
     from calib.diagnose.report.diagnosis_page import diagnosis_page
+    from calib.samples.recording_samples import sample_recording
 
     if known.calibration is not None:
         raise RigError("--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording")
@@ -141,9 +140,9 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
     """Report of a platform's or a hand-moved body's recording, written to a folder with its page."""
     from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose
     from calib.diagnose.report import platform_report
-    from calib.samples.recording_samples import sample_recording
     from calib.diagnose.report.diagnosis_page import diagnosis_page
     from calib.diagnose.report.platform_page_figures import PlatformView
+    from calib.samples.recording_samples import sample_recording
 
     sampled = None if recording.commands is None or recording.design.mechanism.kind == "free" else sample_recording(recording, progress=progress)
     found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.calibration, known.given, sampled, known.kinds),
@@ -162,7 +161,7 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
 def _of_calibrations(report: Report, recording: Recording, sampled: Sampled | None, arguments: Namespace) -> OfCalibrations:
     """OfCalibrations beside the recording or the diagnosis that were made from it; each that knows nothing of a finding is marked."""
     from calib.certify.calibration_evidence import OfCalibrations
-    from calib.diagnose.calibration_left_out_physics import refuted_calibrations, findings_against_calibrations
+    from calib.diagnose.calibration_left_out_physics import findings_against_calibrations, refuted_calibrations
     from rig.recording import data_provenance
 
     of, paths = data_provenance.content_marks(recording), refutation_marks.near_by(recording.folder, arguments.out)
@@ -177,10 +176,10 @@ def _print(report: Report) -> None:
     """Say what was found, the biggest first, and what was held out."""
     from calib.diagnose.report.diagnosis_verdict import diagnosis_verdict
     from calib.diagnose.report.report_sentences import (
-        many_outliers_sentence,
         excluded_row_texts,
         finding_line,
         formula_suggestion_sentences,
+        many_outliers_sentence,
         suggestion_rows,
     )
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import user_effects_option
-from rig.cli.shared.output_options import add_overwrite_option, add_json, print_json
+from rig.cli.shared.output_options import add_json, add_overwrite_option, print_json
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def run(arguments: Namespace) -> None:
     from shutil import get_terminal_size
 
     from rig.cli.shared.argument_parser import suggestion_text
-    from rig.effects.texts.catalogue_listing import effect_table, effect_dict, effect_description
+    from rig.effects.texts.catalogue_listing import effect_description, effect_dict, effect_table
 
     width = get_terminal_size((160, 24)).columns
     known = user_effects_option.known_effects(user_effects_option.load_effect_files(arguments))
@@ -57,8 +57,8 @@ def run(arguments: Namespace) -> None:
 
 def _new(arguments: Namespace) -> None:
     """Write a file with a new effect: as a diagnosis suggests it, or an example."""
-    from rig.effects.texts.user_effect_files import of_source, unnamed
     from rig.effects.texts.formula_effect_file import EXAMPLE
+    from rig.effects.texts.user_effect_files import of_source, unnamed
     from rig.formats.output_files import write_text
 
     if arguments.name is not None or arguments.json:
@@ -81,8 +81,8 @@ def _new(arguments: Namespace) -> None:
 
 def _suggested(folder: Path, place: str | None) -> tuple[str, Written]:
     """(place, Written) that a diagnosis in a folder suggests. Raises RigError where it suggests nothing there, or several things anywhere."""
-    from rig.formats import json_file
     from rig.effects.texts.formula_effect_file import Written
+    from rig.formats import json_file
 
     table = json_file.load(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
     found = {entry.text("place"): entry for entry in (table.tables("suggestions") if "suggestions" in table.tree else ())}

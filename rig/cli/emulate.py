@@ -13,8 +13,8 @@ from rig.errors import RigError
 from rig.formats.number_parsing import parse_number, parse_numbers, parse_whole_number
 
 if TYPE_CHECKING:
-    from rig.driving.clock import Clock
     from rig.cli.shared.emulated_camera_process import Cameras
+    from rig.driving.clock import Clock
     from rig.driving.emulators.controller_emulator import Emulator
 
 
@@ -92,9 +92,9 @@ def emulator_of_arguments(arguments: Namespace, clock: Clock) -> Emulator:
     """The Emulator that the arguments ask for. Raises RigError for a rig without a controller and arguments that cannot be meant."""
     import numpy as np
 
-    from rig.formats.rig_toml import design_file
     from rig.driving import emulators
     from rig.driving.emulators.controller_faults import Faults, parse_faults
+    from rig.formats.rig_toml import design_file
 
     if not arguments.speed > 0:
         raise RigError(f"--speed must be above 0, not {arguments.speed:g}")

@@ -60,7 +60,7 @@ def _export(arguments: Namespace) -> list[str]:
     if arguments.format in CAMERAS or arguments.format in SEEN:
         (_cameras if arguments.format in CAMERAS else _seen)(arguments)
         return []
-    from rig.formats.exporters import linuxcnc_genhexkins, geometry_json_and_csv, hexapod_sdf, arm_urdf, hexapod_urdf
+    from rig.formats.exporters import arm_urdf, geometry_json_and_csv, hexapod_sdf, hexapod_urdf, linuxcnc_genhexkins
     from rig.formats.output_files import write_text
 
     mechanism, left_out, lead = _machine(arguments.machine)
@@ -96,11 +96,11 @@ def _tables(arguments: Namespace) -> None:
     """Write corrections as tables, and say what they leave out."""
     import numpy as np
 
-    from calib.files import calibration_file
     from calib.correct.correction_tables import grid_table, joint_tables
-    from rig.model import mechanisms
+    from calib.files import calibration_file
     from rig.formats.exporters import compensation_tables
     from rig.formats.output_files import write_text
+    from rig.model import mechanisms
 
     if arguments.machine.suffix == ".toml" or arguments.out is None:
         raise RigError(f"{arguments.format} takes a calibration.json and --out")
@@ -127,9 +127,9 @@ def _tables(arguments: Namespace) -> None:
 
 def _cameras(arguments: Namespace) -> None:
     """Write the lenses of a rig.toml, a file for each camera."""
-    from rig.formats.rig_toml import design_file
     from rig.formats.exporters import opencv_and_ros_camera
     from rig.formats.output_files import write_text
+    from rig.formats.rig_toml import design_file
 
     if arguments.machine.suffix != ".toml" or arguments.out is None:
         raise RigError(f"{arguments.format} takes a rig.toml, as `rig measure` writes it too, and --out DIR")
@@ -150,9 +150,9 @@ def _cameras(arguments: Namespace) -> None:
 
 def _seen(arguments: Namespace) -> None:
     """Write the poses or the tables of a recording."""
-    from rig.recording import recording_folder as recordings
     from rig.formats.exporters import tum_trajectory
     from rig.formats.output_files import write_bytes, write_text
+    from rig.recording import recording_folder as recordings
 
     found = recordings.load(arguments.machine)
     if arguments.format == "tum":

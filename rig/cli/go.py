@@ -6,7 +6,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import user_effects_option, refutation_marks
+from rig.cli.shared import refutation_marks, user_effects_option
 from rig.cli.shared.output_options import add_port, add_result
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number, parse_numbers
@@ -41,8 +41,8 @@ def run(arguments: Namespace) -> None:
     import numpy as np
 
     from calib.correct.correction import require_reachable
+    from rig.cli.shared.controller_session import design_with_controller, lengths_text, open_driver, print_status
     from rig.model import mechanisms
-    from rig.cli.shared.controller_session import design_with_controller, open_driver, lengths_text, print_status
     from rig.model.mechanism_kinds import hexapod_of
     from rig.model.pose import pose_to_vector
 

@@ -37,9 +37,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Make a recording out of foreign files, say what was assumed, and keep it as a recipe."""
+    from rig.checks.recording_without_images import file_mistakes
     from rig.formats import importers
     from rig.formats.output_files import write_text
-    from rig.checks.recording_without_images import file_mistakes
 
     given = {name: getattr(arguments, name) for name in TABLES}
     if arguments.recipe is not None and (arguments.images or arguments.rig or arguments.cameras or arguments.bag or any(given.values())):

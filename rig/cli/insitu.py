@@ -15,8 +15,8 @@ from rig.formats.number_parsing import parse_number
 if TYPE_CHECKING:
     import numpy as np
 
-    from calib.certify.measuring_limbs import Agreement
     from calib.certify.fitted_limbs import Limbs
+    from calib.certify.measuring_limbs import Agreement
     from calib.online.measuring_limbs_file import Accepted
     from calib.samples.recording_samples import Sampled
     from rig.recording.recording_folder import Recording
@@ -45,7 +45,7 @@ def run(arguments: Namespace) -> int:
     recording = read_recording(arguments)
 
     from calib.certify import measuring_limbs
-    from calib.online import recorded_limb_poses, measuring_limbs_file
+    from calib.online import measuring_limbs_file, recorded_limb_poses
     from calib.samples.recording_samples import sample_recording
 
     renewed = arguments.out is not None and measuring_limbs_file.is_limbs_file(arguments.out)
@@ -90,9 +90,9 @@ def _held(arguments: Namespace, recording: Recording, by_vision: Sampled, read: 
     asked : (6,) numbers of those that tell poses, or None"""
     import numpy as np
 
-    from calib.certify import measuring_limbs, redundant_limb_checks, measuring_limb_steps
-    from calib.online import measuring_limbs_file
+    from calib.certify import measuring_limb_steps, measuring_limbs, redundant_limb_checks
     from calib.files.calibration_file import calibration_provenance
+    from calib.online import measuring_limbs_file
 
     stated, (frames, every) = measuring_limbs.stated_limbs(recording.design), read
     sigma, home = stated.length_sigma, measuring_limbs.limb_hexapod(recording.design).home

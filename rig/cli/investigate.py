@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared.investigation_certificate import certify_investigation
-from rig.cli.shared.output_options import SEED, add_result
 from rig.cli.shared.investigation_machine import Rig, Waiting
+from rig.cli.shared.output_options import SEED, add_result
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_whole_number
 
@@ -154,8 +154,8 @@ def _look(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> No
 
 def _diagnose(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> None:
     """Diagnose the recordings up to a number together; the next plan is written with it. so_far : the looks before"""
-    from calib.experiment.laboratory_notebook import minutes_spent
     from calib.experiment.investigation_folder import diagnosis_path, plan_minutes, plan_path, recording_path
+    from calib.experiment.laboratory_notebook import minutes_spent
 
     out = arguments.out
     taken = minutes_spent(so_far) + plan_minutes(plan_path(out, number))
@@ -184,8 +184,8 @@ def _ended(arguments: Namespace, so_far: list[Look]) -> str:
 
 def _tell(arguments: Namespace, so_far: list[Look], ended: str, after: tuple[str, ...] = ()) -> None:
     """Write the notebook and its page as they are now."""
-    from calib.experiment.laboratory_notebook import notebook_text
     from calib.experiment.investigation_page import write_investigation_page
+    from calib.experiment.laboratory_notebook import notebook_text
     from rig.formats.output_files import write_text
 
     if so_far:

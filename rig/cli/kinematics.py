@@ -36,8 +36,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Print what joint values give, or all joint values that give poses, step by step where asked for."""
-    from rig.recording import recording_folder
     from rig.formats import csv_table
+    from rig.recording import recording_folder
 
     arm, correction = _arm(arguments.arm)
     if arguments.forward:
@@ -54,8 +54,8 @@ def run(arguments: Namespace) -> None:
 
 def _arm(text: str) -> tuple[Arm, ArmCorrection | None]:
     """(Arm as its owner believes it, its correction or None)."""
-    from rig.planning.layout import shipped_arms
     from rig.model.mechanism_kinds import arm_of
+    from rig.planning.layout import shipped_arms
 
     if Path(text).suffix != ".json":
         return arm_of(shipped_arms.load_shipped_arm(text).mechanism), None

@@ -38,9 +38,9 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"--name {arguments.name!r} is no name for a camera")
     out = arguments.outputs.folder(arguments.out) if arguments.out else None
 
-    from calib.report.lens_page import lens_verdict, lens_page
-    from rig.formats.rig_toml.design_file import camera_block
+    from calib.report.lens_page import lens_page, lens_verdict
     from rig.formats.output_files import write_text
+    from rig.formats.rig_toml.design_file import camera_block
     from vision.lenses.board_photographs import calibrate_photographs
 
     found = calibrate_photographs(paths, board, arguments.name, Progress())

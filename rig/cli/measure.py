@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared import recording_checks, limb_poses
+from rig.cli.shared import limb_poses, recording_checks
 from rig.cli.shared.output_options import Progress, add_overwrite_option, add_recording, add_result, page_links, print_unsolved
 from rig.errors import RigError
 from rig.formats.input_files import read_bytes, read_text
@@ -34,9 +34,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Measure a recording and write what was measured."""
+    from rig.formats.rig_toml.design_file import with_cameras, with_places
     from rig.recording import data_provenance, recording_tables
     from rig.recording import recording_folder as recordings
-    from rig.formats.rig_toml.design_file import with_cameras, with_places
 
     free, progress = _free(arguments.hold), Progress()
     progress("reading the recording", 0, 1)
@@ -53,11 +53,11 @@ def run(arguments: Namespace) -> None:
 
     from calib.report.measurement_page import MeasurementResult, measurement_page
     from vision.bundle.held_out_frames import crossvalidate
-    from vision.bundle.observability import determined_combinations
     from vision.bundle.marker_displacements import adjusted_markers, marker_places
-    from vision.hand_mounted_cameras import recording_seen_from_hand, has_hand_cameras, invert_measurement
-    from vision.reading.recording_corners import image_reader
+    from vision.bundle.observability import determined_combinations
+    from vision.hand_mounted_cameras import has_hand_cameras, invert_measurement, recording_seen_from_hand
     from vision.reading.marker_identity import suspects
+    from vision.reading.recording_corners import image_reader
     from vision.recording_measurement import measure_recording
     from vision.targets import marker_map
 

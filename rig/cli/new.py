@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rig.cli.shared.output_options import add_overwrite_option, parse_length
 from rig.cli.shared.argument_parser import suggestion_text
+from rig.cli.shared.output_options import add_overwrite_option, parse_length
 from rig.errors import RigError
 
 KINDS = ("hexapod", "planar2", "arm")
@@ -28,8 +28,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Ask what is not given, write rig.toml, and say what to do next. Raises RigError where something must be asked and nobody is there."""
-    from rig.planning.layout import shipped_arms
     from rig.formats.output_files import write_text
+    from rig.planning.layout import shipped_arms
 
     out = arguments.out / "rig.toml"
     there = arguments.out.is_dir()

@@ -9,20 +9,20 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared import recording_checks, simple_online_learners, limb_poses, refutation_marks
+from rig.cli.shared import limb_poses, recording_checks, refutation_marks, simple_online_learners
 from rig.cli.shared.output_options import Progress, add_page, add_recording, add_result, page_links, page_path, print_unsolved
-from rig.cli.shared.unlearnt_frames import unlearnt_samples, unlearnt_frame_numbers
+from rig.cli.shared.unlearnt_frames import unlearnt_frame_numbers, unlearnt_samples
 from rig.errors import RigError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from calib.certify.calibration_evidence import OfCalibrations
+    from calib.files.calibration_file import Calibration
     from calib.online.change_detection import Change
     from calib.online.information_filter import Online, Update
     from calib.report.online_page import OnlineResult
     from calib.samples.recording_samples import Sampled
-    from calib.files.calibration_file import Calibration
     from rig.model.design import Arm, Free, Hexapod, Planar2
     from rig.recording.recording_folder import Recording
 
@@ -54,8 +54,8 @@ def run(arguments: Namespace) -> None:
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page = page_path(arguments)
 
-    from calib.samples.confounded_conditions import confounds_of_recordings
     from calib.online.information_filter import Online
+    from calib.samples.confounded_conditions import confounds_of_recordings
 
     calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
     sampled = partial(limb_poses.samples_by_limbs_or_vision, arguments, recording, progress, look)
@@ -121,12 +121,12 @@ def learn_recording(recording: Recording, sampled: Callable[[], Sampled], known:
     import numpy as np
 
     from calib.certify.calibration_evidence import ALONE
-    from calib.samples.confounded_conditions import confounds_of_recordings
     from calib.models.platform.identification import parameters
     from calib.online.information_filter import Online
     from calib.report.online_page import online_verdict
+    from calib.samples.confounded_conditions import confounds_of_recordings
     from rig.model.mechanism_kinds import hexapod_of
-    from rig.recording.data_provenance import marks_of_frames, content_marks
+    from rig.recording.data_provenance import content_marks, marks_of_frames
 
     of, mechanism = content_marks(recording), hexapod_of(recording.design.mechanism)
     learnt = known.data if known is not None else set() if calibration is None else set(calibration.provenance.get("data", ()))

@@ -13,13 +13,13 @@ from rig.cli.shared.output_options import (
     add_page,
     add_result,
     file_or_stdout,
-    parse_length,
     page_links,
     page_path,
+    parse_length,
 )
 from rig.errors import RigError
-from rig.report.verdict import Evidence, Missing, judge_evidence
 from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.report.verdict import Evidence, Missing, judge_evidence
 
 if TYPE_CHECKING:
     import numpy as np
@@ -102,9 +102,9 @@ def run(arguments: Namespace) -> None:
 
 def _promise(arguments: Namespace) -> Made:
     """Write the fewest configurations that keep a promise; nothing where it is met without any."""
+    from rig.formats.number_rounding import quantity_text
     from rig.formats.rig_toml import design_file
     from rig.recording import recording_tables
-    from rig.formats.number_rounding import quantity_text
 
     design = design_file.load(arguments.design)
     mechanism = design.mechanism
@@ -140,12 +140,12 @@ def _parts(arguments: Namespace) -> Made:
     """Write the configurations of a plan's parts, in order, and say how far they go."""
     import numpy as np
 
+    from rig.driving.run_steps import steps_of_plan
     from rig.formats.rig_toml import design_file
     from rig.model import mechanisms
-    from rig.recording import recording_tables
-    from rig.planning.plan import build_plan
     from rig.model.pose import pose_difference
-    from rig.driving.run_steps import steps_of_plan
+    from rig.planning.plan import build_plan
+    from rig.recording import recording_tables
 
     if arguments.calibration or arguments.given:
         raise RigError("--parts are visited as they are; --calibration and --given are for plans that are chosen")
@@ -167,10 +167,10 @@ def _separate(arguments: Namespace) -> Made:
 
     import numpy as np
 
-    from rig.formats.rig_toml import design_file
-    from rig.recording import recording_tables
     from rig.effects.texts.effect_text import parse_effect, require_place
-    from rig.planning.plan import build_plan, add_payload_channel
+    from rig.formats.rig_toml import design_file
+    from rig.planning.plan import add_payload_channel, build_plan
+    from rig.recording import recording_tables
     from synthetic.secret_machine import draw_temperatures
 
     if arguments.calibration:
@@ -210,8 +210,8 @@ def _separate(arguments: Namespace) -> Made:
 
 def _parameters(arguments: Namespace) -> Made:
     from rig.formats.rig_toml import design_file
-    from rig.recording import recording_tables
     from rig.model.design import Free, Hexapod
+    from rig.recording import recording_tables
 
     design = design_file.load(arguments.design)
     mechanism = design.mechanism
@@ -224,7 +224,8 @@ def _parameters(arguments: Namespace) -> Made:
         return _of_any(arguments, design, mechanism, out)
 
     from calib.models.platform.d_optimal_configurations import choose_configurations as choose
-    from calib.models.platform.parameter_observability import PLAUSIBLE, parameter_combinations as combinations
+    from calib.models.platform.parameter_observability import PLAUSIBLE
+    from calib.models.platform.parameter_observability import parameter_combinations as combinations
 
     mechanism, avoided = _calibrated(arguments, mechanism)
     given = _given(arguments.given, mechanism) if arguments.given else None
@@ -255,7 +256,8 @@ def _of_any(arguments: Namespace, design: Design, mechanism: Arm | Chain | Plana
     """Write the configurations that tell most of a machine's parameters, of those in which cameras see it."""
     from functools import partial
 
-    from calib.experiment.informative_configurations import FEWEST, informative_configurations as choose
+    from calib.experiment.informative_configurations import FEWEST
+    from calib.experiment.informative_configurations import informative_configurations as choose
     from rig.recording import recording_tables
     from vision.predict import visible_marker_counts
     from vision.targets import marker_map
@@ -312,8 +314,8 @@ def _sigma(value: float) -> str:
 
 def _given(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> np.ndarray:
     """(k, 6) m configurations visited: of a recording's frames, or of a table."""
-    from rig.recording import recording_folder
     from rig.formats import csv_table
+    from rig.recording import recording_folder
 
     if path.is_dir():
         read = recording_folder.load(path)

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import posture_force
-from rig.cli.shared.output_options import SEED, add_overwrite_option, add_json, file_or_stdout, parse_numbers, print_json
+from rig.cli.shared.output_options import SEED, add_json, add_overwrite_option, file_or_stdout, parse_numbers, print_json
 from rig.errors import RigError
-from rig.formats.output_files import write_text
 from rig.formats.number_parsing import parse_number
+from rig.formats.output_files import write_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -80,8 +80,8 @@ def run(arguments: Namespace) -> None:
 def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
     """(path, Arm, what it is to exert or None) of the arguments."""
     from rig.formats.rig_toml import arm_dynamics
-    from rig.planning.layout import shipped_arms
     from rig.model.mechanism_kinds import arm_of
+    from rig.planning.layout import shipped_arms
 
     path = shipped_arms.shipped_arm_path(arguments.arm)
     design, dynamics = arm_dynamics.load(path)
@@ -91,9 +91,9 @@ def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
 
 def _among(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | None) -> dict:
     """The best of the postures that were visited, as `_tree`; the way back to it is written."""
-    from rig.recording import recording_folder
     from rig.model.pose import pose
     from rig.posture import visited_postures
+    from rig.recording import recording_folder
 
     if arguments.start or arguments.above is not None or arguments.motion == "way":
         raise RigError("--among goes back to a posture from where the recording ends; --from, --above and --motion are for searches")
@@ -114,7 +114,7 @@ def _searched(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path |
     import numpy as np
 
     from rig.model.mechanisms import arm as mechanism
-    from rig.model.pose import pose_difference, pose
+    from rig.model.pose import pose, pose_difference
     from rig.posture import posture_transition
 
     if not arguments.pose:
@@ -199,8 +199,8 @@ def _starts(first: np.ndarray, wanted: RigidTransform, arm: Arm) -> np.ndarray:
 
 def _write(out: Path, arguments: Namespace, arm: Arm, rows: np.ndarray) -> None:
     """commands.csv of a motion through postures (k, n) rad."""
-    from rig.recording import recording_tables
     from rig.posture import posture_transition
+    from rig.recording import recording_tables
 
     t = posture_transition.row_times(rows, arguments.speed)
     lines = [",".join([f"{moment:.6f}", *(f"{angle:.12f}" for angle in angles)]) for moment, angles in zip(t, rows)]

@@ -14,17 +14,17 @@ from rig.cli.shared import limb_poses
 from rig.cli.shared.output_options import SEED, add_driving
 from rig.driving.operator_advice import TRUST
 from rig.errors import PositionLost, RigError
-from rig.formats.output_files import write_bytes
 from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.formats.output_files import write_bytes
 
 if TYPE_CHECKING:
     import numpy as np
 
     from rig.driving.cameras.settling_check import Settling
     from rig.driving.clock import Clock
-    from rig.model.design import Design
     from rig.driving.run_journal import Began, Journal
     from rig.driving.run_steps import Step
+    from rig.model.design import Design
 
 KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
@@ -54,11 +54,11 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
-    from rig.driving.cameras.settling_check import parse_settling
     from rig.cli.shared.controller_session import design_with_controller
-    from rig.model.cube_quarter_turns import turning_instructions, quarter_turns
-    from rig.planning.plan import build_plan
+    from rig.driving.cameras.settling_check import parse_settling
     from rig.driving.run_steps import steps_of_plan
+    from rig.model.cube_quarter_turns import quarter_turns, turning_instructions
+    from rig.planning.plan import build_plan
 
     design = design_with_controller(arguments.design, arguments.port)
     plan = build_plan(design, arguments.plan, arguments.seed)
@@ -103,8 +103,8 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
 
     from rig.cli.shared.controller_session import lengths_text
     from rig.driving.emulators.emulator_construction import home_lengths
-    from rig.model.mechanism_kinds import struts_of
     from rig.driving.run_steps import check_steps, step_distances
+    from rig.model.mechanism_kinds import struts_of
 
     c = design.driver()
     start = c.home if c.home is not None else home_lengths(struts_of(design.mechanism))
@@ -147,14 +147,14 @@ def _place(arguments: Namespace) -> None:
 
 
 def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle: Settling, options: tuple) -> int:
-    from rig.driving.clock import SystemClock
-    from rig.cli.shared.run_equipment import run_equipment, set_exposures, open_cameras
-    from rig.cli.shared.controller_session import open_driver, settled_status
-    from rig.cli.shared.run_observation import Stopping
     from rig.cli.shared.compilation_warm_up import warm_up
+    from rig.cli.shared.controller_session import open_driver, settled_status
+    from rig.cli.shared.run_equipment import open_cameras, run_equipment, set_exposures
+    from rig.cli.shared.run_observation import Stopping
     from rig.cli.shared.run_observation_options import run_displays, run_observation
-    from rig.driving.run_journal import Began, Journal
+    from rig.driving.clock import SystemClock
     from rig.driving.operator_loop import Operator
+    from rig.driving.run_journal import Began, Journal
     from rig.driving.run_steps import check_steps
 
     clock, (exposure, stop_on) = SystemClock(), options

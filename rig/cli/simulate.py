@@ -51,8 +51,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Simulate a recording and write it, and its truth apart."""
-    from rig.formats.rig_toml import design_file
     from rig.effects.texts.effect_text import parse_effect, require_place, require_size
+    from rig.formats.rig_toml import design_file
 
     if arguments.source is not None:
         return _again(arguments)

@@ -7,9 +7,19 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import user_effects_option, refutation_marks
+from rig.cli.shared import refutation_marks, user_effects_option
 from rig.cli.shared.output_options import (
-    SEED, Progress, add_json, add_page, add_recording, page_links, page_path, print_comparison, print_json, print_unsolved, read_recording,
+    SEED,
+    Progress,
+    add_json,
+    add_page,
+    add_recording,
+    page_links,
+    page_path,
+    print_comparison,
+    print_json,
+    print_unsolved,
+    read_recording,
 )
 from rig.errors import RigError
 from rig.report.verdict import Verdict, exit_status
@@ -18,10 +28,10 @@ if TYPE_CHECKING:
     import numpy as np
 
     from calib.certify.held_out_errors import Figures
-    from calib.report.verification_page import Verified
-    from calib.samples.recording_samples import Sampled
-    from calib.samples.pose_samples import Samples
     from calib.files.calibration_file import Calibration
+    from calib.report.verification_page import Verified
+    from calib.samples.pose_samples import Samples
+    from calib.samples.recording_samples import Sampled
     from rig.recording.corner_and_pose_tables import Poses
     from rig.recording.recording_folder import Recording
 
@@ -55,10 +65,10 @@ def run(arguments: Namespace) -> int:
     import numpy as np
 
     from calib.certify import calibration_verdict as words
-    from calib.certify.distinct_configurations import configuration_numbers, axis_ranges
     from calib.certify.calibration_evidence import of_samples
+    from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
     from calib.certify.held_out_errors import compare_errors, errors_before_and_after
-    from calib.report.verification_page import Verified, verification_verdict, refutes_claim, write_verification_page
+    from calib.report.verification_page import Verified, refutes_claim, verification_verdict, write_verification_page
     from calib.samples.confounded_conditions import confounds_of_recordings
     from calib.samples.recording_samples import sample_recording
 
@@ -116,7 +126,7 @@ def _say(shown: Verified, verdict: Verdict, sampled: Sampled) -> None:
 
 def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> Driven:
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference, the differences (n, 6))."""
-    from calib.certify.held_out_errors import pose_errors, error_figures
+    from calib.certify.held_out_errors import error_figures, pose_errors
     from calib.models.corrected_pose_covariance import pose_covariance
     from calib.samples.pose_samples import rms_uncertainty
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import refutation_marks
-from rig.cli.shared.output_options import SEED, Progress, add_overwrite_option, add_json, add_page, page_links, page_path, print_json
+from rig.cli.shared.output_options import SEED, Progress, add_json, add_overwrite_option, add_page, page_links, page_path, print_json
 from rig.errors import RigError
-from rig.report.verdict import State, exit_status
 from rig.formats.number_parsing import parse_whole_number
+from rig.report.verdict import State, exit_status
 
 if TYPE_CHECKING:
     from calib.certify.calibration import Calibration
@@ -54,12 +54,12 @@ def run(arguments: Namespace) -> int:
 
 
 def _watch(arguments: Namespace) -> int:
-    from calib.files import calibration_file
     from calib.certify.calibration_evidence import calibration_evidence
-    from calib.samples.confounded_conditions import confounds_of_recordings
-    from calib.drift import visit_history_file, change_sentences
+    from calib.drift import change_sentences, visit_history_file
     from calib.drift.visit_history import History, add_visit
-    from calib.report.visits_page import Visit, alarm_sentence, last_visit_verdict, first_visit_sentence, write_visits_page
+    from calib.files import calibration_file
+    from calib.report.visits_page import Visit, alarm_sentence, first_visit_sentence, last_visit_verdict, write_visits_page
+    from calib.samples.confounded_conditions import confounds_of_recordings
     from rig.recording import recording_folder as recordings
 
     progress = Progress()
@@ -133,8 +133,8 @@ def _tree(verdict: Verdict, history: History, scale: float) -> dict:
 
 
 def _plan(arguments: Namespace) -> None:
-    from calib.files import calibration_file
     from calib.drift.visit_configurations import SIGMAS, choose_visit_configurations
+    from calib.files import calibration_file
     from rig.formats.rig_toml import design_file
     from rig.recording import recording_tables
 

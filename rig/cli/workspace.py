@@ -29,8 +29,8 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Say what a calibration does to the workspace, and write its map."""
     from calib.files import calibration_file
-    from calib.report.workspace_page import workspace_verdict
     from calib.models.corrected_pose_covariance import add_workspace
+    from calib.report.workspace_page import workspace_verdict
     from calib.workspace import workspace_sentences
     from calib.workspace.workspace_cells import margin_description
     from calib.workspace.workspace_file import workspace_dict
@@ -63,8 +63,8 @@ def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certifie
     """Write the map as data, as a table and as a page."""
     import json
 
-    from calib.workspace.workspace_file import COLUMNS, workspace_rows
     from calib.report.workspace_page import workspace_page
+    from calib.workspace.workspace_file import COLUMNS, workspace_rows
     from rig.formats.output_files import write_text
     from rig.recording.recording_tables import write_table
 

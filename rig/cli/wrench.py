@@ -47,8 +47,8 @@ def run(arguments: Namespace) -> None:
     import numpy as np
 
     from rig.formats.rig_toml import arm_dynamics
-    from rig.planning.layout import shipped_arms
     from rig.model.mechanism_kinds import arm_of
+    from rig.planning.layout import shipped_arms
     from rig.posture import momentum_observer, torque_table
 
     path = shipped_arms.shipped_arm_path(arguments.arm)
@@ -111,10 +111,10 @@ def _write(out: Path, t: np.ndarray, seen: Observed, plain: tuple[np.ndarray, np
     """wrench.csv: the observer's and the plain one, cells empty where a posture does not feel every wrench."""
     import numpy as np
 
-    from rig.recording import recording_tables
-    from rig.recording.corner_and_pose_tables import COVARIANCE_COLUMNS
     from rig.model.pose import TRIANGLE
     from rig.posture.force_transmission import DIRECTIONS
+    from rig.recording import recording_tables
+    from rig.recording.corner_and_pose_tables import COVARIANCE_COLUMNS
 
     header = ["t", *DIRECTIONS, *COVARIANCE_COLUMNS, *(f"plain_{name}" for name in (*DIRECTIONS, *COVARIANCE_COLUMNS))]
     both = [np.concatenate([value, covariance[:, *TRIANGLE]], axis=1) for value, covariance in ((seen.value[0], seen.covariance[0]), plain[:2])]

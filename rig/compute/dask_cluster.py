@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rig.formats import remote_folders
-from rig.errors import MissingLibrary, RigError
 from rig.compute.worker_processes import work_parts
+from rig.errors import MissingLibrary, RigError
+from rig.formats import remote_folders
 
 WAIT = 20  # s for a scheduler, and for its first worker
 PATIENCE = 3  # such times for another worker, when the last one is gone

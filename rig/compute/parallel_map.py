@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 from rig.compute import dask_cluster
-from rig.compute.worker_processes import worker_count, process_map
+from rig.compute.worker_processes import process_map, worker_count
 
 FEW = 4  # things for each process, below which it is not worth starting any
 

@@ -7,8 +7,8 @@ from typing import Protocol as Interface
 from typing import TextIO, TypeVar
 
 from rig.driving.clock import Clock
-from rig.errors import LinkLost, NoAnswer, Stopped
 from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Lines, Protocol
+from rig.errors import LinkLost, NoAnswer, Stopped
 
 T = TypeVar("T")
 LONGEST = 4096  # bytes of a line; what is longer is no line

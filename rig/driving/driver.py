@@ -8,17 +8,17 @@ from typing import Any, TextIO, TypeVar
 
 import numpy as np
 
-from rig.model import mechanisms
 from rig.driving import path_check, protocols
-from rig.driving.operator_advice import ANEW, CANNOT_HOME, OUT_OF_RANGE, TRUST, advice
 from rig.driving.clock import Clock, SystemClock
-from rig.model.design import Design
-from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
-from rig.model.mechanism_kinds import struts_of
 from rig.driving.controller_link import Link, Port
-from rig.driving.serial_port import SerialPort, find_port
+from rig.driving.operator_advice import ANEW, CANNOT_HOME, OUT_OF_RANGE, TRUST, advice
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
+from rig.driving.serial_port import SerialPort, find_port
 from rig.driving.straight_move import straight_move
+from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.mechanism_kinds import struts_of
 
 T = TypeVar("T")
 PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop

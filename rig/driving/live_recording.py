@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Readings, Resumed, Row, sync_folder
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Readings, Resumed, Row, sync_folder
 
 APART = 1e-6  # s; rows of commands.csv lie at least so far apart
 AGREE = 1e-9  # m; nearer than this a strut has not moved

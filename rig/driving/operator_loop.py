@@ -9,16 +9,17 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.driving.cameras.settling_check import Settling
 from rig.driving.cameras.camera_interface import Frame
 from rig.driving.cameras.camera_synchronisation import Shutter
+from rig.driving.cameras.settling_check import Settling
 from rig.driving.clock import Clock
-from rig.errors import RigError, Stopped
 from rig.driving.live_recording import Growing
 from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Journal, Readings, Remark, Resumed, Row, sync_folder
-from rig.driving.run_progress import Progress, run_progress, move_verdict
+from rig.driving.run_progress import Progress, move_verdict, run_progress
 from rig.driving.run_steps import Step
 from rig.driving.trapezoidal_profile import Way
+from rig.errors import RigError, Stopped
+
 
 class Machine(Protocol):
     """What the loop needs of a driver; see rig.driving.driver.Driver."""

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model import mechanisms
 from rig.driving.operator_advice import OUT_OF_RANGE
-from rig.model.design import Hexapod, Planar2
 from rig.errors import NotConverged, Unreachable
+from rig.model import mechanisms
+from rig.model.design import Hexapod, Planar2
 
 SPACING = 2e-3  # m of the strut that moves most, between the places looked at
 FEWEST, MOST = 3, 200  # of them, beside the start

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.errors import RigError
 from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Readings, Remark, Resumed, Row
 from rig.driving.run_steps import Step
+from rig.errors import RigError
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 
 from rig.driving.clock import Clock
-from rig.model.design import SensorPort
-from rig.errors import NoAnswer
 from rig.driving.controller_link import Port
-from rig.formats.number_parsing import parse_numbers
 from rig.driving.serial_port import SerialPort
+from rig.errors import NoAnswer
+from rig.formats.number_parsing import parse_numbers
+from rig.model.design import SensorPort
 
 WAIT = 2.0  # s for a line
 LONGEST = 4096  # bytes

@@ -12,8 +12,8 @@ import serial
 from serial.tools import list_ports
 
 from rig.driving.clock import Clock
-from rig.model.controller_settings import port_problem
 from rig.errors import LinkLost
+from rig.model.controller_settings import port_problem
 
 PATIENCE = 2.0  # s that a write may take
 MOST = 4096  # bytes of a read

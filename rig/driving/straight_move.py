@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from rig.driving.protocols.protocol_interface import Segment
 from rig.model import mechanisms
 from rig.model.controller_settings import Controller
 from rig.model.design import Hexapod, Planar2
-from rig.driving.protocols.protocol_interface import Segment
 
 
 def straight_move(start: np.ndarray, target: np.ndarray, share: float, controller: Controller, mechanism: Hexapod | Planar2) -> Segment:

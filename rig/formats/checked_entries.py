@@ -15,8 +15,8 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError
 from rig.formats.input_files import value_text
-from rig.model.pose import pose
 from rig.formats.schema_version import require_schema
+from rig.model.pose import pose
 
 LARGEST_RIG = 50.0  # m; nothing on struts or arms is larger, so a larger figure is in another unit
 LARGEST_NUMBER = 1e100  # beyond it the square of a number is none

@@ -10,11 +10,11 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
 from rig.errors import FileError
+from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
+from rig.formats.input_files import read_text, value_text
 from rig.formats.number_parsing import LONGEST_NUMBER, NotFinite, parse_number, parse_numbers
 from rig.recording.time_origin import LATEST, Origin, likely_time_unit
-from rig.formats.input_files import read_text, value_text
 
 FOREIGN = {"semicolon": ";", "tab": "\t"}  # separators of other people's tables
 MOST_COLUMNS = 1000

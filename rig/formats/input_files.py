@@ -5,8 +5,8 @@ import stat
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from rig.formats import remote_folders
 from rig.errors import FileError
+from rig.formats import remote_folders
 
 LARGEST = 1 << 28  # bytes of a text file
 SHOWN = 80  # characters of a value that a message repeats

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import FileError
-from rig.formats.json_positions import LARGEST as LOOKED_THROUGH
-from rig.formats.json_positions import RepeatedKey, Places, repeated_key, pairs
 from rig.formats.input_files import read_text, value_text
+from rig.formats.json_positions import LARGEST as LOOKED_THROUGH
+from rig.formats.json_positions import Places, RepeatedKey, pairs, repeated_key
 from rig.formats.schema_version import require_schema
 
 if TYPE_CHECKING:

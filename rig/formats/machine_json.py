@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from rig.formats import json_file
-from rig.model.design import Arm, Camera, Chain, Design
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text import Kinds, effect_from_dict, require_place, effect_to_dict
-from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.effects.texts.effect_text import Kinds, effect_from_dict, effect_to_dict, require_place
 from rig.errors import FileError, RigError
+from rig.formats import json_file
+from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.model.design import Arm, Camera, Chain, Design
 from rig.model.mechanism_kinds import Mechanism
 from rig.model.pose import pose, pose_to_vector
 

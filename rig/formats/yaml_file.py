@@ -6,8 +6,8 @@ from typing import Any
 
 import yaml
 
-from rig.formats.checked_entries import Entries
 from rig.errors import FileError
+from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_text
 
 LARGEST = 1 << 22  # bytes

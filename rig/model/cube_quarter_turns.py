@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from rig.model.design import TURN, Design, Target
 from rig.errors import RigError
+from rig.model.design import TURN, Design, Target
 
 QUARTERS = 4
 COLUMN = "turned_"  # before a cube's name: column of a plan in time

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.controller_settings import Controller
 from rig.errors import RigError
+from rig.model.controller_settings import Controller
 from rig.model.mechanism_geometry import Arm, Chain, Free, Hexapod, Planar2, freeze_array
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)

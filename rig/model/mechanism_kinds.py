@@ -1,7 +1,7 @@
 """What kind of mechanism a machine has: told by its type, or refused."""
 
-from rig.model.design import Arm, Chain, Free, Hexapod, Planar2
 from rig.errors import RigError
+from rig.model.design import Arm, Chain, Free, Hexapod, Planar2
 
 Mechanism = Hexapod | Planar2 | Arm | Chain | Free
 Struts = Hexapod | Planar2  # what moves a platform, or a hinge, on struts

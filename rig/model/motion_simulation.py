@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model import mechanisms
-from rig.model.design import Chain, Design, Hexapod, Planar2
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion import Motion, Path
 from rig.errors import NotConverged, RigError
+from rig.model import mechanisms
+from rig.model.design import Chain, Design, Hexapod, Planar2
 from rig.model.mechanism_kinds import axes_of
 from rig.model.mechanisms import chain, hexapod, two_strut_plane
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
 MAX_ITERATIONS = 50

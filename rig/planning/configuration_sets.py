@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model import mechanisms
-from rig.planning import sobol_points
-from rig.formats import csv_table
-from rig.model.design import Design, Hexapod
 from rig.errors import FileError, RigError
+from rig.formats import csv_table
 from rig.formats.input_files import value_text
+from rig.model import mechanisms
+from rig.model.design import Design, Hexapod
 from rig.model.pose import pose
+from rig.planning import sobol_points
 
 FILL = 0.8  # of the strokes that plans use
 FARTHEST = 1.0  # m or rad from home, or times a way

@@ -10,26 +10,26 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.model import mechanisms
+from rig.errors import FileError, RigError
 from rig.formats import csv_table
+from rig.formats.input_files import value_text
+from rig.model import mechanisms
+from rig.model.cube_quarter_turns import cube_named
+from rig.model.design import Design
 from rig.planning.configuration_sets import (
     FILL,
     axis_moves,
     combined_moves,
-    grid_division,
     grid,
+    grid_division,
     iso9283_test_poses,
     low_discrepancy,
     parse_division,
     scale_to_strokes,
     simplices,
 )
-from rig.model.cube_quarter_turns import cube_named
-from rig.model.design import Design
-from rig.errors import FileError, RigError
-from rig.formats.input_files import value_text
-from rig.planning.plan_table import MOST, plan_of_time_table, commands_within_range
 from rig.planning.plan_construction import STEP, Approach, Plan, Writer
+from rig.planning.plan_table import MOST, commands_within_range, plan_of_time_table
 from rig.recording.recording_folder import PAYLOAD, Sensors
 
 SPEED = 0.5  # of the actuator's top speed

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.planning.approach_balance import balanced_approaches, balanced_order
-from rig.recording.time_origin import Origin
 from rig.recording.recording_folder import Commands
+from rig.recording.time_origin import Origin
 
 DWELL = 2.0  # s at a configuration before its exposure
 AFTER = 1.0  # s at it after the exposure

@@ -4,16 +4,16 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.model import mechanisms
+from rig.errors import FileError
 from rig.formats import csv_table
+from rig.formats.input_files import value_text
+from rig.model import mechanisms
 from rig.model.cube_quarter_turns import COLUMN, QUARTERS, cube_named
 from rig.model.design import Design
-from rig.errors import FileError
-from rig.recording.time_origin import Origin, exact_decimal
-from rig.formats.input_files import value_text
 from rig.planning.plan_construction import Plan
 from rig.recording.recording_folder import PAYLOAD, Commands
 from rig.recording.recording_tables import write_table
+from rig.recording.time_origin import Origin, exact_decimal
 
 MOST = 20_000  # exposures of a plan
 DIGITS = 4  # of a time in a plan's table

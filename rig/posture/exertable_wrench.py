@@ -11,8 +11,8 @@ from itertools import combinations, product
 
 import numpy as np
 
-from rig.model.design import Arm
 from rig.errors import RigError
+from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.arm_dynamics import Links
 

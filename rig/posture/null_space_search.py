@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Arm
-from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
 from rig.posture import force_transmission

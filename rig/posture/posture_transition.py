@@ -6,9 +6,9 @@ Source: patent on force measurement with redundant manipulators, [0021], [0022].
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Slerp
 
+from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Arm
-from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
 from rig.posture import null_space_search
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from rig.formats import csv_table
-from rig.model.design import Arm
-from rig.formats.rig_toml.arm_dynamics import ArmDynamics
-from rig.formats.checked_entries import slip
 from rig.errors import FileError, RigError
+from rig.formats import csv_table
+from rig.formats.checked_entries import slip
+from rig.formats.rig_toml.arm_dynamics import ArmDynamics
+from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.recording.time_origin import Origin
 from rig.posture.momentum_observer import Motion
+from rig.recording.time_origin import Origin
 
 WINDOW = 11  # readings over which a slope is taken
 EVEN = 0.01  # of the time between readings, by which it may differ where slopes are taken of them

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Arm
 from rig.errors import RigError
+from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
 from rig.posture import force_transmission

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.model.design import Arm
 from rig.errors import RigError
+from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics
 from rig.model.mechanisms.arm_dynamics import Links

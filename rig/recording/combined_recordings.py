@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.formats import remote_folders
-from rig.model.design_comparison import design_contradictions, same_lens
-from rig.model.design import Camera, Design, Target
 from rig.errors import RigError
-from rig.recording.exposures import Exposures
+from rig.formats import remote_folders
+from rig.model.design import Camera, Design, Target
+from rig.model.design_comparison import design_contradictions, same_lens
 from rig.recording.corner_and_pose_tables import Corners, Poses
+from rig.recording.exposures import Exposures
 from rig.recording.recording_folder import PAYLOAD, Commands, Part, Recording, Sensors
 
 GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning

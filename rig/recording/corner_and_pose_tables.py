@@ -7,13 +7,13 @@ from typing import NoReturn
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.formats import remote_folders, csv_table
-from rig.model.design import Design, Instrument
-from rig.formats.checked_entries import LARGEST_RIG
 from rig.errors import FileError
-from rig.recording.exposures import Exposures
-from rig.model.pose import TRIANGLE, covariance_from_triangle, pose
+from rig.formats import csv_table, remote_folders
+from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.csv_table import Table
+from rig.model.design import Design, Instrument
+from rig.model.pose import TRIANGLE, covariance_from_triangle, pose
+from rig.recording.exposures import Exposures
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 DISTANCE = "distance"  # column of a drawn wire's length, m

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.compute.worker_processes import worker_count
 from rig.errors import FileError
 from rig.formats.output_files.folder_manifest import file_digest, load_manifest
 from rig.model.pose import pose_to_vector
-from rig.compute.worker_processes import worker_count
 from rig.recording.recording_folder import LIMB, Recording
 
 LENGTH = 16  # hexadecimal digits of a mark: two of a million alike in one case of 4e7

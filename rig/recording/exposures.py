@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats import remote_folders
-from rig.model.design import Camera, Design
 from rig.errors import FileError
-from rig.recording.image_file_check import MOST_PIXELS, check_image, check_open_image, check_image_path
-from rig.recording.time_origin import Origin
-from rig.formats.input_files import read_bytes
+from rig.formats import remote_folders
 from rig.formats.csv_table import Table
+from rig.formats.input_files import read_bytes
+from rig.model.design import Camera, Design
+from rig.recording.image_file_check import MOST_PIXELS, check_image, check_image_path, check_open_image
+from rig.recording.time_origin import Origin
 
 SIMULTANEOUS = 1e-3  # s; exposures of one frame that differ by more were not exposed together
 LARGEST_IMAGE_FILE = 1 << 31  # bytes

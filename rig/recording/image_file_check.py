@@ -6,10 +6,10 @@ import struct
 from pathlib import Path
 from typing import BinaryIO
 
-from rig.formats import remote_folders
-from rig.model.design import Camera
 from rig.errors import FileError
+from rig.formats import remote_folders
 from rig.formats.input_files import open_file
+from rig.model.design import Camera
 
 PNG, JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 FORMATS = "PNG, JPEG, TIFF, BMP, PGM and PPM"  # whose size can be looked at before decoding

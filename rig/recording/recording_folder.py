@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig.formats.rig_toml import design_file
-from rig.formats import remote_folders, csv_table
-from rig.model.design import Design
-from rig.formats.checked_entries import name_problem
 from rig.errors import FileError, RigError
-from rig.recording.exposures import Exposures, Unreadable, load_exposures
-from rig.formats.output_files import require_complete
-from rig.model.mechanism_kinds import bodies_of
-from rig.report.notebook_display import result_html
-from rig.recording.corner_and_pose_tables import Corners, Poses, load_corners, load_measured, load_poses
-from rig.recording.time_origin import Origin, exact_decimal
+from rig.formats import csv_table, remote_folders
+from rig.formats.checked_entries import name_problem
 from rig.formats.csv_table import Table
+from rig.formats.output_files import require_complete
+from rig.formats.rig_toml import design_file
+from rig.model.design import Design
+from rig.model.mechanism_kinds import bodies_of
+from rig.recording.corner_and_pose_tables import Corners, Poses, load_corners, load_measured, load_poses
+from rig.recording.exposures import Exposures, Unreadable, load_exposures
+from rig.recording.time_origin import Origin, exact_decimal
+from rig.report.notebook_display import result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
 PAYLOAD = "payload_mass_kg"  # channel of sensors.csv, column of a plan in time: what the platform carries

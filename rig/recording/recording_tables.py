@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from rig.formats import remote_folders
-from rig.recording.exposures import Exposures
-from rig.formats.output_files import write_bytes, write_text
-from rig.recording.corner_and_pose_tables import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS, Corners, Poses
-from rig.recording.time_origin import Origin
 from rig.formats.input_files import read_bytes
-from rig.model.pose import TRIANGLE, angle_sigmas, roll_pitch_yaw, pose_to_vector
+from rig.formats.output_files import write_bytes, write_text
+from rig.model.pose import TRIANGLE, angle_sigmas, pose_to_vector, roll_pitch_yaw
+from rig.recording.corner_and_pose_tables import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS, Corners, Poses
+from rig.recording.exposures import Exposures
+from rig.recording.time_origin import Origin
 
 ANGLES = ("x", "y", "z", "roll", "pitch", "yaw")
 

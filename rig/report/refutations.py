@@ -11,8 +11,8 @@ from pathlib import Path
 from rig.errors import FileError
 from rig.formats.output_files import write_text
 from rig.formats.output_files.folder_manifest import file_digest
-from rig.report.verdict import State
 from rig.formats.schema_version import require_schema
+from rig.report.verdict import State
 
 NAME = "refutations.json"
 SCHEMA = "refutations/1"

@@ -10,14 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.planning import plan
-from rig.model.design import Sensor
 from rig.effects.texts.effect_text import parse_effect
-from synthetic import rig_meshes, recording_simulation, secret_machine
-from synthetic.renderer import SAMPLES
+from rig.formats.rig_toml import design_file
+from rig.model.design import Sensor
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
+from synthetic import recording_simulation, rig_meshes, secret_machine
 from synthetic.image_sensor import expose_image
+from synthetic.renderer import SAMPLES
 from tests.cli import RIG
 from tests.conftest import ROOT
 from tests.rig.effects.test_effects import SOME

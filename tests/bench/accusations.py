@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.planning import plan
-from rig.recording import recording_folder
-from rig.model.design import Camera
 from rig.checks import Mistake
 from rig.checks.recording_without_images import file_mistakes
+from rig.formats.rig_toml import design_file
+from rig.model.design import Camera
 from rig.model.pose import exp
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from vision.checks import find_corner_mistakes
 

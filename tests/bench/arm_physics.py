@@ -12,22 +12,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.diagnose.arm_findings_refit import findings_of_arm_diagnosis, refit_arm_with_findings
+from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm
+from calib.files.calibration_from_recording import calibration_with_provenance
 from calib.models.arm import error_model
 from calib.models.arm.certification import certify, workspace_claim_of
 from calib.models.wanted_pose_commands import commands_along_route
-from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm
-from calib.diagnose.arm_findings_refit import findings_of_arm_diagnosis, refit_arm_with_findings
-from calib.files.calibration_from_recording import calibration_with_provenance
 from calib.samples.recording_samples import sample_recording
-from rig.formats.rig_toml import design_file
-from rig.model import motion_simulation
-from rig.planning import plan
-from rig.recording import recording_folder
-from rig.planning.layout import shipped_arms
-from rig.planning.configuration_sets import low_discrepancy
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text import parse_effect
+from rig.formats.rig_toml import design_file
+from rig.model import motion_simulation
 from rig.model.pose import pose_difference
+from rig.planning import plan
+from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.layout import shipped_arms
+from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
 from synthetic.secret_machine import World

@@ -13,11 +13,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.formats.rig_toml import design_file
+from rig.model.design import Marker, Sensor, Target
+from rig.model.pose import pose, pose_difference
 from rig.planning.layout import hexapod_layout
 from rig.recording import recording_folder
-from rig.model.design import Marker, Sensor, Target
 from rig.recording.exposures import read_image
-from rig.model.pose import pose_difference, pose
 from tests.bench import bound
 from tests.cli import RIG
 from tests.conftest import SHARED
@@ -130,8 +130,8 @@ def _recordings(design):
 def _speed(folder):
     from rig.errors import MissingLibrary
     from synthetic import rig_meshes as scenes
-    from synthetic.renderer import SAMPLES, Renderer
     from synthetic.image_sensor import expose_image
+    from synthetic.renderer import SAMPLES, Renderer
 
     detector, rng = _subpix(), np.random.default_rng(0)
     threads = cv2.getNumThreads()

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
 from rig.driving.clock import SystemClock
 from rig.driving.driver import Driver
 from rig.driving.emulators.emulator_construction import home_lengths
-from rig.driving.serial_port import SerialPort
 from rig.driving.protocols.protocol_interface import Segment
+from rig.driving.serial_port import SerialPort
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
 
 COUNT = 300
 

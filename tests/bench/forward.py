@@ -9,10 +9,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
 from rig.model.design import Hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
+from rig.planning.layout import hexapod_layout
 
 
 def mechanism_of_bench() -> Hexapod:

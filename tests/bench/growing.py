@@ -12,26 +12,26 @@ from types import SimpleNamespace
 import numpy as np
 
 from calib.online.run_learning import Learner
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.recording import recording_folder
-from rig.driving.cameras.settling_check import parse_settling
-from rig.driving.cameras.camera_interface import Frame
-from rig.driving.cameras.camera_synchronisation import Shutter
-from rig.driving.clock import SystemClock
+from rig.cli.shared.compilation_warm_up import warm_up
 from rig.cli.shared.run_equipment import save_image
 from rig.cli.shared.run_observation import Looking, Stopping
 from rig.cli.shared.run_page import Page
-from rig.cli.shared.compilation_warm_up import warm_up
-from rig.model.design import Sensor
-from rig.driving.run_journal import Began, Journal
+from rig.driving.cameras.camera_interface import Frame
+from rig.driving.cameras.camera_synchronisation import Shutter
+from rig.driving.cameras.settling_check import parse_settling
+from rig.driving.clock import SystemClock
 from rig.driving.operator_loop import Bench, Operator
-from rig.planning.plan import build_plan
+from rig.driving.run_journal import Began, Journal
 from rig.driving.run_steps import steps_of_plan
+from rig.formats.rig_toml import design_file
+from rig.model.design import Sensor
+from rig.planning.layout import hexapod_layout
+from rig.planning.plan import build_plan
+from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from synthetic.image_simulation import Images
-from vision.reading.recording_corners import read_image
 from vision.reading.live_measurement import TAUGHT, Live
+from vision.reading.recording_corners import read_image
 
 FRAMES = 20
 TIME = 1.0  # s that moving and settling take here, so that frames do not wait for each other

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.effect_strength import effect_strengths
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.report import platform_report
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.recording import recording_folder
 from rig.model.pose import pose_difference
+from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import blind_cases, diagnosis_score
 from tests.vision.scenes import nees

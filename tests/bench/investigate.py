@@ -17,15 +17,15 @@ import numpy as np
 
 from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis, diagnose_platform
 from calib.experiment.discriminating_configurations import NAME
-from calib.experiment.experiment_choice import Experiment, choose_experiment, evaluate_experiment, available_plans
+from calib.experiment.experiment_choice import Experiment, available_plans, choose_experiment, evaluate_experiment
 from calib.experiment.platform_questions import questions
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.planning import plan
-from rig.recording import recording_folder
-from rig.model.design import Design
 from rig.effects.texts.effect_text import parse_effect, require_place
 from rig.errors import RigError
+from rig.formats.rig_toml import design_file
+from rig.model.design import Design
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine
 from vision.combined_recordings import combine_recordings

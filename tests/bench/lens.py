@@ -14,23 +14,23 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.recording import recording_folder
 from rig.model.design import Camera
 from rig.model.pose import exp
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
 from tests.conftest import SHARED
 from tests.vision.scenes import scene
 from vision.bundle.bundle_adjustment import adjust_bundle
+from vision.bundle.estimate_update import offset_from_stated, update_estimate
 from vision.bundle.held_out_frames import crossvalidate
 from vision.bundle.marker_displacements import marker_places
-from vision.bundle.estimate_update import update_estimate, offset_from_stated
 from vision.bundle.unknown_priors import adjustment_unknowns
+from vision.corner_observations import observations_from_corners, whitener
 from vision.corners.marker_detection import detect_markers
 from vision.lenses import calibration_board as boards
 from vision.lenses.lens_calibration import calibrate, hold_out, observations_of
-from vision.recording_adjustment import measure
-from vision.corner_observations import observations_from_corners, whitener
 from vision.predict import State, predict
+from vision.recording_adjustment import measure
 from vision.targets import MarkerMap, marker_map
 
 BOARD = "charuco:5x7:0.036195:0.018256:DICT_6X6_250"

@@ -23,8 +23,8 @@ import numpy as np
 from calib.diagnose.report.diagnosis_report import Report
 from calib.recording_calibration import diagnosed
 from docs.make.results import SCHEMA
-from rig.recording import frame_mask, recording_folder
 from rig.errors import RigError
+from rig.recording import frame_mask, recording_folder
 from tests.bench.made_by import commit, machine
 from tests.truth import FAULTS, PLANS, SIGHTS, Case, draw, record
 from tests.truth.draw_faults import fits

@@ -11,12 +11,12 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.correct.summand_extension import correction_with_field, fit_summand_field, geometry_of, summands
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.platform_findings_refit import findings_of_diagnosis
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.samples.recording_samples import sample_recording
+from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout
-from rig.effects.texts.effect_text import parse_effect
 from tests.calib.physical import ASKED, driven, learnt, write
 
 EFFECTS = ("transmission_error:strut2:profile=0/2e-5/-2e-5/3e-5/0/2e-5/-3e-5/1e-5", "compliance:rig:stiffness=3e6")

@@ -14,17 +14,17 @@ from calib.certify import measuring_limbs
 from calib.models.platform import joint_camera_fit
 from calib.models.platform.d_optimal_configurations import CRITERIA, choose_configurations
 from calib.models.platform.identification import PRIOR, identify, parameters, pose_jacobian, with_parameters
-from calib.online.learners import Drifting, FirstOrder, Forgetting
 from calib.models.platform.parameter_observability import PLAUSIBLE, parameter_combinations
 from calib.online.information_filter import Online
+from calib.online.learners import Drifting, FirstOrder, Forgetting
 from calib.samples.recording_samples import sample_recording
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.planning import plan
-from rig.recording import recording_folder
 from rig.formats.exporters import linuxcnc_genhexkins
+from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from tests.calib.designs import worst_jacobian
 from tests.calib.streams import found_within, learnt, missed_step, stream

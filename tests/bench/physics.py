@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
+from rig.formats.rig_toml import design_file
+from rig.planning.layout import hexapod_layout
 from tests.calib.physical import three_ways
 
 RIGS = 3

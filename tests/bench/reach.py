@@ -21,9 +21,9 @@ import numpy as np
 from scipy.ndimage import correlate1d
 
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
 from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import exp, pose
+from rig.planning.layout import hexapod_layout
 from tests.vision.pictures import camera, picture, quad
 
 REACHES, KNOTS = (2.4, 2.8, 3.2, 3.6), (5, 7, 9, 11)
@@ -48,7 +48,8 @@ def rows() -> Iterator[tuple[str, str, str]]:
     for reach in REACHES:
         yield f"reach {reach}: score with {', '.join(map(str, KNOTS))} knots", ", ".join(f"{mean[reach, knots]:.3f}" for knots in KNOTS), ""
     best = min(key for key in mean if mean[key] <= (1 + MARGIN) * min(mean.values()))
-    from vision.corners import edge_pixels, edge_spread as spread
+    from vision.corners import edge_pixels
+    from vision.corners import edge_spread as spread
 
     yield "reach and knots by the rule; as they are", f"{best}; {(edge_pixels.REACH, spread.KNOTS)}", "equal"
     for kind in least:
@@ -89,8 +90,8 @@ def _exact(rng):
 def _rendered(design, rng):
     """The same of the renderer's pictures of a rig."""
     from synthetic import rig_meshes
-    from synthetic.renderer import SAMPLES, Renderer
     from synthetic.image_sensor import expose_image
+    from synthetic.renderer import SAMPLES, Renderer
     from vision.predict import expected
     from vision.targets import marker_map
 
@@ -109,9 +110,9 @@ def _rendered(design, rng):
 
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
-    from vision.corners.marker_detection import grey_image, fit_read_markers
-    from vision.corners.marker_reader import Read
     from vision.corners.edge_spread import PLAIN, empty_profile, learn_edge_spread
+    from vision.corners.marker_detection import fit_read_markers, grey_image
+    from vision.corners.marker_reader import Read
     from vision.reading.recording_corners import ROUNDS
 
     out = {}

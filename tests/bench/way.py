@@ -15,9 +15,9 @@ from calib.certify.held_out_errors import compare_errors, errors_before_and_afte
 from calib.correct.correction import calibrate
 from calib.models.platform.identification import pose_jacobian
 from calib.samples.recording_samples import sample_recording
-from rig.recording import recording_folder
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
+from rig.recording import recording_folder
 from tests.cli import RIG
 from tests.conftest import SHARED
 

@@ -8,11 +8,12 @@ from calib.certify.calibration import Calibration
 from calib.correct.correction import calibrate
 from calib.drift.visit_configurations import choose_visit_configurations
 from calib.samples.recording_samples import sample_recording
+from rig.effects.texts.effect_text import parse_effect
 from rig.planning import plan
 from rig.recording import recording_folder
-from rig.effects.texts.effect_text import parse_effect
 from rig.recording.recording_folder import Sensors
-from synthetic import recording_simulation, secret_machine as world
+from synthetic import recording_simulation
+from synthetic import secret_machine as world
 
 NOISE = 0.04  # px
 ROOM = 20.0  # degrees Celsius

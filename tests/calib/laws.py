@@ -4,10 +4,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from rig.effects.framework.effect import Effect
 from rig.model import motion_simulation
 from rig.planning import plan
 from rig.recording import recording_folder
-from rig.effects.framework.effect import Effect
 from synthetic import recording_simulation, secret_machine
 
 WARM = "sobol:50,warmup:16,sobol:50,warmup:16,sobol:50"  # hours, in which the room and the struts warm each in its own way

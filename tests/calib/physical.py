@@ -6,18 +6,18 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import Certified
-from calib.models.wanted_pose_commands import commands_along_route, route_pace
 from calib.correct.correction import calibrate
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.platform_findings_refit import findings_of_diagnosis, refit_platform_with_findings
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.models.wanted_pose_commands import commands_along_route, route_pace
 from calib.samples.recording_samples import sample_recording
-from rig.planning.layout import hexapod_layout
-from rig.model import motion_simulation, mechanisms
-from rig.planning import plan
-from rig.recording import recording_folder
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
+from rig.model import mechanisms, motion_simulation
 from rig.model.pose import pose_difference
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from tests.calib.worlds import rms
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from rig.planning import plan
-from rig.recording import recording_folder
 from rig.effects.texts.effect_text import parse_effect
+from rig.planning import plan
 from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 
 PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
+from calib.diagnose.engine.candidate_score import Score, score_with_likelihood_ratio
 from calib.diagnose.engine.candidates import Candidate
-from calib.diagnose.engine.chance_probability import scan_p_value, residual_dispersion
+from calib.diagnose.engine.chance_probability import residual_dispersion, scan_p_value
 from calib.diagnose.engine.cross_validation import frame_folds
+from calib.diagnose.engine.frame_inner_products import FrameProducts, normal_of_common_weights, solve_normal_equations
 from calib.diagnose.engine.linear_model import Block, Column, LinearModel
 from calib.diagnose.engine.selection_policy import PLATFORM
-from calib.diagnose.engine.frame_inner_products import FrameProducts, solve_normal_equations, normal_of_common_weights
-from calib.diagnose.engine.candidate_score import Score, score_with_likelihood_ratio
 from calib.diagnose.engine.term_selection import _hidden
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.held_out_validation import sides
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.report.platform_report import platform_report
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.missed_steps import MissedSteps

@@ -7,10 +7,10 @@ import pytest
 
 from calib.diagnose.engine.chance_probability import Z95
 from calib.diagnose.problems.platform import tolerance_columns
-from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine, refine_standing
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.interval_widening import of_tolerances, told, widened
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnose.problems.platform.simultaneous_refinement import Refined, refine, refine_standing
 from calib.diagnose.report import report_sentences
 from calib.diagnose.report.diagnosis_json import FindingEntry, Value, bounded_value
 from rig.effects.framework.fit_coordinates import coordinates_of

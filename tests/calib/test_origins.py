@@ -8,10 +8,10 @@ import pytest
 
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.platform_page_figures import PlatformView
-from rig.recording import recording_folder
+from calib.diagnose.report.platform_report import platform_report
 from rig.effects.catalogue.effect_list import ALL
+from rig.recording import recording_folder
 from synthetic import blind_cases
 from tests.calib.recorded import recorded
 from tests.origins import ORIGINS, counted_from

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.planning import plan
-from rig.recording import recording_folder
 from rig.effects.texts.effect_text import parse_effect
-from rig.planning.layout.hexapod_layout import hexapod_layout
-from rig.recording.corner_and_pose_tables import Poses
 from rig.model.pose import exp
+from rig.planning import plan
+from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.recording import recording_folder
+from rig.recording.corner_and_pose_tables import Poses
 from synthetic import recording_simulation, secret_machine
 
 POSE = np.array([5e-6] * 3 + [3e-5] * 3)  # m, rad; noise of a pose, as stated

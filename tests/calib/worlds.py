@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from calib.samples.pose_samples import Samples
-from rig.planning import plan
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
+from rig.planning import plan
 from synthetic import secret_machine
 
 OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad

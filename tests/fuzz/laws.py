@@ -8,15 +8,15 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from calib.files import calibration_file
-from rig.formats.rig_toml import design_file
-from rig.model.controller_settings import SCHEMES, port_problem
-from rig.model.design import Actuator
+from rig.driving.cameras.gstreamer_pipelines import pipeline_complaint
 from rig.errors import RigError
 from rig.formats.json_positions import Places, repeated_key
 from rig.formats.number_parsing import parse_number, parse_whole_number
-from rig.driving.cameras.gstreamer_pipelines import pipeline_complaint
-from rig.report.pages import run_page_server
 from rig.formats.printable_text import escape_unprintable
+from rig.formats.rig_toml import design_file
+from rig.model.controller_settings import SCHEMES, port_problem
+from rig.model.design import Actuator
+from rig.report.pages import run_page_server
 
 PLAIN = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 TOKEN = "a-token-that-nobody-guesses"

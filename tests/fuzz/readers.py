@@ -10,26 +10,26 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calib.files import calibration_file
 from calib.certify.calibration import Calibration
 from calib.certify.held_out_errors import Figures, HeldOut
 from calib.correct.correction import Correction
+from calib.files import calibration_file
 from calib.online.information_filter import Online
-from rig.formats.rig_toml import design_file
-from rig.formats import importers, csv_table
-from rig.planning.layout import hexapod_layout
-from rig.planning import plan
-from rig.recording import recording_folder
 from rig.cli import blind
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_text import require_known_effect, effect_from_dict, parse_effect, require_place
+from rig.effects.texts.effect_text import effect_from_dict, parse_effect, require_known_effect, require_place
 from rig.errors import RigError
-from rig.recording.exposures import load_exposures
-from rig.recording.image_file_check import check_image
+from rig.formats import csv_table, importers
 from rig.formats.importers import image_file_frames as frames
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.recording.corner_and_pose_tables import COVARIANCE_COLUMNS, load_corners, load_poses
+from rig.formats.rig_toml import design_file
 from rig.model.pose import TRIANGLE
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
+from rig.recording.corner_and_pose_tables import COVARIANCE_COLUMNS, load_corners, load_poses
+from rig.recording.exposures import load_exposures
+from rig.recording.image_file_check import check_image
 from synthetic import diagnosis_score, recording_simulation, secret_machine
 from tests.fuzz.laws import laws
 from vision.lenses import calibration_board

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from rig.planning.layout import shipped_arms
 from rig.model.design import Arm
 from rig.model.pose import pose
+from rig.planning.layout import shipped_arms
 
 HALF = np.pi / 2
 UR10 = Arm([[0, 0.1273, 0, HALF], [0, 0, -0.612, 0], [0, 0, -0.5723, 0], [0, 0.163941, 0, HALF], [0, 0.1157, 0, -HALF], [0, 0.0922, 0, 0]],

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model.controller_settings import PROTOCOLS, Controller
 from rig.driving.emulators.emulator_construction import home_lengths
+from rig.model.controller_settings import PROTOCOLS, Controller
 from rig.recording.recording_folder import Commands, Sensors
 from tests.rig.judge import bench
 

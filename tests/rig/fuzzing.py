@@ -6,17 +6,17 @@ from contextlib import suppress
 import numpy as np
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.emulators.moving_axes import Axes
+from rig.driving.controller_link import Link
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_machine import Machine
+from rig.driving.emulators.moving_axes import Axes
 from rig.driving.emulators.own_strut_protocol import Struts as EmulatedStruts
-from rig.errors import MotionError
-from rig.driving.controller_link import Link
-from rig.driving.protocols.protocol_interface import Segment
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.own_strut_protocol import Struts
+from rig.driving.protocols.protocol_interface import Segment
+from rig.errors import MotionError
 
 MAKE = {"grblhal": lambda: GrblHAL("XYZABC"), "gcs": lambda: GCS((), 6), "struts": lambda: Struts(6, 1.0),
         "linuxcnc": lambda: LinuxCNC("XYZABC", "joint", "EMC", "EMCTOO")}

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.driving.cameras.settling_check import parse_settling
 from rig.driving.cameras.camera_interface import CameraError, Frame
 from rig.driving.cameras.camera_synchronisation import Shutter
+from rig.driving.cameras.settling_check import parse_settling
 from rig.driving.clock import SimulatedClock
-from rig.driving.run_journal import Arrival, Began, Journal
 from rig.driving.operator_loop import Bench, Operator
-from rig.planning.plan import build_plan
+from rig.driving.run_journal import Arrival, Began, Journal
 from rig.driving.run_steps import steps_of_plan
 from rig.driving.trapezoidal_profile import trapezoidal_profile
+from rig.planning.plan import build_plan
 
 SPEED, RAMP = 0.05, 0.2  # m/s, s
 AXES = tuple(f"l{i}" for i in range(1, 7))

@@ -8,17 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model import manufacturing_tolerances
-from rig.cli import command_line
-from rig.model import motion_simulation
-from rig.planning import plan
-from rig.recording import recording_folder
 from rig.cli import blind as command
+from rig.cli import command_line
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError
-from synthetic import blind_cases, unlisted_physics, diagnosis_score, recording_simulation, secret_machine
+from rig.model import manufacturing_tolerances, motion_simulation
+from rig.planning import plan
+from rig.recording import recording_folder
+from synthetic import blind_cases, diagnosis_score, recording_simulation, secret_machine, unlisted_physics
 
 
 def test_a_schedule_deals_every_kind_and_every_effect_alike():

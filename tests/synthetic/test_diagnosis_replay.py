@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line
-from rig.recording import recording_folder
 from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.recording import recording_folder
 
 NOISE = 0.03  # px
 

@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model import motion_simulation, mechanisms
 from rig.driving.cameras import CameraError, open_source
 from rig.driving.clock import SimulatedClock, SystemClock
-from rig.model.design import Sensor
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import RigError
+from rig.model import mechanisms, motion_simulation
+from rig.model.design import Sensor
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
-from synthetic import emulated_sensors, camera_server, secret_machine
+from synthetic import camera_server, emulated_sensors, secret_machine
 from synthetic.image_simulation import Images
 
 

@@ -5,8 +5,8 @@ import resource
 import numpy as np
 import pytest
 
-from rig.planning import plan
 from rig.errors import FileError
+from rig.planning import plan
 from synthetic import image_simulation, recording_simulation, secret_machine
 
 

@@ -6,9 +6,9 @@ from itertools import chain
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import design_file
 from rig.cli.command_line import main
 from rig.errors import RigError
+from rig.formats.rig_toml import design_file
 from synthetic import cube_stl, print_sheets
 from synthetic.cube_assembly_page import target_outline
 from synthetic.cube_nets import FRAMES, NET, PARTITIONS, SIDES, Size, arrange_net, net_pieces

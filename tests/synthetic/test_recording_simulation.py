@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.model import motion_simulation
-from rig.planning import plan
-from rig.recording import recording_folder
-from rig.model.design import Sensor
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError
+from rig.model import motion_simulation
+from rig.model.design import Sensor
 from rig.model.pose import pose_difference
-from synthetic import image_simulation, renderer, rig_meshes, recording_simulation, secret_machine
+from rig.planning import plan
+from rig.recording import recording_folder
+from synthetic import image_simulation, recording_simulation, renderer, rig_meshes, secret_machine
 from synthetic.occlusion import is_occluded
 from tests.conftest import SHARED
 from vision.reading.recording_corners import collect_corners

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera, Marker, Sensor, Target
 from rig.errors import MissingLibrary
+from rig.model.design import Camera, Marker, Sensor, Target
 from rig.model.pose import pose
-from synthetic import renderer as render, rig_meshes
+from synthetic import renderer as render
+from synthetic import rig_meshes
 from synthetic.image_sensor import expose_image
 from tests.synthetic.edges import edge_corners
 from vision.corners.marker_detection import fit_read_markers

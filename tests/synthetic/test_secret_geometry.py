@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line
-from rig.model import motion_simulation
-from rig.recording import recording_folder
-from rig.formats.rig_toml.design_file import load
 from rig.effects.texts.effect_text import parse_effect
-from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.formats.rig_toml.design_file import load
+from rig.model import motion_simulation
 from rig.model.pose import pose_difference
+from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.recording import recording_folder
 from synthetic.secret_machine import world_from_truth
 from tests.test_one_more_effect import RIGS
 

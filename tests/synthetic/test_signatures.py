@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from calib.models.platform.identification import pose_jacobian
-from rig.model import motion_simulation
-from rig.planning import plan
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text import parse_effect
+from rig.model import motion_simulation
 from rig.model.pose import exp
+from rig.planning import plan
 from synthetic import recording_simulation, secret_machine
 from vision import lens
 from vision.predict import State, facing, is_inside_image, predict_sightings

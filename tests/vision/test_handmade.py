@@ -6,10 +6,10 @@ from scipy.stats import chi2
 
 from rig.model.pose import log
 from tests.vision.handmade import Handmade, handmade
-from vision.bundle.marker_displacements import are_places_doubtful, marker_displacements
 from vision.bundle.estimate_update import align_points
-from vision.recording_adjustment import Measurement
+from vision.bundle.marker_displacements import are_places_doubtful, marker_displacements
 from vision.corner_observations import observations_from_corners
+from vision.recording_adjustment import Measurement
 from vision.recording_measurement import solve
 from vision.targets import marker_map
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.recording import recording_folder
 from rig.errors import RigError
 from rig.model.pose import exp
+from rig.recording import recording_folder
 from tests.loops import rig
+from vision.combined_recordings import _apart
 from vision.pose_uncertainty_prediction import predict_pose_uncertainty
 from vision.recording_measurement import measure_recording
-from vision.combined_recordings import _apart
 
 
 @pytest.fixture(scope="module", params=["cubes", "hand"])

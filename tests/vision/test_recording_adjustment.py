@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rig.errors import NotEnoughData
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
 from tests.vision.scenes import known, nees, scene, standing
-from vision.recording_adjustment import measure
 from vision.corner_observations import corner_correlation, whitener
+from vision.recording_adjustment import measure
 from vision.targets import marker_map
 
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.planning import plan
-from rig.recording import recording_folder
 from rig.errors import NotEnoughData
+from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from vision.bundle import bundle_adjustment as adjusting
 from vision.bundle.held_out_frames import crossvalidate

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rig.model.design import Camera
 from rig.errors import NotEnoughData, RigError
-from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
-from vision.bundle.repeated_corners import merge_repeated_corners
+from rig.model.design import Camera
 from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.estimate_update import update_estimate, offset_from_stated, to_datums
+from vision.bundle.estimate_update import offset_from_stated, to_datums, update_estimate
+from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
 from vision.bundle.printing_errors import Printing
-from vision.bundle.unknown_priors import lens_prior, adjustment_unknowns
+from vision.bundle.repeated_corners import merge_repeated_corners
+from vision.bundle.unknown_priors import adjustment_unknowns, lens_prior
 from vision.corner_observations import Observations, Whitener, whitener
 from vision.predict import State, predict
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.pose import exp, log
 from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
-from vision.bundle.printing_errors import printing_offsets, apply_printing_errors
+from vision.bundle.printing_errors import apply_printing_errors, printing_offsets
 from vision.predict import State
 from vision.targets import MarkerMap
 

@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 
 from vision.bundle.bundle_adjustment import Adjustment
-from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
 from vision.bundle.estimate_update import offset_from_stated
+from vision.bundle.normal_equations import linearise, normal_equations, schur_complement
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.corner_observations import Observations, observations_of_frames, whitener
 

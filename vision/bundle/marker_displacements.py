@@ -10,11 +10,11 @@ from scipy.spatial.transform import RigidTransform
 from rig.model.design import Marker
 from rig.model.pose import log
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, solve_step
 from vision.bundle.estimate_update import offset_from_stated
+from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, solve_step
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.corner_observations import Observations, whitener
-from vision.pose.ambiguous_poses import MOST, rotation_angle, expected_pose, neighbour_distance
+from vision.pose.ambiguous_poses import MOST, expected_pose, neighbour_distance, rotation_angle
 from vision.predict import State, predict
 from vision.targets import MarkerMap
 

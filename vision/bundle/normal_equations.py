@@ -6,8 +6,8 @@ import numpy as np
 
 from rig.compute.parallel_map import thread_map
 from vision.bundle import normal_equation_kernels
-from vision.bundle.corner_jacobians import Seen, motion_jacobian, camera_jacobians, rotate_jacobian
 from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
+from vision.bundle.corner_jacobians import Seen, camera_jacobians, motion_jacobian, rotate_jacobian
 from vision.bundle.estimate_update import marker_shifts
 from vision.bundle.printing_errors import SIDE, printing_jacobian
 from vision.corner_observations import Observations, Whitener

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vision.bundle.bundle_adjustment import Adjustment
 from vision.bundle.adjustment_unknowns import Unknowns
+from vision.bundle.bundle_adjustment import Adjustment
 from vision.bundle.unknown_priors import POSE_WORTH
 
 UNDETERMINED = 0.5  # of what was stated; a combination that keeps more of its uncertainty owes it to its owner, not to the images

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.model.pose import exp, log
 from rig.model.manufacturing_tolerances import PLACES, SIDES
+from rig.model.pose import exp, log
 from vision.targets import MarkerMap
 
 NAMES = ("x", "y", "z", "rx", "ry", "rz", "side")

@@ -11,11 +11,11 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from rig.compute.parallel_map import thread_map
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.repeated_corners import merge_rows, find_repeats, group_sums
-from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
 from vision.bundle.estimate_update import offset_from_stated
+from vision.bundle.normal_equations import linearise, normal_equations, predicted_decrease, schur_complement, solve_step
 from vision.bundle.printing_errors import KINDS, NAMES, Printing
-from vision.bundle.robust_adjustment import Sorted, repeated_corner_error, is_within_gate
+from vision.bundle.repeated_corners import find_repeats, group_sums, merge_rows
+from vision.bundle.robust_adjustment import Sorted, is_within_gate, repeated_corner_error
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.corner_observations import Observations, observations_of_frames, whitener
 from vision.predict import State

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from rig.model.design import Camera
-from rig.model.pose import skew
 from rig.model.manufacturing_tolerances import SIDES
+from rig.model.pose import skew
 from vision import lens
 from vision.bundle.adjustment_unknowns import POSE_SCALE, Estimate, Unknowns
 from vision.bundle.estimate_update import cameras_hold_base, marker_motions, target_motion

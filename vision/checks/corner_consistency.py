@@ -8,16 +8,17 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera, Design
+from rig.checks import Mistake, platform_commands_and_poses, sort_mistakes
 from rig.effects.catalogue.edge_bias import EdgeBias
-from rig.checks import Mistake, sort_mistakes, platform_commands_and_poses
+from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Corners, Recording
-from vision.hand_mounted_cameras import recording_seen_from_hand, has_hand_cameras
-from vision.initial_lenses import initial_lenses, are_lenses_plausible
-from vision.recording_adjustment import Measurement
-from vision.checks import camera_mistakes as cameras, target_mistakes
+from vision.checks import camera_mistakes as cameras
 from vision.checks import corner_mistakes as order
-from vision.checks.trial_measurement import LOST, Seen, Trial, sample_frames, measure_sample
+from vision.checks import target_mistakes
+from vision.checks.trial_measurement import LOST, Seen, Trial, measure_sample, sample_frames
+from vision.hand_mounted_cameras import has_hand_cameras, recording_seen_from_hand
+from vision.initial_lenses import are_lenses_plausible, initial_lenses
+from vision.recording_adjustment import Measurement
 
 FINE = 0.3  # px; a misfit below it is noise and what calibration takes up
 GROSS = 2.0  # px; a misfit beyond it is no matter of sizes and lenses alone

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from rig.errors import FileError
 from rig.checks import Mistake
+from rig.errors import FileError
 from rig.recording.recording_folder import Corners, Recording
-from vision.corners.marker_detection import Detection, detect_markers, dictionary_reader
 from vision.checks.trial_measurement import FRAMES
-from vision.reading.recording_corners import image_reader
+from vision.corners.marker_detection import Detection, detect_markers, dictionary_reader
 from vision.reading.parallel_images import map_images_in_threads
+from vision.reading.recording_corners import image_reader
 from vision.targets import MarkerMap, marker_map
 
 FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5",

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from rig.model.design import Design
 from rig.errors import NotEnoughData, RigError
+from rig.model.design import Design
 from rig.recording.recording_folder import Corners
-from vision.recording_adjustment import Measurement, measure
 from vision.corner_observations import observations_from_corners
+from vision.recording_adjustment import Measurement, measure
 from vision.recording_measurement import unsolved_frames
 from vision.targets import marker_map
 

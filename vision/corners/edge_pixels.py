@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.corners.numba_compilation import kernel, kernel_part
 from vision.corners.local_lens import polynomial_at
+from vision.corners.numba_compilation import kernel, kernel_part
 
 REACH = (
     3.6  # edge widths on either side of an edge that are looked at; with vision/corners/edge_spread.py's KNOTS by the rule in tests/bench/reach.py:

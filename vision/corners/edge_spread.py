@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import ndtr
 
-from vision.corners.square_fit_residuals import PROFILED
 from vision.corners.cell_whiteness import GRID
+from vision.corners.square_fit_residuals import PROFILED
 
 FIRST_WIDTH = 0.8  # px
 DIRECTIONS = 36  # of tables, over half a turn

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vision.corners.quadrangle_candidates import Candidates
 from vision.corners.numba_compilation import kernel, kernel_part
+from vision.corners.quadrangle_candidates import Candidates
 from vision.targets import marker_cells
 
 CELL = 8  # points each way that are looked at in a cell

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera
-from vision.corners import edge_pixels, square_gauss_newton, local_lens, square_sides, square_fit
-from vision.corners.marker_reader import LeftOut, Read, read_markers
+from vision.corners import edge_pixels, local_lens, square_fit, square_gauss_newton, square_sides
 from vision.corners.edge_spread import LEVELS, NO_PROFILE, PLAIN, Spread
+from vision.corners.marker_reader import LeftOut, Read, read_markers
 from vision.predict import expected
 from vision.targets import MarkerMap, marker_cells
 

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.corners.marker_bits import marker_codes, identify_markers
-from vision.corners.quadrangle_candidates import marker_candidates
 from vision.corners.dark_pixels import LEFT, WINDOWS, mark_dark_pixels
-from vision.corners.outline_tracing import trace_quadrangles
+from vision.corners.marker_bits import identify_markers, marker_codes
 from vision.corners.outline_quadrangles import outline_buffers
+from vision.corners.outline_tracing import trace_quadrangles
+from vision.corners.quadrangle_candidates import marker_candidates
 from vision.targets import MarkerMap
 
 SHORTEST, LONGEST = 0.03, 4.0  # of the image's longer side, that a marker's outline has pixels

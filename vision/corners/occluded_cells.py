@@ -6,8 +6,8 @@ A pixel far off counts little; one beside it, where the edge of what covers the 
 import numpy as np
 
 from vision.corners.edge_pixels import KINDS, EdgePixels
-from vision.corners.square_gauss_newton import LIGHT
 from vision.corners.numba_compilation import kernel
+from vision.corners.square_gauss_newton import LIGHT
 
 SHARE = 0.2  # of a cell's pixels that do not fit, from which something covers it
 FEWEST = 3  # such pixels, below which they may be chance, or specks of dirt

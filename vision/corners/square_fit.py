@@ -13,10 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.corners.uneven_illumination import TERMS, Bow, remove_uneven_illumination
+from vision.corners.cell_whiteness import STEPS, Tables, tabulate
 from vision.corners.cholesky import factor, solve
-from vision.corners.occluded_cells import find_occluded_cells, remove_occluded_pixels
 from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, edge_pixels
+from vision.corners.local_lens import to_image
+from vision.corners.numba_compilation import kernel, kernel_part
+from vision.corners.occluded_cells import find_occluded_cells, remove_occluded_pixels
+from vision.corners.order_statistics import order_statistic
+from vision.corners.square_fit_residuals import covariance_inflation, edge_segment_sums, residual_profile
 from vision.corners.square_gauss_newton import (
     LIGHT,
     NO_CONTRAST,
@@ -34,13 +38,9 @@ from vision.corners.square_gauss_newton import (
     corners_at,
     gauss_newton_step,
 )
-from vision.corners.numba_compilation import kernel, kernel_part
-from vision.corners.local_lens import to_image
-from vision.corners.square_fit_residuals import covariance_inflation, residual_profile, edge_segment_sums
-from vision.corners.cell_whiteness import STEPS, Tables, tabulate
-from vision.corners.order_statistics import order_statistic
+from vision.corners.square_sides import fit_sides, misread_cell_count, square_homography
 from vision.corners.strip_whiteness import ROWS, STRIP
-from vision.corners.square_sides import square_homography, misread_cell_count, fit_sides
+from vision.corners.uneven_illumination import TERMS, Bow, remove_uneven_illumination
 
 SAMPLE = 300  # pixels that take part while the fit is still on its way
 FEWEST = 60  # pixels near edges, below which nothing is fitted

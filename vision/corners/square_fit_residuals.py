@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, EdgePixels
-from vision.corners.square_gauss_newton import Square
-from vision.corners.numba_compilation import kernel
 from vision.corners.cell_whiteness import Tables, edge_whiteness
+from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, EdgePixels
+from vision.corners.numba_compilation import kernel
+from vision.corners.square_gauss_newton import Square
 
 SIDE = 0.1  # of the information that the best seen cell's side has; one with less does not count
 SIDES = 16  # of cells, from which it is told whether they are where they ought to be; the homography takes eight of them

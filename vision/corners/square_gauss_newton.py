@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vision.corners.cell_whiteness import Tables
 from vision.corners.cholesky import factor, solve
 from vision.corners.edge_pixels import KINDS, EdgePixels
 from vision.corners.numba_compilation import kernel, kernel_part
-from vision.corners.cell_whiteness import Tables
 from vision.corners.strip_whiteness import ROWS, STRIP, Seen, strip_whiteness
 
 UNKNOWNS = 15

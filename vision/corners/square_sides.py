@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from vision.corners.numba_compilation import kernel, kernel_part
 from vision.corners.local_lens import to_ideal
+from vision.corners.numba_compilation import kernel, kernel_part
 from vision.corners.order_statistics import order_statistic
 
 PROFILES = 8  # along each side

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vision.corners.cell_whiteness import NODES, SKEW, SPAN, STEPS, TOGETHER, WEIGHTS, Meeting, Tables, blurred_cell_whiteness, cell_whiteness
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
 from vision.corners.numba_compilation import kernel, kernel_part
-from vision.corners.cell_whiteness import NODES, SKEW, SPAN, STEPS, TOGETHER, WEIGHTS, Meeting, Tables, cell_whiteness, blurred_cell_whiteness
 
 ROWS = 16  # of a strip
 STRIP = 256  # pixels in a strip; its rows fit the processor's first cache

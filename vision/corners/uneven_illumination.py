@@ -10,8 +10,8 @@ import numpy as np
 
 from vision.corners.cholesky import factor, solve
 from vision.corners.edge_pixels import KINDS, EdgePixels
-from vision.corners.square_gauss_newton import LIGHT, UNKNOWNS, Square, Work
 from vision.corners.numba_compilation import kernel, kernel_part
+from vision.corners.square_gauss_newton import LIGHT, UNKNOWNS, Square, Work
 from vision.corners.strip_whiteness import ROWS, STRIP
 
 TERMS = 3  # x^2, x y, y^2 of local coordinates, which reach to about 1 on either side of a square's middle

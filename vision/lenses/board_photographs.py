@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera
 from rig.errors import FileError, NotEnoughData, RigError
+from rig.model.design import Camera
 from rig.recording.exposures import read_image
 from rig.recording.image_file_check import MOST_OF_A_PHOTOGRAPH
+from vision.corner_observations import Observations
 from vision.lenses.calibration_board import Board, BoardView, find_board_corners
 from vision.lenses.lens_calibration import LEAST_CORNERS, MODELS, Fit, HeldOut, calibrate, choose, hold_out, observations_of, projection_uncertainty
-from vision.corner_observations import Observations
 
 FIRST = 5  # distortion terms of the lens that straightens edges for the second look
 

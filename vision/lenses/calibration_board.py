@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import DICTIONARIES, Camera
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number, parse_whole_number
+from rig.model.design import DICTIONARIES, Camera
 from vision import lens
 from vision.corners.marker_detection import detect_markers, grey_image
 from vision.lenses import chessboard_corner

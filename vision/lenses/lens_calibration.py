@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import Camera
 from rig.errors import NotEnoughData
+from rig.model.design import Camera
 from vision import lens
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.lenses.calibration_board import Board, BoardView
 from vision.corner_observations import Observations, observations_of_frames
+from vision.lenses.calibration_board import Board, BoardView
 from vision.pose.pose_refinement import GATE, MEDIAN
 from vision.predict import State, predict
 

@@ -7,8 +7,8 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Camera
 from rig.model.pose import transform_points
-from vision.pose.frame_poses import Frames, Views, locate_frames
 from vision.pose.body_pose import CONSENSUS, View, locate
+from vision.pose.frame_poses import Frames, Views, locate_frames
 from vision.targets import MarkerMap
 
 HELD = 0.5  # share of a camera's corners near where they should be, from which it stands where it is taken to stand

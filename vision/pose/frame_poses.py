@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera
 from rig.compute.parallel_map import parallel_map
+from rig.model.design import Camera
 from vision.corner_observations import Observations
+from vision.pose.ambiguous_poses import Poses, choose_by_neighbours, pose_outliers
 from vision.pose.body_pose import Located, Unsolved, View, inverse, locate, undistorted
-from vision.pose.ambiguous_poses import Poses, pose_outliers, choose_by_neighbours
 from vision.targets import MarkerMap
 
 SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other

@@ -14,11 +14,11 @@ from rig.model.design import Camera
 from rig.recording.exposures import read_image
 from rig.recording.recording_folder import Corners, Recording
 from vision.corners import local_lens
-from vision.corners.marker_detection import Detection, grey_image, fit_read_markers
-from vision.corners.marker_reader import Read
 from vision.corners.edge_spread import PLAIN
-from vision.reading.recording_corners import Collected, by_image, corners_of
+from vision.corners.marker_detection import Detection, fit_read_markers, grey_image
+from vision.corners.marker_reader import Read
 from vision.reading.parallel_images import map_images_in_processes
+from vision.reading.recording_corners import Collected, by_image, corners_of
 from vision.targets import MarkerMap
 
 SETTLED = 2e-3  # px, by which a lens may bend a marker otherwise than another: that moves corners by a tenth of it

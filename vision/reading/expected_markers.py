@@ -6,17 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.errors import NotConverged, NotEnoughData
 from rig.model import mechanisms
 from rig.model.design import Camera, Design
-from rig.errors import NotConverged, NotEnoughData
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Corners, Recording
-from vision.recording_adjustment import Measurement, measure
 from vision.corner_observations import observations_from_corners
-from vision.pose.frame_poses import Views, locate_frames
 from vision.pose.body_pose import FINEST
+from vision.pose.frame_poses import Views, locate_frames
 from vision.predict import State, predict
 from vision.reading.marker_identity import suspects
+from vision.recording_adjustment import Measurement, measure
 from vision.targets import MarkerMap
 
 WORTH_FOLLOWING = 3.0  # px, RMS over a frame, within which a command must predict what is seen to be worth following

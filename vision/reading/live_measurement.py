@@ -14,21 +14,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera, Design
-from rig.errors import NotEnoughData
-from rig.model.pose import adjoint
 from rig.compute.worker_processes import worker_count
+from rig.errors import NotEnoughData
+from rig.model.design import Camera, Design
+from rig.model.pose import adjoint
 from rig.recording.recording_folder import Corners
-from vision.corners.marker_detection import REACH, Detection, detect_markers, grey_image, fit_read_markers
-from vision.corners.edge_spread import PLAIN, Spread
-from vision.hand_mounted_cameras import has_hand_cameras, design_seen_from_hand
-from vision.recording_adjustment import Measurement, measure
 from vision.corner_observations import Observations, observations_from_corners, observations_without_corners
-from vision.pose.frame_poses import Views, locate_frames, locate_fixed_cameras
+from vision.corners.edge_spread import PLAIN, Spread
+from vision.corners.marker_detection import REACH, Detection, detect_markers, fit_read_markers, grey_image
+from vision.hand_mounted_cameras import design_seen_from_hand, has_hand_cameras
 from vision.pose.body_pose import FINEST
+from vision.pose.frame_poses import Views, locate_fixed_cameras, locate_frames
 from vision.predict import State, expected, predict
 from vision.reading.corner_refit import ROUNDS, SETTLED, lens_difference
 from vision.reading.recording_corners import corners_of, learn_spread
+from vision.recording_adjustment import Measurement, measure
 from vision.targets import marker_map
 
 Rows = tuple[tuple[int, str, Detection], ...]  # frame, camera, what its image shows

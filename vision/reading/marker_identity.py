@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from vision.corners.marker_detection import dictionary_reader
-from vision.recording_adjustment import Measurement
 from vision.predict import Sightings, expected, facing, predict_sightings
+from vision.recording_adjustment import Measurement
 from vision.targets import MarkerMap
 
 LEAST = 3  # sightings from which anything is said of a marker

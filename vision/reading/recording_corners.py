@@ -10,18 +10,18 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.compute.dask_cluster import shared_path
-from rig.model.design import Camera, Design
 from rig.errors import FileError
-from rig.recording.exposures import read_image, unusable_images_error, undecodable_images
+from rig.model.design import Camera, Design
+from rig.recording.exposures import read_image, undecodable_images, unusable_images_error
 from rig.recording.recording_folder import Corners, Recording
-from vision.corners.marker_detection import Detection, detect_markers, grey_image, fit_read_markers
-from vision.corners.marker_reader import Read, read_markers
-from vision.corners.edge_spread import PLAIN, Spread, empty_profile, learn_edge_spread
-from vision.recording_adjustment import Measurement
 from vision.corner_observations import corner_correlation
+from vision.corners.edge_spread import PLAIN, Spread, empty_profile, learn_edge_spread
+from vision.corners.marker_detection import Detection, detect_markers, fit_read_markers, grey_image
+from vision.corners.marker_reader import Read, read_markers
 from vision.predict import expected
 from vision.reading import expected_markers
-from vision.reading.parallel_images import map_images_in_threads, map_images_in_processes
+from vision.reading.parallel_images import map_images_in_processes, map_images_in_threads
+from vision.recording_adjustment import Measurement
 from vision.targets import MarkerMap
 
 LEARN_FROM = 12  # images of each camera from which its edge spread is learnt

@@ -13,8 +13,8 @@ from scipy.spatial import Delaunay as Triangulation
 
 from calib.correct.interpolation.field import Known, merge_repeats
 from calib.correct.interpolation.weighted_fields import Weighted, Weights
-from rig.errors import RigError
 from rig.compute.numba_kernels import njit
+from rig.errors import RigError
 
 MOST = {1: 100_000, 2: 100_000, 3: 50_000, 4: 10_000, 5: 3_000, 6: 600, 7: 150}  # samples for each number of axes: simplices grow with its factorial
 WITHIN = 1 - 1e-9  # of the way to the hull: on a face rounding would decide

@@ -9,8 +9,8 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from calib.correct.interpolation.grid_kernels import Tables
 from calib.correct.interpolation.field import Known, average_samples
+from calib.correct.interpolation.grid_kernels import Tables
 from calib.correct.interpolation.weighted_fields import Weighted
 from rig.errors import RigError
 

@@ -9,14 +9,14 @@ import numpy as np
 from calib.correct.interpolation.axis_functions import Axes
 from calib.correct.interpolation.delaunay import Delaunay
 from calib.correct.interpolation.field import Field, Known
+from calib.correct.interpolation.gaussian_process import Radial, RadialMap
 from calib.correct.interpolation.multilinear import Linear
 from calib.correct.interpolation.partial_map import Part, Within
-from calib.correct.interpolation.repeated_passes import Passes
 from calib.correct.interpolation.polynomial import Polynomial
-from calib.correct.interpolation.gaussian_process import Radial, RadialMap
+from calib.correct.interpolation.repeated_passes import Passes
 from calib.correct.interpolation.simplex import Simplex
-from rig.formats.checked_entries import Entries
 from rig.errors import RigError
+from rig.formats.checked_entries import Entries
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
     **dict.fromkeys(("linear", "simplex"), {"levels": "ragged", "values": "nm", "variances": "nm", "misfit": "m"}),

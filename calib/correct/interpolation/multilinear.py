@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.correct.interpolation.grid_kernels import linear_kernel
 from calib.correct.interpolation.grid import Grid
+from calib.correct.interpolation.grid_kernels import linear_kernel
 from calib.correct.interpolation.weighted_fields import Weights
 
 

@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.correct.interpolation.grid_kernels import simplex_kernels
 from calib.correct.interpolation.grid import Grid
+from calib.correct.interpolation.grid_kernels import simplex_kernels
 from calib.correct.interpolation.weighted_fields import Weights
 from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads
 

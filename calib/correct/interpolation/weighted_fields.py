@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-
 ON = 1e-4  # of half the samples' extent, beyond which a place is no more among them: commands are written rounded
 
 

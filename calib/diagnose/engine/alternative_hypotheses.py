@@ -3,11 +3,11 @@
 from dataclasses import dataclass, replace
 from typing import Any, Generic
 
+from calib.diagnose.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
 from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.linear_model import column_cosine
-from calib.diagnose.engine.selection_policy import SelectionPolicy
 from calib.diagnose.engine.problem_interface import Fit, Model, Problem
-from calib.diagnose.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
+from calib.diagnose.engine.selection_policy import SelectionPolicy
 
 
 @dataclass(frozen=True, slots=True, eq=False)

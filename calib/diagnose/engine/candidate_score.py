@@ -7,9 +7,9 @@ from typing import Generic
 import numpy as np
 
 from calib.diagnose.engine.candidates import C, Node, Role, UsualRange
-from calib.diagnose.engine.chance_probability import scan_p_value, residual_dispersion
-from calib.diagnose.engine.linear_model import LinearModel
+from calib.diagnose.engine.chance_probability import residual_dispersion, scan_p_value
 from calib.diagnose.engine.frame_inner_products import FrameProducts, Solved, normal_of_weighted_directions
+from calib.diagnose.engine.linear_model import LinearModel
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show

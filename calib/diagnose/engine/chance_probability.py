@@ -13,8 +13,8 @@ import numpy as np
 import scipy
 from scipy.special import gammaln
 
-from calib.diagnose.engine.linear_model import LinearModel
 from calib.diagnose.engine.frame_inner_products import SWALLOWED, FrameProducts
+from calib.diagnose.engine.linear_model import LinearModel
 
 Z95 = 1.959964  # normal quantile of a 95 % interval
 FEW = 4.0  # degrees of freedom below which clusters show nothing of how they differ: what lies in one or two is judged frame by frame

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from calib.diagnose.engine.frame_inner_products import FrameProducts
 from calib.diagnose.engine.lack_of_fit import Test, test_lack_of_fit
 from calib.diagnose.engine.linear_model import LinearModel
-from calib.diagnose.engine.frame_inner_products import FrameProducts
 
 
 @dataclass(frozen=True, slots=True)

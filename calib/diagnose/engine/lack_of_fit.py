@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.engine.chance_probability import scan_p_value, residual_dispersion
-from calib.diagnose.engine.linear_model import LinearModel
+from calib.diagnose.engine.chance_probability import residual_dispersion, scan_p_value
 from calib.diagnose.engine.frame_inner_products import (
     SWALLOWED,
     FrameProducts,
@@ -15,6 +14,7 @@ from calib.diagnose.engine.frame_inner_products import (
     solve_normal_equations,
     solve_with_prior,
 )
+from calib.diagnose.engine.linear_model import LinearModel
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier

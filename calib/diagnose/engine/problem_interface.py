@@ -6,13 +6,13 @@ A Fit is all that is admitted at its best; a Model is what it leaves, linear, wi
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeVar
 
+from calib.diagnose.engine.candidate_score import Score
 from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.cross_validation import CrossValidation
-from calib.diagnose.engine.stated_terms import Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.selection_policy import SelectionPolicy
-from calib.diagnose.engine.candidate_score import Score
+from calib.diagnose.engine.stated_terms import Given
 
 Fit = TypeVar("Fit")
 Model = TypeVar("Model")

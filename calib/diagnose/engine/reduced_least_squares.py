@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from calib.diagnose.engine.linear_model import LinearModel, orthonormal_combinations
 from calib.diagnose.engine.frame_inner_products import SWALLOWED, FrameProducts
+from calib.diagnose.engine.linear_model import LinearModel, orthonormal_combinations
 
 
 @dataclass(frozen=True, slots=True, eq=False)

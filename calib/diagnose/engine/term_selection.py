@@ -5,12 +5,12 @@ from typing import Any, Generic
 
 import numpy as np
 
-from calib.diagnose.engine.alternative_hypotheses import is_indistinguishable, alternatives_of, refit_alternatives
+from calib.diagnose.engine.alternative_hypotheses import alternatives_of, is_indistinguishable, refit_alternatives
+from calib.diagnose.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
 from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.engine.selection_policy import SelectionPolicy
 from calib.diagnose.engine.problem_interface import Fit, Model, Problem, Progress
-from calib.diagnose.engine.candidate_score import Alternative, Score, score_with_likelihood_ratio
+from calib.diagnose.engine.selection_policy import SelectionPolicy
 
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
 RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnose.engine.formula_search import Formula
 from calib.diagnose.engine.formula_library import Library, Quantity
+from calib.diagnose.engine.formula_search import Formula
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.formula_quantities import POSE, quantities
+from rig.effects.framework.machine_motion import Motion
 from rig.effects.texts.formula_effect_file import Term, Written
 
 NAME = "suggested"  # of the effect until a person gives it one

@@ -8,9 +8,9 @@ from rig.model import mechanisms
 from rig.model.design import Arm, Chain
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import chain as chains
-from rig.report.pages.plots import panel_row
 from rig.report.pages.html_elements import list_html
-from rig.report.pages.svg_elements import WIDTH, tooltip, svg, text
+from rig.report.pages.plots import panel_row
+from rig.report.pages.svg_elements import WIDTH, svg, text, tooltip
 
 GHOSTS = 14  # other configurations, drawn faintly
 VIEWS = (((0, 2), "from the side"), ((0, 1), "from above"))

@@ -7,15 +7,15 @@ import numpy as np
 
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
 from calib.diagnose.report import finding_contributions
-from calib.diagnose.report.arm_report import SAME_ANGLE, residual_statistics
 from calib.diagnose.report.arm_outline import arm_outline_figures
-from calib.diagnose.report.residual_figures import residual_scatter_figure
+from calib.diagnose.report.arm_report import SAME_ANGLE, residual_statistics
 from calib.diagnose.report.diagnosis_json import FindingEntry
-from calib.samples.effect_playback import FACTORS
+from calib.diagnose.report.residual_figures import residual_scatter_figure
 from calib.report.scene_3d import mechanism_stage
+from calib.samples.effect_playback import FACTORS
 from rig.model import mechanisms
-from rig.report.pages.plots import Series, plot_panel
 from rig.report.pages.html_elements import heading, note, paragraph, table
+from rig.report.pages.plots import Series, plot_panel
 from rig.report.pages.view_3d import Effect, view_3d_html
 
 PLAYED = 4  # findings that are shown in three dimensions
@@ -92,8 +92,11 @@ class ArmView:
         if len(aside):
             parts.append(paragraph(f"{len(aside)} poses agree with no model and count for next to nothing: frames {', '.join(map(str, aside))}."))
         if d.repeats is not None and any(u.depends_on == ("configuration",) for u in d.left):
-            parts.append(paragraph(f"The same command brings {d.repeats.recurring_share:.0%} of what remains again: that is no noise, and of no form that was "
-                                   "tried."))
+            parts.append(
+                paragraph(
+                    f"The same command brings {d.repeats.recurring_share:.0%} of what remains again: that is no noise, and of no form that was tried."
+                )
+            )
         return parts
 
     def measurement(self) -> list[tuple[str, Any]]:

@@ -8,32 +8,45 @@ from typing import Any
 import numpy as np
 from scipy.linalg import cho_solve
 
-from calib.models.arm.certification import UNSTATED
 from calib.diagnose.engine.chance_probability import Z95
 from calib.diagnose.engine.cross_validation import CrossValidation
 from calib.diagnose.engine.term_selection import Finding
-from calib.diagnose.problems.arm.joint_candidates import SPAN, Form
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis, HeldOutPoses
-from calib.diagnose.problems.arm.pose_fit import Term
+from calib.diagnose.problems.arm.joint_candidates import SPAN, Form
 from calib.diagnose.problems.arm.nonlinear_parameters import joint_parameter_covariance, onset_time_interval
+from calib.diagnose.problems.arm.pose_fit import Term
 from calib.diagnose.report import finding_contributions
+from calib.diagnose.report.diagnosis_json import (
+    ASSUMED_NOISE,
+    STATED,
+    AlternativeEntry,
+    Evidence,
+    FindingEntry,
+    FitEntry,
+    NotAskedEntry,
+    Unexplained,
+    Value,
+    bounded_value,
+    covariate_entries,
+    effects_files,
+    recording_entries,
+    stated_beforehand,
+    suggestion_entries,
+)
+from calib.diagnose.report.diagnosis_report import Report
+from calib.diagnose.report.diagnosis_verdict import write
 from calib.diagnose.report.platform_report import (
     copy_recording,
-    separating_experiment_text,
-    moment_text,
     largest_unexplained,
+    moment_text,
+    separating_experiment_text,
     unnamed_finding_entries,
     unusual_size_reason,
 )
-from calib.diagnose.report.diagnosis_verdict import write
-from calib.diagnose.report.diagnosis_report import Report
-from calib.diagnose.report.diagnosis_json import (
-    ASSUMED_NOISE, STATED, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Unexplained, Value, bounded_value, covariate_entries,
-    recording_entries, effects_files, stated_beforehand, suggestion_entries,
-)
+from calib.models.arm.certification import UNSTATED
 from rig.formats import machine_json
-from rig.model import mechanisms
 from rig.formats.output_files import write_text
+from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
 
 SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
-from calib.diagnose.engine.stated_terms import Given
 from calib.diagnose.engine.covariate_ranking import Covariate
+from calib.diagnose.engine.stated_terms import Given
 from calib.diagnose.problems.formula_suggestion import Suggestion
-from rig.effects.texts.user_effect_files import Plugin
 from rig.effects.texts.formula_effect_file import Written
+from rig.effects.texts.user_effect_files import Plugin
 from rig.recording.recording_folder import Part
 
 SCHEMA = "diagnosis/1"

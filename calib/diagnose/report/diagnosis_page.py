@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from calib.diagnose.report import report_sentences
-from calib.diagnose.report.diagnosis_verdict import diagnosis_verdict
-from calib.diagnose.report.diagnosis_report import Report
 from calib.diagnose.report.diagnosis_json import FindingEntry
+from calib.diagnose.report.diagnosis_report import Report
+from calib.diagnose.report.diagnosis_verdict import diagnosis_verdict
 from rig.effects.catalogue.effect_list import BY_NAME
+from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
 from rig.report.pages.page_template import Link, Page, write_page
 from rig.report.pages.plots import panel_row
-from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
 from rig.report.pages.view_3d import view_scripts
 from vision.effect_sketches import effect_sketch
 

@@ -4,20 +4,33 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from calib.certify.calibration_evidence import ALONE, OfCalibrations
-from calib.samples.confounded_conditions import Confounds
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
 from calib.diagnose.report.diagnosis_json import (
-    ASSUMED_NOISE, RESIDUALS, SCHEMA, STATED, UNKNOWN, CovariateEntry, EffectsFile, FindingEntry, FitEntry, NotAskedEntry, RecordingEntry,
-    RemarkEntry, SuggestionEntry, Unexplained, plain,
+    ASSUMED_NOISE,
+    RESIDUALS,
+    SCHEMA,
+    STATED,
+    UNKNOWN,
+    CovariateEntry,
+    EffectsFile,
+    FindingEntry,
+    FitEntry,
+    NotAskedEntry,
+    RecordingEntry,
+    RemarkEntry,
+    SuggestionEntry,
+    Unexplained,
+    plain,
 )
 from calib.diagnose.report.report_sentences import (
-    stated_beforehand_text,
-    many_outliers_sentence,
-    value_text,
     as_sentence,
     finding_size_text,
     finding_title,
+    many_outliers_sentence,
+    stated_beforehand_text,
+    value_text,
 )
+from calib.samples.confounded_conditions import Confounds
 from rig.report.notebook_display import result_html
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from calib.certify.calibration_evidence import confound_sentences
 from calib.diagnose.report import report_sentences
-from calib.diagnose.report.diagnosis_report import Report, summary
 from calib.diagnose.report.diagnosis_json import ASSUMED_NOISE, UNKNOWN
+from calib.diagnose.report.diagnosis_report import Report, summary
 from rig.formats.output_files import write_text
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 

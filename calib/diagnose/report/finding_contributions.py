@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis
-from rig.report.pages.plots import COLOURS
-from rig.report.pages.svg_elements import tooltip, svg, text
 from rig.recording.recording_tables import write_table
+from rig.report.pages.plots import COLOURS
+from rig.report.pages.svg_elements import svg, text, tooltip
 
 WORST = 24  # poses that are drawn
 LEFT = "what remains"

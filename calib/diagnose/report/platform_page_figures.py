@@ -5,21 +5,21 @@ from typing import Any
 
 import numpy as np
 
-from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
+from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
+from calib.diagnose.report.diagnosis_json import FindingEntry
 from calib.diagnose.report.residual_figures import residuals_in_time_figure
 from calib.diagnose.report.residual_plots import diagnostic_plot, model_residuals, residual_map, residuals_without_effects
-from calib.diagnose.report.diagnosis_json import FindingEntry
 from calib.diagnose.report.rig_outline import rig_outline_figure
-from calib.samples.effect_playback import effect_displacements
 from calib.report.scene_3d import rig_stage
+from calib.samples.effect_playback import effect_displacements
 from rig.effects.framework.effect import Effect
 from rig.model.mechanism_geometry import Free
+from rig.recording.recording_folder import Recording
 from rig.recording.time_origin import Origin
 from rig.report.pages.plots import bar_chart, panel_row
 from rig.report.pages.view_3d import Effect as Shown
 from rig.report.pages.view_3d import view_3d_html
-from rig.recording.recording_folder import Recording
 
 FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
 PICTURED = 3  # of what is unknown

@@ -13,20 +13,36 @@ from calib.diagnose.engine.term_selection import Finding
 from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
 from calib.diagnose.problems.platform.tolerance_columns import SignificantTolerance
-from calib.diagnose.report.diagnosis_verdict import write
-from calib.diagnose.report.diagnosis_report import Report
 from calib.diagnose.report.diagnosis_json import (
-    ASSUMED_NOISE, RESIDUALS, STATED, UNKNOWN, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, RemarkEntry, Unexplained, Value,
-    bounded_value, covariate_entries, recording_entries, effects_files, stated_beforehand, suggestion_entries,
+    ASSUMED_NOISE,
+    RESIDUALS,
+    STATED,
+    UNKNOWN,
+    AlternativeEntry,
+    Evidence,
+    FindingEntry,
+    FitEntry,
+    NotAskedEntry,
+    RemarkEntry,
+    Unexplained,
+    Value,
+    bounded_value,
+    covariate_entries,
+    effects_files,
+    recording_entries,
+    stated_beforehand,
+    suggestion_entries,
 )
-from rig.formats import machine_json, remote_folders
-from rig.effects.framework.effect import Effect
+from calib.diagnose.report.diagnosis_report import Report
+from calib.diagnose.report.diagnosis_verdict import write
 from rig.effects.catalogue.face_misplacement import FaceMisplacement
 from rig.effects.catalogue.marker_swap import MarkerSwap
-from rig.formats.output_files import write_text
-from rig.recording.time_origin import Origin
+from rig.effects.framework.effect import Effect
+from rig.formats import machine_json, remote_folders
 from rig.formats.input_files import read_text
+from rig.formats.output_files import write_text
 from rig.recording.recording_folder import Recording
+from rig.recording.time_origin import Origin
 from vision.bundle.marker_displacements import Move
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
 from calib.diagnose.report.diagnosis_json import ASSUMED, CovariateEntry, FindingEntry, FitEntry, RemarkEntry, SuggestionEntry, Value
-from rig.formats.number_rounding import UNITS, separating_digits, round_to_digits
+from rig.formats.number_rounding import UNITS, round_to_digits, separating_digits
 
 SCALES = {unit: UNITS[unit][0] for unit in ("m", "rad", "1/K", "N/m")}  # one unit for all sizes, so that they compare
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second

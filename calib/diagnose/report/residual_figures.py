@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.report.pages.plots import Series, plot_panel, panel_row
+from rig.report.pages.plots import Series, panel_row, plot_panel
 
 BINS = 14  # of the covariate, with as many residuals each
 BEFORE, AFTER, GREY = 3, 0, -1  # colours of a figure

@@ -9,8 +9,8 @@ from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
 from calib.diagnose.report.residual_figures import AFTER, BEFORE, residual_scatter_figure
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.report.pages.plots import bar_chart, panel_row
 from rig.report.pages.image_plane_figures import Arrows, image_plane, patch_means
+from rig.report.pages.plots import bar_chart, panel_row
 
 CELLS = 14  # of a residual map, across the image
 

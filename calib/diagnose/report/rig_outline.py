@@ -9,8 +9,8 @@ from scipy.spatial.transform import RigidTransform
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.report.scene_3d import closed_outline
 from rig.model.design import Camera, Hexapod, Planar2
-from rig.report.pages.svg_elements import WIDTH, tooltip, svg, text
 from rig.model.pose import transform_points
+from rig.report.pages.svg_elements import WIDTH, svg, text, tooltip
 from vision.targets import marker_map
 
 AZIMUTH, ELEVATION = np.radians(-65), np.radians(24)  # from where the rig is looked at

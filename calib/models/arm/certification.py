@@ -5,17 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.models.arm import error_model, joint_profiles
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.identification import GATE, Identified, identify, needed, parameters
-from calib.models.arm.instrument_observations import KINDS, Observations, of_samples
-from calib.models.arm.instrument_placement import place_arm
-from calib.models.arm.parameter_rank import PLAUSIBLE
-from calib.models.arm.joint_physics_fit import JointFit
 from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import Progress, silent_progress
+from calib.certify.distinct_configurations import LEAST, axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
 from calib.certify.held_out_error_statistics import HeldErrors, Influence, both, held_out_error_statistics, influence
 from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after, is_significant_gain
+from calib.certify.platform_certification import Progress, silent_progress
 from calib.certify.workspace_claim import (
     DRAWS,
     PLACES,
@@ -23,16 +17,22 @@ from calib.certify.workspace_claim import (
     ConfigurationInformation,
     Workspace,
     claim_of_drawn_machines,
+    claim_of_too_few_configurations,
     draw_variance_ratio,
     extension_scatter,
-    claim_of_too_few_configurations,
 )
-from calib.certify.distinct_configurations import LEAST, configuration_folds, configuration_numbers, axis_ranges, mean_sample_per_configuration
 from calib.identify.robust_fit import CONSISTENT, MOST, outlier_rows
+from calib.models.arm import error_model, joint_profiles
+from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.identification import GATE, Identified, identify, needed, parameters
+from calib.models.arm.instrument_observations import KINDS, Observations, of_samples
+from calib.models.arm.instrument_placement import place_arm
+from calib.models.arm.joint_physics_fit import JointFit
+from calib.models.arm.parameter_rank import PLAUSIBLE
 from calib.samples.pose_samples import Samples
 from rig.model.design import Arm, Instrument
-from rig.planning.plan import FILL, low_discrepancy
 from rig.model.pose import pose_difference
+from rig.planning.plan import FILL, low_discrepancy
 
 STRETCHES = 30  # in time; every third is held out at once, so a third of the samples, and each sample once
 PARTS = 3

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.arm import error_model
-from calib.models.arm.solution_branch import solution_from_start
-from calib.models.arm.joint_profiles import Profile
 from calib.correct.correction import Correction, Responses
-from rig.model.design import Arm
+from calib.models.arm import error_model
+from calib.models.arm.joint_profiles import Profile
+from calib.models.arm.solution_branch import solution_from_start
 from rig.errors import Unreachable
+from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import deficient_arm as deficient
 from rig.model.pose import pose_difference

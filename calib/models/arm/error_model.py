@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import pose_difference, exp, skew
+from rig.model.pose import exp, pose_difference, skew
 
 ROW = ("theta", "d", "a", "alpha", "beta")
 TANGENT = ("x", "y", "z", "rx", "ry", "rz")

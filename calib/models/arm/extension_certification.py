@@ -9,12 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.models.arm import error_model
-from calib.models.arm.certification import UNPLACED, Certified, as_held_out, beyond_geometry, by_parameters, calibrate, owners_model, start_of
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.identification import Identified, identify, parameters
-from calib.models.arm.instrument_observations import of_samples
-from calib.models.arm.parameter_rank import PLAUSIBLE, Rank
+from calib.certify.distinct_configurations import axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
+from calib.certify.extension_certification import NONE, Asked, Stand, Tried, certify_extension_of, claim_without_held_out_data
+from calib.certify.held_out_error_statistics import draw_common_error_squares
 from calib.certify.platform_certification import FOLDS, Progress, silent_progress
 from calib.certify.workspace_claim import (
     DRAWS,
@@ -23,20 +20,23 @@ from calib.certify.workspace_claim import (
     ConfigurationInformation,
     Workspace,
     claim_of_drawn_machines,
-    extension_scatter,
     claim_of_too_few_configurations,
+    extension_scatter,
 )
-from calib.certify.distinct_configurations import configuration_folds, configuration_numbers, axis_ranges, mean_sample_per_configuration
-from calib.certify.extension_certification import NONE, Asked, Stand, Tried, certify_extension_of, claim_without_held_out_data
-from calib.certify.held_out_error_statistics import draw_common_error_squares
-from calib.correct.interpolation.field import Field, Known
 from calib.correct.correction_tables import Summands
+from calib.correct.interpolation.field import Field, Known
+from calib.models.arm import error_model
+from calib.models.arm.certification import UNPLACED, Certified, as_held_out, beyond_geometry, by_parameters, calibrate, owners_model, start_of
+from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.identification import Identified, identify, parameters
+from calib.models.arm.instrument_observations import of_samples
+from calib.models.arm.parameter_rank import PLAUSIBLE, Rank
 from calib.samples.pose_samples import Samples
-from rig.planning.configuration_sets import FILL, low_discrepancy
-from rig.model.design import Arm, Instrument
 from rig.errors import RigError
+from rig.model.design import Arm, Instrument
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import FILL, low_discrepancy
 
 LOOSE = 10.0  # times the typical; a direction of the joints that a pose tells worse than that, as of a wrist near its singularity, keeps none
 STEPS, SETTLED = 20, 1e-13  # of joint values that meet a pose, rad or m

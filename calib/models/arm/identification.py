@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.models.arm import error_model, independent_parameters
-from calib.models.arm.instrument_observations import Observations
-from calib.models.arm.parameter_rank import Rank, independent_parameters as independent
 from calib.models.arm.excess_scatter import beyond
-from rig.model.design import Arm
+from calib.models.arm.instrument_observations import Observations
+from calib.models.arm.parameter_rank import Rank
+from calib.models.arm.parameter_rank import independent_parameters as independent
 from rig.errors import NotEnoughData, RigError
+from rig.model.design import Arm
 
 MAX_ITERATIONS = 60
 CONVERGED = 1e-10  # m and rad; largest step

@@ -15,8 +15,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.models.arm import error_model
 from calib.models.arm.instrument_observations import Observations
-from rig.model.design import Arm
 from rig.errors import NotEnoughData, RigError
+from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import log
 

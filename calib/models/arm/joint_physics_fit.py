@@ -8,17 +8,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calib.correct.physics import samples_with_effects
+from calib.identify.bounded_step import bounded_step
 from calib.models.arm import error_model
 from calib.models.arm.identification import Identified, identify, parameters
 from calib.models.arm.instrument_observations import of_samples, rows
-from calib.correct.physics import samples_with_effects
-from calib.identify.bounded_step import bounded_step
 from calib.samples.pose_samples import Samples
-from rig.model import motion_simulation
-from rig.model.design import Arm, Design
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of, constrained_sums
+from rig.effects.framework.fit_coordinates import Coordinate, constrained_sums, coordinates_of
+from rig.model import motion_simulation
+from rig.model.design import Arm, Design
 from rig.model.mechanism_kinds import arm_of
 from rig.recording.recording_folder import Commands, Sensors
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
 
 STEP = (0.05, 0.1)  # m, rad; of the hand
 MOST = 60  # steps of a way

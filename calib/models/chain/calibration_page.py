@@ -10,14 +10,14 @@ from calib.certify.calibration_evidence import calibration_verdict
 from calib.certify.held_out_errors import errors_before_and_after
 from calib.models.chain import error_model
 from calib.models.chain.certification import Certified
+from calib.report.calibration_page import evidence_html, provenance_html, view_3d_html
 from calib.report.pose_figures import correction_error_figures, pose_coverage_figures
-from calib.report.calibration_page import view_3d_html, provenance_html, evidence_html
 from calib.samples.pose_samples import Samples
-from rig.report.pages.page_template import Link, Page, write_page
-from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
 from rig.model.pose import pose_to_vector
-from rig.report.pages.view_3d import view_scripts
 from rig.recording.recording_folder import Recording
+from rig.report.pages.html_elements import folding_section, heading, note, paragraph, table
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.pages.view_3d import view_scripts
 
 
 def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified,

@@ -4,8 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.models.arm.certification import unexplained
 from calib.certify.calibration import Calibration
+from calib.certify.distinct_configurations import LEAST, configuration_numbers, mean_sample_per_configuration
+from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics, influence
+from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after
 from calib.certify.platform_certification import Progress, held_out_errors_by_fold, silent_progress
 from calib.certify.workspace_claim import (
     DRAWS,
@@ -16,17 +18,15 @@ from calib.certify.workspace_claim import (
     claim_of_drawn_machines,
     claim_of_too_few_configurations,
 )
-from calib.certify.distinct_configurations import LEAST, configuration_numbers, mean_sample_per_configuration
-from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics, influence
-from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after
+from calib.correct.correction import Correction, commands_with_pose
+from calib.models.arm.certification import unexplained
 from calib.models.chain import error_model
 from calib.models.chain.identification import Identified, identify
-from calib.correct.correction import Correction, commands_with_pose
 from calib.samples.pose_samples import Samples
-from rig.planning.configuration_sets import FILL, low_discrepancy
 from rig.model.design import Chain
 from rig.model.mechanisms import chain as mechanism
 from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import FILL, low_discrepancy
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +84,9 @@ def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generat
     each = mean_sample_per_configuration(kept, label, mechanism.jacobian(kept.commanded, nominal))
     words = f"the middle {FILL * 100:.0f} % of every travel, all axes free of each other"
     asked = int((error_model.prior(nominal) > 0).sum())
-    told = ConfigurationInformation(len(each), asked - len(found.undetermined), asked - len(found.undetermined), asked, "what no pose tells stays as stated")
+    told = ConfigurationInformation(
+        len(each), asked - len(found.undetermined), asked - len(found.undetermined), asked, "what no pose tells stays as stated"
+    )
     if len(each) < LEAST:
         return claim_of_too_few_configurations(told, words)
     values, T = commands_with_pose(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), done.correction)

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.models.chain import error_model
-from calib.models.chain.stage_equations import bodies, leverage
 from calib.identify.least_squares import Linear, fit
 from calib.identify.robust_fit import MOST as FEW
 from calib.identify.robust_fit import robust_fit
+from calib.models.chain import error_model
+from calib.models.chain.stage_equations import bodies, leverage
 from calib.samples.pose_samples import Samples
-from rig.model.design import Chain
 from rig.errors import NotEnoughData, RigError
+from rig.model.design import Chain
 
 ROUNDS = 4  # of weighing anew by what scatters beyond the instrument's own
 SETTLED = 1e-3  # share by which the scatter may still change
@@ -50,7 +50,8 @@ class Identified:
     """What a fit of a chain found, p parameters in the order of calib.models.chain.error_model.
 
     chain : with the fitted geometry; step : (p,) m and rad from the owner's figures; covariance : (p, p), 0 for what is no freedom
-    determined_by_stage : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; undetermined : (UndeterminedParameters, ..)
+    determined_by_stage : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; undetermined :
+    (UndeterminedParameters, ..)
     scatter : (6,) m and rad of the last platform beyond the instrument's own; inliers : (n,) bool, its poses that agree
     below : ((stage, poses that agree, of), ..) of the stages that were measured beside it
     """

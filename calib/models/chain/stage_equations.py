@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.identify.least_squares import Linear
 from calib.models.arm.excess_scatter import beyond
 from calib.models.chain import error_model
-from calib.identify.least_squares import Linear
 from calib.samples.pose_samples import Samples
 from rig.model.design import Chain
 from rig.model.mechanisms import chain as mechanism

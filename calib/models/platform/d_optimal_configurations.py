@@ -12,11 +12,11 @@ import numpy as np
 
 from calib.models.platform.identification import pose_jacobian
 from calib.models.platform.parameter_observability import PLAUSIBLE
+from rig.errors import NotConverged, RigError
+from rig.model.design import Hexapod
+from rig.model.mechanisms import hexapod as mechanism
 from rig.planning import plan
 from rig.planning.approach_balance import balanced_order
-from rig.model.design import Hexapod
-from rig.errors import NotConverged, RigError
-from rig.model.mechanisms import hexapod as mechanism
 
 CANDIDATES = 2000
 FILL = 0.9  # of the strokes

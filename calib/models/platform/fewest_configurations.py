@@ -12,11 +12,11 @@ import numpy as np
 from calib.models.platform.d_optimal_configurations import FILL, Avoided, allowed_configurations, configuration_information
 from calib.models.platform.identification import pose_jacobian
 from calib.models.platform.parameter_observability import PLAUSIBLE
+from rig.errors import RigError
+from rig.model.design import Hexapod
+from rig.model.mechanisms import hexapod as mechanism
 from rig.planning import plan
 from rig.planning.configuration_sets import FILL as WORKSPACE
-from rig.model.design import Hexapod
-from rig.errors import RigError
-from rig.model.mechanisms import hexapod as mechanism
 
 CANDIDATES = 1500
 PLACES = 256

@@ -14,9 +14,9 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform import closed_loop_kernels, two_strut_loop
 from calib.identify.least_squares import Fit, Linear, fit
 from calib.identify.robust_fit import MOST, robust_fit
+from calib.models.platform import closed_loop_kernels, two_strut_loop
 from calib.samples.pose_samples import Samples
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms

@@ -9,18 +9,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.models.platform.identification import PRIOR, parameters, pose_jacobian, with_parameters
 from calib.identify.least_squares import Linear, fit
+from calib.models.platform.identification import PRIOR, parameters, pose_jacobian, with_parameters
 from calib.samples.pose_samples import Samples
-from rig.model.design import Camera, Hexapod
 from rig.errors import RigError
+from rig.model.design import Camera, Hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.model.pose import exp, skew
 from vision import lens
 from vision.bundle.bundle_adjustment import lens_prior
-from vision.recording_adjustment import Measurement
 from vision.corner_observations import Observations
 from vision.predict import State, base_points, by_camera, in_camera
+from vision.recording_adjustment import Measurement
 
 
 @dataclass(frozen=True, slots=True, eq=False)

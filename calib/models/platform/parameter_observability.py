@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.models.platform.identification import NAMES
 from calib.identify.least_squares import Visibility, visibility
+from calib.models.platform.identification import NAMES
 from rig.model.design import Hexapod
 from rig.model.mechanism_kinds import Struts
 from rig.model.mechanisms import hexapod

@@ -9,8 +9,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.identify.least_squares import Linear
 from calib.samples.pose_samples import Samples
-from rig.model.design import Planar2
 from rig.errors import NotConverged, RigError
+from rig.model.design import Planar2
 from rig.model.mechanisms import two_strut_plane
 
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
+from rig.report.pages.html_elements import heading, note, paragraph, table
 from rig.report.pages.page_template import Link, Page, write_page
 from rig.report.pages.plots import Series, plot_panel
-from rig.report.pages.html_elements import heading, note, paragraph, table
+from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 from synthetic import diagnosis_score
 
 if TYPE_CHECKING:

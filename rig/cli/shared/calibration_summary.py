@@ -7,10 +7,10 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from calib.models.arm.certification import Certified
     from calib.certify.workspace_claim import Claim
     from calib.correct.physics import Physics
     from calib.files.calibration_file import Calibration
+    from calib.models.arm.certification import Certified
 
 
 def tell(arguments: Namespace, calibration: Calibration, poses: int) -> None:

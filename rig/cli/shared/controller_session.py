@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
 from rig.driving.clock import Clock, SystemClock
-from rig.model.controller_settings import port_problem
-from rig.model.design import Design
+from rig.driving.controller_lock import Occupied
 from rig.driving.driver import Driver, Status
 from rig.errors import FileError, RigError
-from rig.driving.controller_lock import Occupied
+from rig.formats.rig_toml import design_file
+from rig.model.controller_settings import port_problem
+from rig.model.design import Design
 
 
 def design_with_controller(path: Path, port: str | None) -> Design:
@@ -72,9 +72,9 @@ def lengths_text(lengths: np.ndarray) -> str:
 
 def print_status(status: Status, design: Design) -> None:
     """A Status in words, with the pose that the lengths give by the owner's model."""
-    from rig.model import mechanisms
     from rig.driving.operator_advice import advice
     from rig.errors import NotConverged
+    from rig.model import mechanisms
     from rig.model.pose import pose_to_vector
 
     homing = design.driver().homing

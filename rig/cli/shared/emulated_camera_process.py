@@ -45,14 +45,14 @@ def _draw(design: str, truth: str | None, history: str, address: tuple[str, int]
 
     import numpy as np
 
-    from rig.formats.rig_toml import design_file
     from rig.driving.cameras.emulated_camera import USUAL
     from rig.driving.clock import SystemClock
     from rig.driving.emulators.emulator_construction import home_lengths
+    from rig.formats.rig_toml import design_file
     from rig.model.mechanism_kinds import struts_of
     from synthetic import secret_machine
-    from synthetic.emulated_sensors import Eyes, ToldByFile
     from synthetic.camera_server import EyesServer
+    from synthetic.emulated_sensors import Eyes, ToldByFile
     from synthetic.image_simulation import Images, check_drawable
     from synthetic.renderer import import_pyrender
 

@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from calib.models.arm.certification import Certified as ArmCertified
     from calib.certify.calibration import Calibration
+    from calib.certify.extension_certification import Tried
     from calib.certify.platform_certification import Certified, Progress
     from calib.certify.workspace_claim import Claim
-    from calib.certify.extension_certification import Tried
     from calib.correct.interpolation.partial_map import Part
-    from calib.samples.recording_samples import Sampled
+    from calib.models.arm.certification import Certified as ArmCertified
     from calib.samples.pose_samples import Samples
+    from calib.samples.recording_samples import Sampled
     from rig.model.design import Arm, Chain, Free, Instrument
     from rig.model.mechanism_kinds import Struts
-    from rig.report.pages.page_template import Link
     from rig.recording.recording_folder import Recording
+    from rig.report.pages.page_template import Link
 
 WAYS = ("linear", "simplex", "delaunay", "axes", "radial", "polynomial", "auto")
 SPACES = ("configuration", "pose", "both")
@@ -84,8 +84,8 @@ def certify_extension(
 
     if mechanism.kind == "arm":
         return _of_arm(arguments, arm_of(mechanism), sampled.samples, sampled.instrument, rng, progress)
-    from calib.certify.platform_certification import workspace_claim_of
     from calib.certify.extension_certification import Asked, certify_extended, claim_without_geometry
+    from calib.certify.platform_certification import workspace_claim_of
     from calib.correct.summand_extension import single_step_errors
     from calib.report.calibration_page import calibration_page
 
@@ -102,10 +102,10 @@ def certify_extension(
 
 def _of_arm(arguments: Namespace, nominal: Arm, samples: Samples, instrument: Instrument | None, rng: np.random.Generator,
             progress: Progress) -> Extended:
+    from calib.certify.extension_certification import Asked
+    from calib.models.arm.calibration_page import calibration_page
     from calib.models.arm.certification import workspace_claim_of
     from calib.models.arm.extension_certification import certify_extended, claim_without_geometry, single_step_errors
-    from calib.models.arm.calibration_page import calibration_page
-    from calib.certify.extension_certification import Asked
     from rig.model import mechanisms
 
     done, tried = certify_extended(samples, nominal, instrument, Asked(arguments.extend, arguments.alone), rng, progress)
@@ -156,9 +156,9 @@ def _parts(text: str | None, mechanism: Struts) -> tuple[Part | None, Part | Non
         return None, None
     import numpy as np
 
-    from calib.correct.summand_extension import pose_coordinate_indices
     from calib.correct.interpolation.partial_map import Part
     from calib.correct.pose_space_map import NAMES
+    from calib.correct.summand_extension import pose_coordinate_indices
 
     spaces = [mechanism.axes, tuple(NAMES[i] for i in pose_coordinate_indices(mechanism))]
     bounds = [np.tile([-np.inf, np.inf], (len(names), 1)) for names in spaces]

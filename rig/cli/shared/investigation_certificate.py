@@ -63,8 +63,8 @@ def _wanted(path: Path, rig: Rig, arguments: Namespace, calibration: Path) -> No
     import numpy as np
 
     from rig.model import mechanisms
-    from rig.planning.configuration_sets import low_discrepancy
     from rig.model.mechanism_kinds import arm_of
+    from rig.planning.configuration_sets import low_discrepancy
     from rig.planning.plan import axis_strokes
     from rig.recording.recording_folder import Poses
     from rig.recording.recording_tables import write_poses

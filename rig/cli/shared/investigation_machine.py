@@ -68,7 +68,7 @@ class Rig:
 
     def _drive(self, plan: Path, out: Path) -> None:
         """Have the driver carry a plan out, from where it was interrupted."""
-        from rig.model.cube_quarter_turns import turning_instructions, quarter_turns
+        from rig.model.cube_quarter_turns import quarter_turns, turning_instructions
         from rig.planning.plan import build_plan
 
         begun, a = (out / "journal.jsonl").exists(), self._arguments

@@ -13,8 +13,8 @@ from rig.formats.number_parsing import parse_whole_number
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from calib.online.recorded_limb_poses import LimbPoses
     from calib.online.measuring_limbs_file import Accepted
+    from calib.online.recorded_limb_poses import LimbPoses
     from calib.samples.recording_samples import Sampled
     from rig.cli.shared.output_options import Progress
     from rig.model.design import Design
@@ -62,7 +62,7 @@ def samples_by_limbs_or_vision(
 def checked_limb_poses(arguments: Namespace, recording: Recording, progress: Progress) -> tuple[LimbPoses, Accepted]:
     """(LimbPoses of a recording, checked and said; the Accepted they are from). Raises as `samples_by_limbs_or_vision` does: the acceptance is
     withdrawn first."""
-    from calib.online import recorded_limb_poses, measuring_limbs_file
+    from calib.online import measuring_limbs_file, recorded_limb_poses
 
     every = check_interval(arguments)
     accepted = measuring_limbs_file.accepted_limbs(arguments.limbs, recording.design)

@@ -61,9 +61,9 @@ def allowed_interventions(arguments: Namespace, design: Design) -> tuple[str, ..
 def write_next_plan(arguments: Namespace, asked: Sequence[Question], design: Design, out: Path, progress: Progress) -> None:
     """Write the plan that would tell best what a diagnosis leaves alike, and say its chance; say so where nothing is, or no plan would."""
     from calib.experiment.discriminating_configurations import camera_shares
-    from calib.experiment.experiment_choice import choose_experiment, available_plans
-    from rig.planning import plan_table
+    from calib.experiment.experiment_choice import available_plans, choose_experiment
     from rig.model.cube_quarter_turns import quarter_turns
+    from rig.planning import plan_table
 
     experiments: list[Experiment] = []
     seen: dict[str, float] = {}

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from rig.cli.shared.progress_bars import Progress
 from rig.errors import MissingLibrary, RigError
-from rig.formats.output_files import STANDARD_OUTPUT
 from rig.formats.number_parsing import parse_number
+from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
     from calib.certify.platform_certification import HeldOut
-    from rig.report.pages.page_template import Link
     from rig.recording.recording_folder import Recording
+    from rig.report.pages.page_template import Link
     from vision.recording_adjustment import Measurement
 
 __all__ = [

@@ -12,8 +12,8 @@ from rig.errors import RigError
 if TYPE_CHECKING:
     import numpy as np
 
-    from rig.model.design import Arm
     from rig.formats.rig_toml.arm_dynamics import ArmDynamics
+    from rig.model.design import Arm
     from rig.posture.exertable_wrench import Exertion
 
 
@@ -92,8 +92,8 @@ def exertion_svg(q: np.ndarray, arm: Arm, exertion: Exertion) -> str:
     import numpy as np
 
     require_drawing("pictures of postures")
-    from rig.posture import force_polytope_figure
     from rig.posture import exertable_wrench as of
+    from rig.posture import force_polytope_figure
 
     low, high = exertion.strength.box(q, arm)
     if (low > 0).any() or (high < 0).any():

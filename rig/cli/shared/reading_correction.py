@@ -17,8 +17,8 @@ def poses_of_readings(arguments: Namespace) -> None:
     import numpy as np
 
     from calib.models.corrected_pose_covariance import pose_covariance
-    from rig.model import mechanisms
     from rig.formats import csv_table
+    from rig.model import mechanisms
     from rig.recording import recording_tables
     from rig.recording.corner_and_pose_tables import Poses
 

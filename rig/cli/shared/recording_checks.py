@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.checks.user_mistake import Mistake
 from rig.cli.shared.output_options import read_recording
 from rig.errors import FileError, RigError
-from rig.checks.user_mistake import Mistake
 
 if TYPE_CHECKING:
     from rig.cli.shared.output_options import Progress
@@ -67,7 +67,7 @@ def load_and_check_recordings(
     if arguments.mask is not None:
         raise RigError("--mask names frames of one recording; with several, mask them one by one (rig measure REC --mask FRAMES --out ..)")
     from rig.recording.combined_recordings import is_measured_by_instrument
-    from vision.combined_recordings import require_combinable, combine_recordings
+    from vision.combined_recordings import combine_recordings, require_combinable
 
     every = [load_recording(arguments, path) for path in (arguments.recording, *arguments.further)]
     require_combinable(every)
@@ -95,8 +95,8 @@ def load_and_check_recordings(
 
 def _judge_files(recording: "Recording", anyway: bool) -> None:
     """Judge what a recording's files and some of its images show."""
-    from rig.model.cube_quarter_turns import WORDS, quarter_turns
     from rig.checks.recording_without_images import file_mistakes
+    from rig.model.cube_quarter_turns import WORDS, quarter_turns
 
     report_mistakes(file_mistakes(recording), anyway)
     for name, quarters in quarter_turns(recording.design).items():
@@ -130,7 +130,7 @@ def pose_mistakes(recording: "Recording") -> tuple[Mistake, ...]:
         return look(recording)
     if kind != "hexapod":
         return ()
-    from rig.checks import sort_mistakes, platform_commands_and_poses
+    from rig.checks import platform_commands_and_poses, sort_mistakes
 
     return sort_mistakes(
         platform_commands_and_poses.command_pose_mistakes(

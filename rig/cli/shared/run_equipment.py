@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 
 from rig.driving.cameras import CameraError, open_source
+from rig.driving.cameras.camera_synchronisation import Shutter
 from rig.driving.cameras.exposure_setting import CLIPPED, set_exposure_for_markers
 from rig.driving.cameras.settling_check import Settling
-from rig.driving.cameras.camera_synchronisation import Shutter
 from rig.driving.clock import Clock
-from rig.model.design import Camera, Design
 from rig.driving.driver import Driver
-from rig.errors import RigError
-from rig.formats.output_files import write_bytes
 from rig.driving.operator_loop import Bench
 from rig.driving.sensor_port import Sensing
 from rig.driving.trapezoidal_profile import Way, trapezoidal_profile
+from rig.errors import RigError
+from rig.formats.output_files import write_bytes
+from rig.model.design import Camera, Design
 from vision.corners.marker_detection import grey_image
 from vision.corners.marker_reader import read_markers
 from vision.targets import MarkerMap, marker_map

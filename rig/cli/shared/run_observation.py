@@ -15,17 +15,17 @@ from calib.certify.redundant_limb_checks import has_six_limbs
 from calib.online.limb_vision_agreement import Disagreement
 from calib.online.live_limb_poses import LimbLive
 from calib.online.run_learning import Learner, Learnt, LimbWatch
-from rig.model import mechanisms
-from rig.driving.clock import Clock
 from rig.cli.online import change_sentence
-from rig.model.design import Design
-from rig.errors import NotConverged, RigError
-from rig.driving.run_journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
-from rig.model.mechanism_kinds import struts_of
+from rig.driving.clock import Clock
 from rig.driving.operator_loop import Shot
+from rig.driving.run_journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
 from rig.driving.run_steps import Step, step_distances
-from vision.reading.live_measurement import Live, Sight, sight_from_limbs
+from rig.errors import NotConverged, RigError
+from rig.model import mechanisms
+from rig.model.design import Design
+from rig.model.mechanism_kinds import struts_of
 from vision.reading.camera_and_marker_alarms import Alarm, Watch
+from vision.reading.live_measurement import Live, Sight, sight_from_limbs
 
 WAITING = 4  # frames that may wait to be measured before the run waits for them
 LATEST = 30  # alarms that are kept for displays

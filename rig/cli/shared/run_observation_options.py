@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from rig.driving.clock import Clock
-    from rig.model.design import Design
     from rig.driving.run_steps import Step
+    from rig.model.design import Design
 
 SHARED = 42  # draws that all poses by limbs have in common: their geometry
 

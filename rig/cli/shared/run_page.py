@@ -6,12 +6,12 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.report.scene_3d import fixed_rig_lines, closed_outline
+from calib.report.scene_3d import closed_outline, fixed_rig_lines
 from rig.cli.shared.run_observation import Looking, Seen, View
 from rig.cli.shared.run_verdict import run_verdict
 from rig.model.design import Camera, Design
+from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
-from rig.model.pose import transform_points, pose_to_vector
 from vision.jpeg_pictures import encode_jpeg
 from vision.targets import MarkerMap, marker_map
 

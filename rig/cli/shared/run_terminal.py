@@ -5,8 +5,8 @@ from typing import TextIO
 
 import numpy as np
 
-from rig.cli.shared.terminal_safe_output import unescaped_stream
 from rig.cli.shared.run_observation import Seen, View
+from rig.cli.shared.terminal_safe_output import unescaped_stream
 from rig.formats.printable_text import escape_unprintable
 from rig.model.pose import pose_to_vector
 

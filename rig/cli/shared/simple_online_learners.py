@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared.output_options import Progress, print_unsolved
-from rig.cli.shared.unlearnt_frames import unlearnt_samples, unlearnt_frame_numbers
+from rig.cli.shared.unlearnt_frames import unlearnt_frame_numbers, unlearnt_samples
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from calib.files.calibration_file import Calibration
     from calib.online.learners import Learner
     from calib.report.online_page import OnlineResult
     from calib.samples.recording_samples import Sampled
-    from calib.files.calibration_file import Calibration
     from rig.recording.recording_folder import Recording
 
 WATCHING = "filter"  # the one of calib/online/information_filter.py
@@ -56,7 +56,7 @@ def learn_poses(arguments: Namespace, recording: Recording, sampled: Callable[[]
     from calib.online import learner_file
     from calib.report.online_page import OnlineResult
     from rig.model.mechanism_kinds import hexapod_of
-    from rig.recording.data_provenance import marks_of_frames, content_marks
+    from rig.recording.data_provenance import content_marks, marks_of_frames
 
     refuse_settings(arguments)
     learner = _learner(arguments, recording, calibration)

@@ -8,11 +8,11 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import Any
 
-from rig.compute import dask_cluster
 from rig.cli.shared.output_options import Progress
+from rig.compute import dask_cluster
+from rig.compute.worker_processes import end_child_processes, limit_workers, worker_count
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_whole_number
-from rig.compute.worker_processes import worker_count, end_child_processes, limit_workers
 
 MOST = 1024  # processes
 

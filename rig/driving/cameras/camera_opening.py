@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
+from rig.driving.cameras.camera_interface import CameraError, Frame, Source
 from rig.driving.cameras.emulated_camera import EmulatedSource
 from rig.driving.cameras.folder_camera import FolderSource
 from rig.driving.cameras.genicam_camera import open_genicam
-from rig.driving.cameras.camera_interface import CameraError, Frame, Source
 from rig.driving.cameras.opencv_camera import open_video
 from rig.driving.clock import Clock
 from rig.model.design import Camera

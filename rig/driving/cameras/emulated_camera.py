@@ -9,8 +9,8 @@ import socket
 
 import numpy as np
 
-from rig.driving.cameras.clock_offset import UNIFORM
 from rig.driving.cameras.camera_interface import CameraError, Frame
+from rig.driving.cameras.clock_offset import UNIFORM
 from rig.driving.clock import Clock
 
 WAIT = 30.0  # s for an answer: pictures are drawn one after the other

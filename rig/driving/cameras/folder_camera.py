@@ -7,8 +7,8 @@ import numpy as np
 
 from rig.driving.cameras.camera_interface import CameraError, Frame
 from rig.driving.clock import Clock
-from rig.model.design import Camera
 from rig.errors import FileError
+from rig.model.design import Camera
 from rig.recording.exposures import read_image
 from rig.recording.image_file_check import JPEG, PNG, check_image, claimed_size
 

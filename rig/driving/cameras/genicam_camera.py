@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from rig.driving.cameras.clock_offset import Offset
 from rig.driving.cameras.camera_interface import CameraError, Frame
+from rig.driving.cameras.clock_offset import Offset
 from rig.driving.clock import Clock
 from rig.errors import MissingLibrary
 

@@ -6,10 +6,10 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
-from rig.driving.cameras.clock_offset import UNIFORM, Offset
 from rig.driving.cameras.camera_interface import CameraError, Frame
-from rig.driving.clock import Clock
+from rig.driving.cameras.clock_offset import UNIFORM, Offset
 from rig.driving.cameras.gstreamer_pipelines import pipeline_complaint
+from rig.driving.clock import Clock
 
 if TYPE_CHECKING:
     import numpy as np

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.driving.emulators.moving_axes import Axes
 from rig.driving.emulators.controller_faults import Faults
+from rig.driving.emulators.moving_axes import Axes
 
 FINE_APPROACH = (2e-4, 0.4)  # m, s: what an early stop leaves to be crept
 HOMING_SHARE = 0.5  # of the greatest speed

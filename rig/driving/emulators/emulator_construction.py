@@ -3,16 +3,16 @@
 import numpy as np
 
 from rig.driving.clock import Clock
-from rig.model.design import Design, Hexapod, Planar2
-from rig.driving.emulators.moving_axes import Axes
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
+from rig.driving.emulators.emulated_machine import Machine
 from rig.driving.emulators.gcs import GCS
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
-from rig.driving.emulators.emulated_machine import Machine
+from rig.driving.emulators.moving_axes import Axes
 from rig.driving.emulators.own_strut_protocol import Struts
 from rig.errors import RigError
+from rig.model.design import Design, Hexapod, Planar2
 from rig.model.mechanism_kinds import hexapod_of, struts_of
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none

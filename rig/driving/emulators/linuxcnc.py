@@ -5,12 +5,12 @@ import re
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model import mechanisms
 from rig.driving.clock import Clock
-from rig.model.design import Hexapod
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.controller_faults import Faults
 from rig.driving.emulators.emulated_machine import Machine
+from rig.model import mechanisms
+from rig.model.design import Hexapod
 
 MM = 1e3
 END, SET_END = "\r\n", "\n\r"  # as emcrsh.cc has them

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rig.errors import ControllerFault, NoAnswer
 from rig.driving.protocols.protocol_interface import TRIES, Dialogue, Exchange, Lines, Segment, State, Verdict
+from rig.errors import ControllerFault, NoAnswer
 
 UNITS = {"M": 1.0, "MM": 1e3, "UM": 1e6, "µM": 1e6}  # of a metre
 POLL = 0.05  # s between looks at axes that are to come to rest

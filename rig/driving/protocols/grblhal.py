@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rig.errors import ControllerFault, NoAnswer
 from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Segment, State, Verdict, query
+from rig.errors import ControllerFault, NoAnswer
 
 MM = 1e3
 INCH = 25.4  # mm

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rig.errors import ControllerFault, NoAnswer
 from rig.driving.protocols.protocol_interface import Dialogue, Exchange, Lines, Segment, State, Verdict, query
+from rig.errors import ControllerFault, NoAnswer
 
 CLIENT = "rig 1.0"
 UNITS = {"MM": 1e3, "INCH": 1 / 0.0254, "CM": 1e2}  # of a metre

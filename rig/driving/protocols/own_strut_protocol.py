@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.errors import ControllerFault, NoAnswer
 from rig.driving.protocols.protocol_interface import TRIES, Dialogue, Exchange, Lines, Segment, State, Verdict
+from rig.errors import ControllerFault, NoAnswer
 
 NM = 1e9
 VERSION = "struts/1"

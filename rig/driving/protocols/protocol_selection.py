@@ -1,11 +1,11 @@
 """The protocol of a controller, chosen by what its rig.toml states."""
 
-from rig.model.controller_settings import Controller
-from rig.driving.protocols.protocol_interface import Protocol
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.own_strut_protocol import Struts
+from rig.driving.protocols.protocol_interface import Protocol
+from rig.model.controller_settings import Controller
 
 
 def of(controller: Controller, count: int) -> Protocol:

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect, Motion, Parameter
 from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.effect import Effect, Motion, Parameter
 from rig.effects.framework.play_operator import play_deviation
 
 

@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.linalg import qr
 
-from rig.effects.framework.effect import Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.framework.covariate import Covariate, load_covariate
-from rig.effects.framework.random_effects import Drawing, log_uniform, draw_parameter
+from rig.effects.framework.effect import Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.framework.place_names import kind_of
+from rig.effects.framework.random_effects import Drawing, draw_parameter, log_uniform
 from rig.errors import RigError
 
 FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect, Motion, Parameter
 from rig.effects.catalogue.servo_lag import lagged_path
+from rig.effects.framework.effect import Effect, Motion, Parameter
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
 from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
 from rig.effects.framework.place_names import kind_of
 
 FINE = 0.3  # step of a joint's orders, of what its travel resolves

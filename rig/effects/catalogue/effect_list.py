@@ -2,7 +2,6 @@
 
 from rig.effects.catalogue.axis_coupling import AxisCoupling
 from rig.effects.catalogue.backlash import Backlash
-from rig.effects.framework.effect import Effect
 from rig.effects.catalogue.base_expansion import BaseExpansion
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.camera_drift import CameraDrift
@@ -31,6 +30,7 @@ from rig.effects.catalogue.time_offset import TimeOffset
 from rig.effects.catalogue.transmission_error import TransmissionError
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
+from rig.effects.framework.effect import Effect
 
 ALL: tuple[type[Effect], ...] = (
     ScaleError, CyclicError, TransmissionError, Backlash, Hysteresis, MissedSteps, ServoLag, Creep, ThermalExpansion, WarmUp,

@@ -6,10 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.model.design import Camera
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Parameter
-
 from rig.errors import RigError
+from rig.model.design import Camera
 
 AMBIENT = "ambient_temperature_C"
 

@@ -5,9 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
 from rig.effects.catalogue.compliance import by_links, distinct
 from rig.effects.framework.covariate import Covariate, load_covariate
+from rig.effects.framework.effect import Candidate, Context, Effect, Motion, Parameter
 from rig.errors import RigError
 
 NOTHING = 1e-9  # of the greatest load; less is rounding, and pushes to neither side

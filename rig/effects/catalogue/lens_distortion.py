@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.model.design import Camera
 from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Parameter
 from rig.effects.framework.random_effects import Drawing, log_uniform
+from rig.model.design import Camera
 
 LACKING = {"thin prism": (8, 9, 10, 11), "radial": (5, 6, 7), "both": (5, 6, 7, 8, 9, 10, 11)}  # terms that a lens may lack
 SIZES = (0.05, 2.0)  # px RMS over the image, of what lenses lack

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect, Parameter
-from rig.effects.framework.random_effects import Drawing
 from rig.effects.framework.marker_displacement import displace_markers
+from rig.effects.framework.random_effects import Drawing
 from rig.model.pose import exp
 
 

@@ -6,9 +6,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.model.design import Camera
 from rig.effects.framework.effect import Candidate, Context, Effect, Parameter
 from rig.effects.framework.random_effects import Drawing, draw_number
+from rig.model.design import Camera
 
 INDEX = 1.5  # of the window's glass against air
 SQUARE, MOST = 0.5, np.radians(45)  # of drawn windows: share that is not tilted, greatest tilt of the others

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.model.design import Camera
 from rig.effects.framework.effect import Effect, Parameter
+from rig.model.design import Camera
 
 
 @dataclass(frozen=True, slots=True)

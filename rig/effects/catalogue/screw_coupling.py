@@ -5,9 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect, Motion, Parameter
 from rig.effects.framework.cardan_twist import cardan_twist
 from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.effect import Effect, Motion, Parameter
 from rig.errors import RigError
 from rig.model.mechanism_kinds import hexapod_of
 

@@ -5,9 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect, Motion, Parameter, Path
-from rig.effects.framework.covariate import Covariate, travel_covariate
 from rig.compute.numba_kernels import njit
+from rig.effects.framework.covariate import Covariate, travel_covariate
+from rig.effects.framework.effect import Effect, Motion, Parameter, Path
 
 AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot
 

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
 from rig.effects.framework.covariate import Covariate, temperature_covariate
+from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
 
 AMBIENT = "ambient_temperature_C"
 

@@ -6,11 +6,11 @@ from typing import ClassVar, Self
 import numpy as np
 import scipy
 
-from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.framework.covariate import Covariate, travel_covariate
-from rig.effects.framework.random_effects import Drawing, log_uniform
+from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.framework.parameter_grid import derivative_step
 from rig.effects.framework.place_names import kind_of
+from rig.effects.framework.random_effects import Drawing, log_uniform
 
 KNOTS = (5, 9, 14)  # of a strut's profile, or a slide's
 SPACINGS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05, 0.035)  # rad between knots of a joint's profile

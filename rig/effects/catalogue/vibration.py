@@ -5,8 +5,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.effects.framework.effect import QUADRATURE, Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.framework.covariate import Covariate
+from rig.effects.framework.effect import QUADRATURE, Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.framework.random_effects import Drawing
 
 ROUNDS = 30  # of one factor after the other; each brings them nearer

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from rig.model.design import Camera
-from rig.effects.framework.search_candidate import COUNT, QUADRATURE, Candidate, Linear
-from rig.effects.framework.recording_context import Context
 from rig.effects.framework.covariate import Covariate
-from rig.effects.framework.random_effects import Drawing, draw_parameter
-from rig.effects.framework.parameter_grid import parameter_grid, derivative_step
 from rig.effects.framework.machine_motion import SOON, Motion, Path
 from rig.effects.framework.parameter import Parameter
-from rig.effects.framework.place_names import AXES, axis_word, kind_of, axis_mask, includes_place
+from rig.effects.framework.parameter_grid import derivative_step, parameter_grid
+from rig.effects.framework.place_names import AXES, axis_mask, axis_word, includes_place, kind_of
+from rig.effects.framework.random_effects import Drawing, draw_parameter
+from rig.effects.framework.recording_context import Context
+from rig.effects.framework.search_candidate import COUNT, QUADRATURE, Candidate, Linear
 from rig.errors import RigError
+from rig.model.design import Camera
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 MOTION_STAGES = ("command", "struts", "structure")

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Actuator, Arm, Chain, Hexapod, Planar2, Platform
-from rig.errors import RigError
 from rig.model.mechanisms.kinematics_interface import Kind
 from rig.recording.recording_folder import PAYLOAD, Sensors
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from rig.effects.framework.machine_motion import Motion
 from rig.compute.numba_kernels import njit
+from rig.effects.framework.machine_motion import Motion
 
 
 def play_operator(lengths: np.ndarray, half: float) -> np.ndarray:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from rig.model.design import Camera, Design
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Parameter
+from rig.model.design import Camera, Design
 
 EARLY, LATE = 0.1, 0.9  # shares of the exposures between which moments are drawn
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.model.design import Design
 from rig.effects.framework.machine_motion import Motion
 from rig.errors import RigError
+from rig.model.design import Design
 from rig.recording.recording_folder import Sensors
 
 

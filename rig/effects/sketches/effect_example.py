@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.model import motion_simulation
-from rig.model.design import Design
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.framework.random_effects import Drawing
 from rig.effects.framework.machine_motion import Motion
 from rig.effects.framework.parameter import Parameter
+from rig.effects.framework.random_effects import Drawing
 from rig.errors import RigError
+from rig.formats.rig_toml import design_file
+from rig.model import motion_simulation
+from rig.model.design import Design
+from rig.planning.layout import hexapod_layout
 from rig.recording.recording_folder import PAYLOAD, Commands, Sensors
 
 RADIUS, LEAD, PAYLOAD_AT = 0.3, 0.01, (0.12, -0.42, 0.1)  # m, of the rig, its screws and on its platform: so far out that struts come to pull

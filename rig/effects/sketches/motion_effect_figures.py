@@ -3,12 +3,12 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model import motion_simulation
 from rig.effects.framework.effect import Effect
+from rig.effects.sketches.effect_example import AXIS, FAR, Sketch, Way, effect_example, effect_text
+from rig.model import motion_simulation
+from rig.model.pose import exp, pose_difference
 from rig.report.pages.plots import Series, plot_panel
 from rig.report.pages.svg_elements import TEXT, WIDTH, svg, text
-from rig.model.pose import pose_difference, exp
-from rig.effects.sketches.effect_example import AXIS, FAR, Sketch, Way, effect_example, effect_text
 
 SHARE = 0.5  # of what is told, that errors are drawn as large as at the most
 HIGH = 120.0  # of a panel's drawing

@@ -6,17 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.model import mechanisms
-from rig.model.design import Chain, Design
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import AXES, Effect
 from rig.effects.framework.effect_validity import check_effect
 from rig.effects.framework.place_names import parse_stage_place, split_stage
-from rig.formats.checked_entries import NAME, slip
 from rig.errors import RigError
-from rig.formats.number_parsing import parse_number
+from rig.formats.checked_entries import NAME, slip
 from rig.formats.input_files import value_text
-
+from rig.formats.number_parsing import parse_number
+from rig.model import mechanisms
+from rig.model.design import Chain, Design
 
 Kinds = Mapping[str, type[Effect]]  # effects by their names
 

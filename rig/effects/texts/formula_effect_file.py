@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.effects.framework.effect import AXES, Effect
-from rig.effects.texts.user_effect_files import of_source
 from rig.effects.framework.formula_quantities import POSE, Quantity, quantity
+from rig.effects.texts.user_effect_files import of_source
 from rig.formats.checked_entries import Entries
 
 WIDTH = 145  # characters of a line

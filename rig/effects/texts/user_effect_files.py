@@ -21,8 +21,8 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import AXES, MOTION_STAGES, Context, Effect, Parameter
-from rig.effects.texts.catalogue_page import STAGES
 from rig.effects.framework.effect_validity import check_effect
+from rig.effects.texts.catalogue_page import STAGES
 from rig.errors import FileError, RigError
 
 KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers", "target")  # of place

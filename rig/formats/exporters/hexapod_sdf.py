@@ -10,9 +10,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Hexapod
-from rig.formats.exporters.simulator_struts import Strut, simulator_struts
 from rig.formats.exporters.arm_urdf import rpy
+from rig.formats.exporters.simulator_struts import Strut, simulator_struts
+from rig.model.design import Hexapod
 
 
 def hexapod_sdf(hexapod: Hexapod, name: str = "hexapod") -> str:

@@ -10,9 +10,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import Hexapod
-from rig.formats.exporters.simulator_struts import simulator_struts
 from rig.formats.exporters.arm_urdf import origin
+from rig.formats.exporters.simulator_struts import simulator_struts
+from rig.model.design import Hexapod
 
 HERE = RigidTransform.identity()
 TURN = np.pi  # rad, to either side: what a joint may do, of which a rig.toml says nothing

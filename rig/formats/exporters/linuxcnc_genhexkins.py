@@ -7,9 +7,9 @@ Source: genhexkins(9), offset(9) of LinuxCNC.
 
 import numpy as np
 
-from rig.model.design import Hexapod
 from rig.effects.framework.cardan_twist import cardan_twist
 from rig.errors import RigError
+from rig.model.design import Hexapod
 
 UNITS = {"mm": 1e3, "m": 1.0}
 DIGITS = 12  # decimals of a machine unit

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rig.model.design import Camera
 from rig.errors import RigError
+from rig.model.design import Camera
 
 ROS = {5: "plumb_bob", 8: "rational_polynomial"}  # models, by their terms
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera, Target
 from rig.errors import MissingLibrary
-from rig.model.mechanism_geometry import Hexapod
 from rig.formats.input_files import read_bytes
+from rig.model.design import Camera, Target
+from rig.model.mechanism_geometry import Hexapod
 from rig.recording.recording_folder import Recording
 
 MEDIA = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}  # what its viewer decodes

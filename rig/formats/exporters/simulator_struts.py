@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import Hexapod
 from rig.errors import RigError
+from rig.model.design import Hexapod
 
 LEAST = 1e-9  # m or rad
 

@@ -6,8 +6,8 @@ Source: TUM RGB-D benchmark, file formats
 
 from pathlib import Path
 
-from rig.formats import csv_table
 from rig.errors import RigError
+from rig.formats import csv_table
 from rig.formats.parquet_table import parquet_bytes
 from rig.recording.recording_folder import Recording
 

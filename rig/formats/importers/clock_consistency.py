@@ -4,12 +4,12 @@ from decimal import Decimal
 
 import numpy as np
 
+from rig.checks.clock_shift import standing_shift
 from rig.errors import RigError
 from rig.formats.importers.command_table import Commanded
 from rig.formats.importers.image_file_frames import Exposed
-from rig.checks.clock_shift import standing_shift
-from rig.recording.time_origin import DIGITS
 from rig.recording.recording_folder import LAST_DWELL
+from rig.recording.time_origin import DIGITS
 
 
 def require_one_clock(exposed: Exposed, commanded: Commanded | None) -> None:

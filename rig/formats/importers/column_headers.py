@@ -4,9 +4,9 @@ import re
 from collections.abc import Iterable
 
 from rig.errors import FileError, RigError
+from rig.formats.importers.column_units import split_header
 from rig.formats.importers.csv_dialect import Cells
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.column_units import split_header
 from rig.formats.input_files import value_text
 
 TIME = ("t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "uhrzeit", "elapsed", "elapsedtime", "epoch",

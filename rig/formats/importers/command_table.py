@@ -6,15 +6,15 @@ from decimal import Decimal
 
 import numpy as np
 
-from rig.model import mechanisms
-from rig.model.design import Arm, Design
+from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
-from rig.formats.importers import column_headers, timestamps, column_units
+from rig.formats.importers import column_headers, column_units, timestamps
 from rig.formats.importers.ambiguous_input import ambiguity_error
 from rig.formats.importers.csv_dialect import Cells, read_foreign_table
 from rig.formats.importers.import_recipe import ForeignTable
+from rig.model import mechanisms
+from rig.model.design import Arm, Design
 from rig.model.mechanism_kinds import arm_of, struts_of
-from rig.checks.clock_mistakes import FASTEST, SLOWEST, USUAL
 
 
 @dataclass(frozen=True, slots=True, eq=False)

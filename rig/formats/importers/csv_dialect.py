@@ -5,13 +5,13 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rig.formats.checked_entries import LARGEST_NUMBER
 from rig.errors import FileError
+from rig.formats.checked_entries import LARGEST_NUMBER
 from rig.formats.importers.ambiguous_input import ambiguity_error
 from rig.formats.importers.headerless_tables import add_time_column, lines_with_header
 from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.formats.input_files import read_bytes, value_text
-from rig.formats.parquet_table import read_cells, is_parquet
+from rig.formats.parquet_table import is_parquet, read_cells
 
 LARGEST = 1 << 27  # bytes
 COMMENTS = ("#", "%", "//")

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.model.design import Design
 from rig.errors import FileError, RigError
 from rig.formats.importers import timestamps as times
 from rig.formats.importers.ambiguous_input import ambiguity_error
 from rig.formats.importers.import_recipe import Images
 from rig.formats.input_files import value_text
+from rig.model.design import Design
 
 KINDS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")
 MOST = 1_000_000  # images

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from rig.formats.checked_entries import Entries
 from rig.errors import FileError, RigError
-from rig.formats.number_parsing import parse_number
+from rig.formats.checked_entries import Entries
 from rig.formats.input_files import read_text, value_text
+from rig.formats.number_parsing import parse_number
 from rig.formats.toml_positions import value_positions
 
 SCHEMA = "import/1"

@@ -7,13 +7,13 @@ from decimal import Decimal
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import Design, Hexapod
-from rig.formats.checked_entries import LARGEST_RIG
 from rig.errors import RigError
-from rig.formats.importers import column_headers, timestamps, column_units
+from rig.formats.checked_entries import LARGEST_RIG
+from rig.formats.importers import column_headers, column_units, timestamps
 from rig.formats.importers.ambiguous_input import ambiguity_error
 from rig.formats.importers.csv_dialect import Cells, read_foreign_table
 from rig.formats.importers.import_recipe import EULER, ForeignTable
+from rig.model.design import Design, Hexapod
 from rig.model.mechanisms import arm, hexapod
 
 POSITION = {"x": ("x", "tx", "px", "posx", "positionx", "xpos"), "y": ("y", "ty", "py", "posy", "positiony", "ypos"),

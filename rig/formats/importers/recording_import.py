@@ -8,24 +8,24 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.formats.rig_toml import design_file
-from rig.model.design import Design
 from rig.errors import RigError
-from rig.formats.output_files import write_bytes
-from rig.recording.image_file_check import check_image
-from rig.formats.importers import column_headers, image_file_frames, timestamps, column_units
+from rig.formats.importers import column_headers, column_units, image_file_frames, timestamps
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
 from rig.formats.importers.clock_consistency import require_one_clock, seconds_from
 from rig.formats.importers.command_table import Commanded, read_commands
 from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.image_file_frames import Exposed
+from rig.formats.importers.import_recipe import ForeignTable, Recipe
 from rig.formats.importers.pose_table import Posed, read_poses
-from rig.formats.importers.import_recipe import Recipe, ForeignTable
 from rig.formats.importers.sensor_table import Logged, read_sensors
-from rig.recording.corner_and_pose_tables import Poses
-from rig.recording.time_origin import DIGITS
 from rig.formats.input_files import read_bytes, read_text
+from rig.formats.output_files import write_bytes
+from rig.formats.rig_toml import design_file
+from rig.model.design import Design
+from rig.recording.corner_and_pose_tables import Poses
+from rig.recording.image_file_check import check_image
 from rig.recording.recording_tables import write_poses, write_table
+from rig.recording.time_origin import DIGITS
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
 Like = Callable[[np.ndarray], bool]

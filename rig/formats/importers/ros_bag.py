@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from rig.model.design import Design
-from rig.formats.checked_entries import name_problem
 from rig.errors import FileError, MissingLibrary, RigError
-from rig.formats.output_files import write_bytes
+from rig.formats.checked_entries import name_problem
 from rig.formats.importers.ambiguous_input import ambiguity_error
-from rig.formats.importers.ros_image_messages import encode_image_message
 from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
+from rig.formats.importers.ros_image_messages import encode_image_message
 from rig.formats.input_files import value_text
+from rig.formats.output_files import write_bytes
+from rig.model.design import Design
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINTS = ("sensor_msgs/msg/JointState",)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from rig.errors import RigError
-from rig.recording.image_file_check import JPEG, PNG
 from rig.formats.input_files import value_text
+from rig.recording.image_file_check import JPEG, PNG
 
 CHANNELS = {"mono8": 1, "8UC1": 1, "mono16": 1, "16UC1": 1, "bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4,
             "bayer_rggb8": 1, "bayer_bggr8": 1, "bayer_gbrg8": 1, "bayer_grbg8": 1}

@@ -8,11 +8,12 @@ from functools import partial
 
 import numpy as np
 
-from rig.formats.checked_entries import name_problem
 from rig.errors import RigError
-from rig.formats.importers import column_headers, timestamps, column_units
+from rig.formats.checked_entries import name_problem
+from rig.formats.importers import column_headers, column_units, timestamps
 from rig.formats.importers.csv_dialect import read_foreign_table
 from rig.formats.importers.import_recipe import ForeignTable
+
 
 def _over(per: float, values: np.ndarray) -> np.ndarray:
     return values / per

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime, timedelta, timezone, UTC
+from datetime import UTC, datetime, timedelta, timezone
 from decimal import Decimal
 
 import numpy as np
@@ -11,8 +11,8 @@ import numpy as np
 from rig.errors import RigError
 from rig.formats.importers.ambiguous_input import ambiguity_error
 from rig.formats.importers.column_units import TIMES
-from rig.recording.time_origin import DIGITS
 from rig.formats.input_files import value_text
+from rig.recording.time_origin import DIGITS
 
 ISO = re.compile(r"(\d{4}-?\d\d-?\d\d[T _]\d\d:?\d\d(?::?\d\d)?)([.,]\d{1,18})?\s*(Z|z|[+-]\d\d:?\d\d)?")
 ZONE = re.compile(r"([+-])(\d\d):?(\d\d)|Z|UTC")

@@ -1,7 +1,7 @@
 """The product's own files: written whole or not at all, known again by who made them, never over what somebody else made."""
 
-from rig.formats.output_files.folder_manifest import MANIFEST, FolderManifest, require_complete
-from rig.formats.output_files.command_outputs import Outputs
 from rig.formats.output_files.atomic_file import STANDARD_OUTPUT, write_bytes, write_text
+from rig.formats.output_files.command_outputs import Outputs
+from rig.formats.output_files.folder_manifest import MANIFEST, FolderManifest, require_complete
 
 __all__ = ["MANIFEST", "STANDARD_OUTPUT", "FolderManifest", "Outputs", "require_complete", "write_bytes", "write_text"]

@@ -5,11 +5,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from rig.formats import remote_folders
 from rig.errors import FileError, RigError
+from rig.formats import remote_folders
+from rig.formats.output_files.atomic_file import is_written_directly, path_status, write_text
 from rig.formats.output_files.folder_manifest import MANIFEST, FolderManifest, Origin, is_recording_table, load_manifest
 from rig.formats.output_files.staged_folder import GROWING, Staged, folder_lock, remove_stale_files
-from rig.formats.output_files.atomic_file import is_written_directly, path_status, write_text
 
 
 class Outputs:

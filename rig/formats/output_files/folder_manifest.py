@@ -6,8 +6,8 @@ from fnmatch import fnmatchcase
 from hashlib import sha256
 from pathlib import Path
 
-from rig.formats import remote_folders
 from rig.errors import FileError
+from rig.formats import remote_folders
 from rig.formats.schema_version import require_schema
 
 MANIFEST = ".rig-made.json"

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rig.errors import FileError, RigError
-from rig.formats.output_files.folder_manifest import MANIFEST, Entry, FolderManifest, Origin, file_digest, is_recording_table, load_manifest
 from rig.formats.output_files.atomic_file import path_status, sync_folder, write_text
+from rig.formats.output_files.folder_manifest import MANIFEST, Entry, FolderManifest, Origin, file_digest, is_recording_table, load_manifest
 
 NEW = ".rig-new-"
 GROWING = f"{NEW}growing"  # stands in a folder, locked, while a command writes there in place

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.errors import RigError
+from rig.formats.checked_entries import Entries
 from rig.formats.rig_toml import design_file
 from rig.model.design import Arm, Design
-from rig.formats.checked_entries import Entries
-from rig.errors import RigError
 from rig.model.mechanisms.arm_dynamics import Links
 
 HEAVIEST = 1e5  # kg, and kg m^2

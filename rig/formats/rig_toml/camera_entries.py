@@ -1,7 +1,7 @@
 """Cameras out of tables of outside data: lens, place, what carries them."""
 
-from rig.model.design import DISTORTION_TERMS, SOURCES, Camera, Free, Target
 from rig.formats.checked_entries import REQUIRED, Entries
+from rig.model.design import DISTORTION_TERMS, SOURCES, Camera, Free, Target
 from rig.model.mechanism_kinds import Mechanism
 
 LARGEST_IMAGE = 100_000  # px along a side

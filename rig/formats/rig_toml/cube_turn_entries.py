@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
+from rig.formats.checked_entries import Entries
 from rig.model.cube_quarter_turns import cube_named, parse_permission
 from rig.model.design import PERMITTED, TURN, Permission, Target
-from rig.formats.checked_entries import Entries
 
 
 def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permission:

@@ -8,19 +8,34 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.errors import FileError
+from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries
+from rig.formats.input_files import read_text
 from rig.formats.rig_toml import arm_joint_entries, camera_entries, cube_turn_entries
+from rig.formats.rig_toml.instrument_entries import instrument
+from rig.formats.toml_positions import value_positions
 from rig.model.controller_settings import PROTOCOLS, Controller, port_problem
 from rig.model.design import (
-    DICTIONARIES, FACES, Actuator, Arm, Camera, Chain, Design, Free, Hexapod, Marker, MeasuringLimbs, Planar2, Platform, Sensor, SensorPort, Target,
+    DICTIONARIES,
+    FACES,
+    Actuator,
+    Arm,
+    Camera,
+    Chain,
+    Design,
+    Free,
+    Hexapod,
+    Marker,
+    MeasuringLimbs,
+    Planar2,
+    Platform,
+    Sensor,
+    SensorPort,
+    Target,
 )
-from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries
-from rig.errors import FileError
-from rig.formats.rig_toml.instrument_entries import instrument
-from rig.model.mechanism_kinds import bodies_of
-from rig.formats.input_files import read_text
-from rig.model.pose import pose_to_vector
 from rig.model.hexapod_singularity import singularity_text
-from rig.formats.toml_positions import value_positions
+from rig.model.mechanism_kinds import bodies_of
+from rig.model.pose import pose_to_vector
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)

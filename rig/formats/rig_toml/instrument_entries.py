@@ -3,8 +3,8 @@
 import math
 from dataclasses import fields
 
-from rig.model.design import Instrument
 from rig.formats.checked_entries import Entries
+from rig.model.design import Instrument
 
 KINDS = ("pose", "orientation", "distance")
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import Arm
 from rig.errors import Unreachable
+from rig.model.design import Arm
 
 AXIS, UNIT = "joint", "rad"
 TOLERANCE = 1e-12  # m and rad; what the iteration leaves of a pose

@@ -21,8 +21,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms.successive_regression import FREE
 from rig.model.mechanisms.six_joint_inverse import SixR, global_frame
+from rig.model.mechanisms.successive_regression import FREE
 
 
 class Step(NamedTuple):

@@ -10,8 +10,8 @@ from types import ModuleType
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Stage
 from rig.errors import NotConverged, Unreachable
+from rig.model.mechanism_geometry import Arm, Chain, Hexapod, Stage
 from rig.model.mechanisms import arm, hexapod, two_strut_plane
 from rig.model.pose import pose_difference, skew
 

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.linalg import lu
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import Hexapod
 from rig.errors import NotConverged
+from rig.model.design import Hexapod
 from rig.model.mechanisms import hexapod_kernels
 from rig.model.pose import transform_points
 

@@ -3,8 +3,8 @@
 from functools import cache
 from typing import Any
 
-from rig.model.design import Arm, Chain, Free, Hexapod, Planar2
 from rig.errors import RigError
+from rig.model.design import Arm, Chain, Free, Hexapod, Planar2
 from rig.model.mechanisms import arm, chain, hexapod, two_strut_plane
 from rig.model.mechanisms.kinematics_interface import Kind
 

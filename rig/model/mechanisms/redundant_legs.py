@@ -12,8 +12,8 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Hexapod, MeasuringLimbs
 from rig.errors import RigError
+from rig.model.design import Hexapod, MeasuringLimbs
 from rig.model.mechanisms import hexapod as mechanism
 
 SIX = 6

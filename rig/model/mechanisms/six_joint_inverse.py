@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import Arm
 from rig.errors import RigError, Unreachable
+from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import wrist_branches, successive_regression
+from rig.model.mechanisms import successive_regression, wrist_branches
 
 EXACT = 1e-9  # m and rad; by so much axes may miss what the closed form takes for granted
 REASONS = {

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Planar2
 from rig.errors import NotConverged
+from rig.model.design import Planar2
 
 AXIS, UNIT = "strut", "m"
 

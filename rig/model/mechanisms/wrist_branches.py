@@ -8,8 +8,29 @@ import numpy as np
 
 from rig.compute.numba_kernels import njit
 from rig.model.mechanisms.successive_regression import (
-    ELBOW, FREE, OFF_AXIS, SHOULDER, SINGULAR, SLACK, TOO_FAR, TOO_NEAR, TURNED_AWAY, WRIST, Vector, about, add, angle, around, cross, dot, elbows,
-    readings, row, seen, shoulder, wrapped,
+    ELBOW,
+    FREE,
+    OFF_AXIS,
+    SHOULDER,
+    SINGULAR,
+    SLACK,
+    TOO_FAR,
+    TOO_NEAR,
+    TURNED_AWAY,
+    WRIST,
+    Vector,
+    about,
+    add,
+    angle,
+    around,
+    cross,
+    dot,
+    elbows,
+    readings,
+    row,
+    seen,
+    shoulder,
+    wrapped,
 )
 
 Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # solutions, their flags, reasons, gaps

@@ -6,12 +6,12 @@ The arm is to move about one posture, far from its singular ones, in which hand 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.planning.layout import shipped_arms
 from rig.model.design import Arm
 from rig.model.mechanism_kinds import arm_of
-from rig.planning.layout.layout_elements import FACES, Ring, camera, camera_lines, check_layout, cube_lines, camera_pose, cube_ring_lines
 from rig.model.mechanisms import arm as mechanism
 from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.layout import shipped_arms
+from rig.planning.layout.layout_elements import FACES, Ring, camera, camera_lines, camera_pose, check_layout, cube_lines, cube_ring_lines
 
 TRIED = 400  # postures, of which the one with the best conditioned Jacobian is taken
 TURNS = {"cubes": 0.45, "hand": 0.3}  # rad either way that every joint may turn, by what is carried

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.design import DICTIONARIES
 from rig.errors import RigError
+from rig.model.design import DICTIONARIES
 from rig.model.pose import pose_to_vector
 
 FACES = ("+x", "-x", "+y", "-y", "+z")

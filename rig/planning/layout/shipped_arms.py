@@ -3,9 +3,9 @@
 from importlib.resources import files
 from pathlib import Path
 
+from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Design
-from rig.errors import RigError
 
 INSTRUMENT = """
 [instrument]            # a laser tracker with a probe of six degrees of freedom

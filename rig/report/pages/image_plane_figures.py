@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.report.pages.svg_elements import TEXT, WIDTH, svg, text, tooltip
 from rig.report.pages.text_layout import escape_html
-from rig.report.pages.svg_elements import TEXT, WIDTH, tooltip, svg, text
 
 TOP = TEXT + 11.0
 Placed = Callable[[np.ndarray], np.ndarray]  # (n, 2) of the plane -> (n, 2) of the figure

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from rig.report import refutations
 from rig.errors import RigError
 from rig.formats.output_files import Outputs
-from rig.report.verdict import WORST, State, Verdict, worst_state
-from rig.report.pages.page_template import Link, Page, write_page
+from rig.report import refutations
 from rig.report.pages.html_elements import capitalised, heading, inline_html
+from rig.report.pages.page_template import Link, Page, write_page
+from rig.report.verdict import WORST, State, Verdict, worst_state
 
 NAME = "index.html"
 KIND = "index"

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rig.formats.output_files import write_text
+from rig.report.pages.html_elements import capitalised, inline_html, list_html
 from rig.report.verdict import Verdict
-from rig.report.pages.html_elements import capitalised, list_html, inline_html
 
 SHUT = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"  # nothing is fetched from anywhere
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.report.pages.text_layout import escape_html, text_width, wrap_text
 from rig.report.pages.axis_scale import Scale, scale_of_values
-from rig.report.pages.svg_elements import TEXT, tooltip, svg, text
+from rig.report.pages.svg_elements import TEXT, svg, text, tooltip
+from rig.report.pages.text_layout import escape_html, text_width, wrap_text
 
 LEFT, RIGHT, BELOW = 52.0, 392.0, 24.0
 HIGH = 190.0  # of a panel's drawing

@@ -4,8 +4,8 @@ import re
 from collections.abc import Sequence
 
 from rig.report.pages.page_template import read_asset
-from rig.report.pages.text_layout import escape_html, wrap_text
 from rig.report.pages.svg_elements import TEXT, WIDTH, text
+from rig.report.pages.text_layout import escape_html, wrap_text
 
 BETWEEN, EDGE, LINE = 10, 6, 18  # units between figures, around them, and of a line of words
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rig.report.pages.html_elements import inline_html, note
 from rig.report.pages.page_template import read_asset
-from rig.report.pages.html_elements import note, inline_html
 
 MOST = 240  # frames that are shown: of more, evenly chosen ones
 DIGITS = 7  # of metres

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.files import calibration_file
 from calib.certificate import certificate_json
-from rig.recording import recording_folder
+from calib.files import calibration_file
 from rig.model.pose import pose_difference
+from rig.recording import recording_folder
 from tests.calib.certificate.test_certificate import rig
 
 INSTRUMENT = '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 10e-6\nrotation_sigma = 50e-6\n'

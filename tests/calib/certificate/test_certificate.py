@@ -15,23 +15,23 @@ import jsonschema
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
-from calib.certify.uncertainty_budget import rms_uncertainty, thermometer_covariance
-from calib.certify.tolerance_conformity import OPEN
-from calib.certify.pose_error_promise import pose_error_promise
-from calib.correct.correction import calibrate
-from calib.correct.physics import Physics
-from calib.samples.recording_samples import sample_recording
 from calib.certificate import certificate_json
 from calib.certificate.certificate import combined_held_out_poses
-from rig.model import motion_simulation
-from rig.planning import plan
-from rig.recording import recording_folder, recording_tables
+from calib.certify.pose_error_promise import pose_error_promise
+from calib.certify.tolerance_conformity import OPEN
+from calib.certify.uncertainty_budget import rms_uncertainty, thermometer_covariance
+from calib.correct.correction import calibrate
+from calib.correct.physics import Physics
+from calib.files import calibration_file
+from calib.samples.recording_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.fit_coordinates import coordinates_of
 from rig.effects.texts.effect_text import parse_effect
+from rig.model import motion_simulation
+from rig.model.pose import exp, pose_difference
+from rig.planning import plan
+from rig.recording import recording_folder, recording_tables
 from rig.recording.corner_and_pose_tables import Poses
-from rig.model.pose import pose_difference, exp
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_machine
 

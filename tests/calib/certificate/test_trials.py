@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.certify.tolerance_conformity import CONFORMS, FAILS, OPEN, tolerance_conformity
 from calib.certify.pose_error_promise import Bound
+from calib.certify.tolerance_conformity import CONFORMS, FAILS, OPEN, tolerance_conformity
 from tests.calib.certificate.trials import share_kept, trial, wrong_decisions
 
 

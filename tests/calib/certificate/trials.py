@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certify.tolerance_conformity import CONFORMS, FAILS, GUARD, tolerance_conformity
 from calib.certify.held_out_errors import errors_before_and_after
 from calib.certify.held_out_poses import held_poses
 from calib.certify.pose_error_promise import POSITION, ROTATION, Unit, depth_bound, pose_error_promise
+from calib.certify.tolerance_conformity import CONFORMS, FAILS, GUARD, tolerance_conformity
 from calib.certify.tolerance_limits import least_sample_size
 from calib.correct.correction import calibrate
 from calib.samples.pose_samples import Samples
-from rig.model import motion_simulation, mechanisms
-from rig.planning import plan
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.random_effects import Drawing
 from rig.errors import NotConverged
-from rig.model.pose import pose_difference, exp
+from rig.model import mechanisms, motion_simulation
+from rig.model.pose import exp, pose_difference
+from rig.planning import plan
 from synthetic import secret_machine
 
 KINDS = ("backlash", "hysteresis", "thermal_expansion", "base_expansion", "compliance", "joint_clearance", "creep", "cyclic_error", "screw_coupling",

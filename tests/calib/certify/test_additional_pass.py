@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
-from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import model_covariance
-from calib.certify.extension_certification import claim_without_geometry
 from calib.certify.additional_pass import Pass, certify_additional_pass
+from calib.certify.calibration import Calibration
+from calib.certify.extension_certification import claim_without_geometry
+from calib.certify.platform_certification import model_covariance
 from calib.correct.correction import Correction
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known
 from calib.correct.interpolation.partial_map import Part, Within
 from calib.correct.interpolation.repeated_passes import Passes
+from calib.files import calibration_file
 from calib.samples.pose_samples import Samples
-from rig.planning.configuration_sets import low_discrepancy
 from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
+from rig.planning.configuration_sets import low_discrepancy
 from synthetic import secret_machine
 from tests.calib.worlds import rms
 from tests.numeric import jacobian

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.certify.platform_certification import certify, workspace_claim_of
 from calib.certify.held_out_errors import errors_before_and_after
-from calib.samples.recording_samples import sample_recording
+from calib.certify.platform_certification import certify, workspace_claim_of
 from calib.samples.pose_samples import Samples
+from calib.samples.recording_samples import sample_recording
+from rig.effects.texts.effect_text import parse_effect, require_place, require_size
 from rig.formats.rig_toml import design_file
 from rig.planning import plan
 from rig.recording import recording_folder
-from rig.effects.texts.effect_text import parse_effect, require_place, require_size
 from synthetic import recording_simulation, secret_machine
 from tests.conftest import BENCH
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certify.workspace_claim import Claim
 from calib.certify.calibration_verdict import stands
 from calib.certify.claim_verification import Part, Verification, verify_claim
+from calib.certify.workspace_claim import Claim
 from calib.samples.pose_samples import Samples
-from rig.planning import plan
 from rig.model.mechanisms import hexapod
 from rig.model.pose import adjoint, exp
+from rig.planning import plan
 from tests.calib.worlds import rms
 
 POSITION, ROTATION = 20e-6, 60e-6  # m, rad: upper ends of the claim

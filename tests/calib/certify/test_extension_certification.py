@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
-from calib.certify.calibration import Calibration
-from calib.certify.platform_certification import model_covariance, workspace_claim_of
-from calib.certify.extension_certification import Asked, certify_extended, claim_without_geometry
 from calib.certify.additional_pass import Pass, certify_additional_pass
+from calib.certify.calibration import Calibration
+from calib.certify.extension_certification import Asked, certify_extended, claim_without_geometry
+from calib.certify.platform_certification import model_covariance, workspace_claim_of
 from calib.correct.summand_extension import single_step_errors
-from rig.planning.configuration_sets import grid_division, low_discrepancy
+from calib.files import calibration_file
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import grid_division, low_discrepancy
 from tests.calib.worlds import real, rms, sampled, workspace
 
 OWN = np.array([1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6])  # m, rad; so little that what is left is the way's own
@@ -106,8 +106,8 @@ def test_the_single_step_misses_what_the_fixed_point_meets(gridded, design):
 
 def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path):
     """The other way round, through the command: what a measuring machine reads, corrected, with a covariance that its errors keep to."""
-    from rig.recording import recording_folder
     from rig.cli.command_line import main
+    from rig.recording import recording_folder
 
     samples, true = gridded
     done, _ = certify_extended(samples, design.mechanism, Asked("simplex", False), np.random.default_rng(0))

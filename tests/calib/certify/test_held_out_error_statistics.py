@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.certify.additional_pass import Pass, certify_additional_pass
+from calib.certify.calibration import Calibration
+from calib.certify.extension_certification import Asked, certify_extended, claim_without_geometry
+from calib.certify.held_out_error_statistics import HeldErrors
+from calib.certify.workspace_claim import PLACES, ConfigurationInformation, claim_of_mean_squares
+from calib.correct.correction import Correction, commands_with_pose
 from calib.models.arm import error_model
 from calib.models.arm.certification import certify as certify_arm
 from calib.models.arm.certification import workspace_claim_of as promised_arm
-from calib.certify.calibration import Calibration
-from calib.certify.workspace_claim import PLACES, ConfigurationInformation, claim_of_mean_squares
-from calib.certify.extension_certification import Asked, certify_extended, claim_without_geometry
-from calib.certify.held_out_error_statistics import HeldErrors
-from calib.certify.additional_pass import Pass, certify_additional_pass
-from calib.correct.correction import Correction, commands_with_pose
-from rig.planning.configuration_sets import low_discrepancy
 from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import low_discrepancy
 from tests.calib import arm_worlds as worlds
 from tests.calib.worlds import real, rms, sampled
 from tests.rig.arms import UR10

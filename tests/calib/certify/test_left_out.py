@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.platform_certification import certify, model_covariance, workspace_claim_of
 from calib.certify.deviation_component_sizes import Closures, draw_component_sizes
+from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
+from calib.certify.platform_certification import certify, model_covariance, workspace_claim_of
 from calib.certify.strut_deviation_kernels import CONDITION, PLACE, SAMPLE, deviation_components
-from calib.certify.distinct_configurations import configuration_numbers, axis_ranges
 from calib.files.calibration_from_recording import calibration_with_provenance
 from calib.samples.recording_samples import sample_recording
-from rig.recording import recording_folder
 from rig.model.pose import pose_difference
+from rig.recording import recording_folder
 from tests import truth
 from tests.calib.worlds import rms, sampled
 

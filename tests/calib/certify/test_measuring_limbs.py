@@ -8,12 +8,12 @@ import pytest
 from calib.certify import measuring_limbs
 from calib.online.information_filter import Online
 from calib.samples.recording_samples import sample_recording
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.planning import plan
 from rig.errors import FileError, NotEnoughData, RigError
+from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
 from rig.recording.recording_folder import Sensors
 from tests.calib.worlds import rms
 

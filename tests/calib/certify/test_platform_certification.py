@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calib.certify.platform_certification import certify
-from calib.certify.held_out_errors import compare_errors, error_figures
 from calib.certify.calibration_verdict import verification_line
+from calib.certify.held_out_errors import compare_errors, error_figures
+from calib.certify.platform_certification import certify
 from calib.samples.pose_samples import time_block_folds
 from tests.calib.worlds import sampled
 

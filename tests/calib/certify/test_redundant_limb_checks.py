@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from calib.certify import measuring_limbs, redundant_limb_checks
-from calib.online import recorded_limb_poses, measuring_limbs_file
+from calib.online import measuring_limbs_file, recorded_limb_poses
 from calib.online.live_limb_poses import LimbLive
 from rig.cli import command_line
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.recording import recording_folder
 from rig.errors import RigError
+from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import hexapod
-from rig.planning.plan import low_discrepancy
 from rig.model.pose import transform_points
+from rig.planning.layout import hexapod_layout
+from rig.planning.plan import low_discrepancy
+from rig.recording import recording_folder
 from synthetic import secret_machine
 from tests.loops import rig
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from calib.certify import tolerance_limits, noise_free_errors
+from calib.certify import noise_free_errors, tolerance_limits
 from rig.errors import NotEnoughData
 
 

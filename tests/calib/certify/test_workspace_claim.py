@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from calib.certify.platform_certification import certify, workspace_claim_of
-from calib.certify.held_out_errors import compare_errors, errors_before_and_after
-from calib.certify.distinct_configurations import configuration_folds, configuration_numbers, axis_ranges, mean_sample_per_configuration
-from calib.models.platform.identification import identify, parameters
-from calib.samples.recording_samples import sample_recording
-from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
 from calib.certify.calibration_verdict import claim_lines, verification_line
 from calib.certify.claim_verification import verify_claim
-from rig.planning import plan
-from rig.recording import recording_folder
+from calib.certify.distinct_configurations import axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
+from calib.certify.held_out_errors import compare_errors, errors_before_and_after
+from calib.certify.platform_certification import certify, workspace_claim_of
+from calib.models.platform.identification import identify, parameters
+from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
+from calib.samples.recording_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
+from rig.planning import plan
+from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 from tests.calib.worlds import sampled
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
-from rig.planning import plan
 from rig.model.design import Arm
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
 from rig.recording.recording_folder import Poses
 from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine

@@ -6,11 +6,11 @@ import tomllib
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
 from rig.cli.command_line import main
+from rig.formats.rig_toml import design_file
 from rig.model.design import Target
 from rig.model.pose import pose, pose_to_vector
+from rig.planning.layout import hexapod_layout
 from tests.calib.checks.good import make
 from vision.checks.cube_layout import cube_layout_remarks
 from vision.targets import markers

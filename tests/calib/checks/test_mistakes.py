@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rig.checks import Mistake, command_units, sort_mistakes
 from rig.cli import command_line
-from rig.recording import recording_folder
 from rig.effects.catalogue.edge_bias import EdgeBias
 from rig.effects.catalogue.print_scale import PrintScale
 from rig.effects.catalogue.time_offset import TimeOffset
-from rig.checks import Mistake, sort_mistakes, command_units
+from rig.recording import recording_folder
 from rig.recording.recording_folder import Commands
 from tests.calib.checks.cases import Case
 from tests.calib.checks.good import make, recorded

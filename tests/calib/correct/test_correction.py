@@ -5,8 +5,8 @@ import pytest
 
 from calib.correct.correction import Correction, calibrate, require_reachable
 from calib.correct.interpolation import gaussian_process
-from rig.model.design import Free
 from rig.errors import RigError, Unreachable
+from rig.model.design import Free
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from tests.calib.worlds import real, rms, sampled, workspace

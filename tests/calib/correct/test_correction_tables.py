@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from calib.correct.correction import Correction
-from calib.correct.summand_extension import summands
+from calib.correct.correction_tables import grid_table, joint_tables, strut_summands, summand_columns, summand_rows
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known
-from calib.correct.correction_tables import grid_table, joint_tables, strut_summands, summand_columns, summand_rows
-from rig.planning.configuration_sets import low_discrepancy
+from calib.correct.summand_extension import summands
 from rig.formats.exporters import compensation_tables
 from rig.model.mechanisms import hexapod
+from rig.planning.configuration_sets import low_discrepancy
 from tests.calib.worlds import real, sampled
 
 

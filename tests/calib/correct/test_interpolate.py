@@ -12,9 +12,9 @@ from scipy.interpolate import RegularGridInterpolator
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known, merge_repeats
 from calib.correct.interpolation.grid import lattice_of_configurations
-from rig.planning.configuration_sets import grid_division, low_discrepancy
-from rig.formats.checked_entries import Entries
 from rig.errors import FileError, NotConverged, RigError
+from rig.formats.checked_entries import Entries
+from rig.planning.configuration_sets import grid_division, low_discrepancy
 
 STROKE = (0.4, 0.5)
 GRIDS = ("linear", "simplex")

@@ -6,26 +6,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
 from calib.certify.calibration import Calibration
-from calib.models.wanted_pose_commands import commands_along_route
 from calib.correct.correction import Correction, calibrate
-from calib.correct.physics_compensation import Machine, commands_at_poses, unknown_history_uncertainty
 from calib.correct.physics import Physics, Unknown
+from calib.correct.physics_compensation import Machine, commands_at_poses, unknown_history_uncertainty
 from calib.correct.pose_route import HOLDING, TURNING, Pace, timed_route
 from calib.diagnose.platform_findings_refit import Findings
+from calib.files import calibration_file
+from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.recording_samples import sample_recording
-from rig.formats.rig_toml import design_file
-from rig.model import motion_simulation
-from rig.planning import plan
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
 from rig.effects.framework.fit_coordinates import coordinates_of
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError, Unreachable
+from rig.formats.rig_toml import design_file
+from rig.model import motion_simulation
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference, pose_to_vector
+from rig.planning import plan
 from rig.recording.recording_folder import Sensors
 from synthetic import secret_machine
 from tests.bench.physics import ROUTE, effect_of

@@ -6,21 +6,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.selection_policy import PLATFORM
 from calib.diagnose.engine.candidate_score import Score
+from calib.diagnose.engine.selection_policy import PLATFORM
 from calib.diagnose.engine.term_selection import _exchanged
 from calib.diagnose.problems.platform.effect_candidates import candidate_of
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.report.platform_report import platform_report
 from rig.cli import command_line
-from rig.formats.rig_toml import design_file
-from rig.recording import recording_folder
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.search_candidate import Candidate, Linear
+from rig.formats.rig_toml import design_file
 from rig.planning.layout.hexapod_layout import hexapod_layout
+from rig.recording import recording_folder
 from synthetic import unlisted_physics
 from tests.bench.investigate import POSES, Case
 from tests.calib.recorded import recorded

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.term_selection import select_terms
-from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.arm_diagnosis import ArmDiagnosis, HeldOutPoses
-from calib.diagnose.problems.arm.linearised_poses import Geometry, linearise_poses
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
+from calib.diagnose.problems.arm.joint_candidates import joint_candidates
+from calib.diagnose.problems.arm.linearised_poses import Geometry, linearise_poses
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.report.arm_report import arm_report
 from rig.cli import command_line
-from rig.recording import recording_folder as recordings
 from rig.effects.framework.play_operator import play_operator
 from rig.errors import NotEnoughData
 from rig.model.mechanisms import arm_dynamics
+from rig.recording import recording_folder as recordings
 from tests.calib import arm_worlds
 from tests.rig.arms import UR10
 

@@ -7,13 +7,13 @@ import pytest
 
 from calib.diagnose.engine.stated_terms import UNSAID
 from calib.diagnose.engine.term_selection import select_terms
-from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.remainder_covariates import remainder_covariates
-from calib.diagnose.problems.arm.pose_fit import fit_poses
-from calib.diagnose.problems.arm.linearised_poses import linearise_poses
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
-from calib.diagnose.problems.requested_effects import RequestedEffects
+from calib.diagnose.problems.arm.joint_candidates import joint_candidates
+from calib.diagnose.problems.arm.linearised_poses import linearise_poses
+from calib.diagnose.problems.arm.pose_fit import fit_poses
+from calib.diagnose.problems.arm.remainder_covariates import remainder_covariates
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.report_sentences import covariate_table
 from rig.effects.framework.machine_motion import Path

@@ -9,16 +9,16 @@ import pytest
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.problems.platform import platform_diagnosis as platform
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_report import platform_report
-from calib.diagnose.report.platform_page_figures import PlatformView
-from calib.diagnose.report.residual_plots import diagnostic_plot, model_residuals, residuals_without_effects
 from calib.diagnose.report.diagnosis_json import AlternativeEntry, NotAskedEntry
+from calib.diagnose.report.diagnosis_page import diagnosis_page
+from calib.diagnose.report.platform_page_figures import PlatformView
+from calib.diagnose.report.platform_report import platform_report
+from calib.diagnose.report.residual_plots import diagnostic_plot, model_residuals, residuals_without_effects
 from calib.diagnose.report.rig_outline import MARKS, rig_outline_figure
-from rig.planning import plan
-from rig.recording import recording_folder
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_text import parse_effect
+from rig.planning import plan
+from rig.recording import recording_folder
 from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine
 

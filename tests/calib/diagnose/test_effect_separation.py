@@ -6,7 +6,7 @@ import pytest
 from calib.diagnose.problems.platform.effect_separation import effect_separation
 from rig.cli import command_line
 from rig.effects.texts.effect_text import parse_effect
-from rig.planning.plan import build_plan, add_payload_channel
+from rig.planning.plan import add_payload_channel, build_plan
 from synthetic.secret_machine import draw_temperatures
 
 SIGMA = (1e-5, 1e-4)

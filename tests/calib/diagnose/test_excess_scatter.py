@@ -10,11 +10,11 @@ from calib.diagnose.engine.excess_scatter import MATERIAL, test_excess_scatter
 from calib.diagnose.problems.arm import arm_diagnosis as arms
 from calib.diagnose.problems.platform import platform_diagnosis as platforms
 from calib.diagnose.report import arm_report, platform_report
+from calib.diagnose.report.diagnosis_json import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnose.report.diagnosis_page import diagnosis_verdict
 from calib.diagnose.report.diagnosis_report import summary
-from calib.diagnose.report.diagnosis_json import ASSUMED_NOISE, RESIDUALS, STATED
-from rig.recording import recording_folder
 from rig.model.design import Arm
+from rig.recording import recording_folder
 from rig.recording.corner_and_pose_tables import Poses
 from rig.report.verdict import State
 from tests.calib import arm_worlds

@@ -6,36 +6,36 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.formula_search import Search
 from calib.diagnose.engine.formula_library import Library, Quantity
+from calib.diagnose.engine.formula_search import Search
 from calib.diagnose.engine.frame_inner_products import FrameProducts
 from calib.diagnose.engine.reduced_least_squares import Reduced
 from calib.diagnose.engine.term_selection import select_terms
+from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.pose_fit import fit_poses
 from calib.diagnose.problems.arm.joint_formulas import formula_suggestions as arm_suggestions
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit as arm_left
-from calib.diagnose.problems.arm.arm_problem import ArmProblem
-from calib.diagnose.problems.requested_effects import RequestedEffects
+from calib.diagnose.problems.arm.pose_fit import fit_poses
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
-from calib.diagnose.problems.platform.strut_formulas import formula_suggestions
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
-from calib.diagnose.report.diagnosis_verdict import recommended_actions, write
+from calib.diagnose.problems.platform.strut_formulas import formula_suggestions
+from calib.diagnose.problems.requested_effects import RequestedEffects
+from calib.diagnose.report.diagnosis_json import FitEntry, suggestion_entries
 from calib.diagnose.report.diagnosis_page import _suggestions
 from calib.diagnose.report.diagnosis_report import Report
-from calib.diagnose.report.diagnosis_json import FitEntry, suggestion_entries
-from rig.formats.rig_toml import design_file
-from rig.formats import json_file
+from calib.diagnose.report.diagnosis_verdict import recommended_actions, write
 from rig.cli.command_line import main
-from rig.effects.texts.user_effect_files import load_effect_file
 from rig.effects.framework.formula_quantities import quantities
 from rig.effects.texts.formula_effect_file import Term, Written
+from rig.effects.texts.user_effect_files import load_effect_file
 from rig.errors import FileError
+from rig.formats import json_file
+from rig.formats.rig_toml import design_file
 from tests.calib import laws
+from tests.calib.diagnose.test_arm_diagnosis import recorded as arm_recorded
 from tests.calib.physical import measured_by
 from tests.calib.recorded import recorded
-from tests.calib.diagnose.test_arm_diagnosis import recorded as arm_recorded
 from tests.rig.effects.test_effects_of_all_machines import context_of, setting_of
 
 FRAMES, NOISE = 240, 5e-6

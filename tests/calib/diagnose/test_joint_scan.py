@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm.excess_scatter import beyond, bounded
 from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.term_selection import select_terms
-from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.whitened_columns import Columns, Part
-from calib.diagnose.problems.arm.pose_fit import Term, fit_poses
+from calib.diagnose.problems.arm.arm_problem import ArmProblem
+from calib.diagnose.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes
 from calib.diagnose.problems.arm.excess_scatter import scatter_beyond_noise
+from calib.diagnose.problems.arm.joint_candidates import joint_candidates
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.linearised_poses import linearise_poses
-from calib.diagnose.problems.arm.arm_problem import ArmProblem
+from calib.diagnose.problems.arm.pose_fit import Term, fit_poses
 from calib.diagnose.problems.arm.repeated_commands import pose_repeatability
-from calib.diagnose.problems.arm.candidate_search import joint_products, search_candidates, solved_grid, solved_nodes
+from calib.diagnose.problems.arm.whitened_columns import Columns, Part
 from calib.diagnose.problems.requested_effects import RequestedEffects
+from calib.models.arm.excess_scatter import beyond, bounded
 from tests.calib import arm_worlds
 from tests.rig.arms import UR10
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.term_selection import select_terms
-from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.nonlinear_parameters import joint_parameter_covariance
-from calib.diagnose.problems.arm.linearised_poses import linearise_poses
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
+from calib.diagnose.problems.arm.joint_candidates import joint_candidates
+from calib.diagnose.problems.arm.linearised_poses import linearise_poses
+from calib.diagnose.problems.arm.nonlinear_parameters import joint_parameter_covariance
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.effects.framework.play_operator import play_operator
 from tests.calib import arm_worlds

@@ -9,25 +9,25 @@ import pytest
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import certify
 from calib.diagnose.engine.chance_probability import scan_p_value
-from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.problems.platform import exchanged_markers
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
-from calib.diagnose.problems.platform.parameter_directions import parameter_directions
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.platform.linearised_residuals import CORNERS, linearise
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnose.problems.platform.parameter_directions import parameter_directions
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
-from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.platform_page_figures import PlatformView
+from calib.diagnose.report.platform_report import platform_report
 from calib.samples.recording_samples import sample_recording
-from rig.planning import plan
-from rig.recording import recording_folder
 from rig.effects.texts.effect_text import parse_effect
+from rig.planning import plan
 from rig.planning.layout.hexapod_layout import hexapod_layout
-from synthetic import unlisted_physics, recording_simulation, secret_machine
+from rig.recording import recording_folder
+from synthetic import recording_simulation, secret_machine, unlisted_physics
 from tests.calib.recorded import recorded
 from tests.numeric import jacobian
 from tests.vision import tumbling

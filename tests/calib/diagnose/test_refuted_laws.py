@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.lack_of_fit import LackOfFit, delta_chi2_by_column_count
 from calib.diagnose.engine.frame_inner_products import Normal, solve_normal_equations
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.engine.lack_of_fit import LackOfFit, delta_chi2_by_column_count
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
+from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.planning import plan
 from rig.recording import recording_folder
-from rig.effects.texts.effect_text import parse_effect
-from synthetic import unlisted_physics, recording_simulation, secret_machine
+from synthetic import recording_simulation, secret_machine, unlisted_physics
 from tests.calib.physical import measured_by
 from tests.calib.recorded import recorded
 

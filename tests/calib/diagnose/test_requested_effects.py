@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.report.platform_report import platform_report
-from rig.effects.framework.effect import Parameter
 from rig.effects.catalogue.screw_coupling import ScrewCoupling
+from rig.effects.framework.effect import Parameter
 from rig.errors import RigError
 from tests.calib.recorded import recorded
 

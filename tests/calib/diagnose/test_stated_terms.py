@@ -8,8 +8,8 @@ import pytest
 
 from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.stated_terms import Given
-from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
 from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.report_sentences import evidence_sentence
 from rig.cli import command_line

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.interval_widening import of_logs
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
 from rig.effects.texts.effect_text import parse_effect
 from rig.recording.recording_folder import Sensors

@@ -5,22 +5,22 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.stated_terms import UNSAID
 from calib.diagnose.engine.frame_inner_products import normal_of_common_weights
+from calib.diagnose.engine.stated_terms import UNSAID
 from calib.diagnose.problems.platform import tolerance_columns
-from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, linearise
-from calib.diagnose.problems.requested_effects import RequestedEffects
-from calib.diagnose.problems.platform.effect_candidates import platform_candidates
-from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.platform_problem import PlatformProblem
 from calib.diagnose.problems.platform.candidate_search import column_of, corner_products, lasting, search
+from calib.diagnose.problems.platform.effect_candidates import platform_candidates
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, linearise
+from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
+from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
+from calib.diagnose.problems.platform.platform_problem import PlatformProblem
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.report.diagnosis_page import diagnosis_page
-from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.platform_page_figures import PlatformView
-from rig.model.manufacturing_tolerances import PLACES, SIDES
+from calib.diagnose.report.platform_report import platform_report
 from rig import effects
+from rig.model.manufacturing_tolerances import PLACES, SIDES
 from synthetic import printing_errors
 from tests.calib.recorded import recorded
 
@@ -132,7 +132,9 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
     assert tolerance_columns.tolerances_explain_residuals(found.projected(fit.refined.model), found.sigma)
     best = problem.search(problem.residual(fit), candidates)[0]
     assert problem.is_explained_by_tolerances(fit, best) is first and problem.tolerance_model is first
-    assert not problem.is_explained_by_tolerances(fit, None) if first else problem.is_explained_by_tolerances(fit, None)  # once; alone, whatever they explain is theirs
+    assert (
+        not problem.is_explained_by_tolerances(fit, None) if first else problem.is_explained_by_tolerances(fit, None)
+    )  # once; alone, whatever they explain is theirs
 
 
 def test_what_has_no_name_beside_tolerances_is_left_and_offered_a_formula(tmp_path, design):

@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm.certification import certify as arm_certify
-from calib.models.arm.certification import workspace_claim_of as arm_promised
 from calib.certify.platform_certification import certify, workspace_claim_of
 from calib.diagnose.problems.arm import arm_diagnosis as arm_problem
 from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as arm_diagnose
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
 from calib.diagnose.report.arm_report import arm_report as arm_report
 from calib.diagnose.report.diagnosis_page import diagnosis_page, diagnosis_verdict
-from calib.diagnose.report.platform_report import platform_report
 from calib.diagnose.report.platform_page_figures import PlatformView
+from calib.diagnose.report.platform_report import platform_report
+from calib.identify.robust_fit import MOST, many_deviations, outlier_rows, robust_fit, tail
+from calib.models.arm.certification import certify as arm_certify
+from calib.models.arm.certification import workspace_claim_of as arm_promised
 from calib.models.platform.identification import Loops, identify, parameters
-from calib.identify.robust_fit import MOST, robust_fit, many_deviations, tail, outlier_rows
 from calib.samples.recording_samples import sample_recording
 from rig.recording import frame_mask, recording_folder
 from rig.report.verdict import State

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from calib.drift.instrument_displacement import remove_instrument_displacement
-from rig.planning.layout import hexapod_layout
-from rig.planning import plan
-from rig.recording import recording_folder
-from rig.model.design import Instrument
 from rig.effects.texts.effect_text import parse_effect
+from rig.model.design import Instrument
 from rig.model.pose import exp
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
 from rig.recording.combined_recordings import join_recordings, stated_camera_owners
 from synthetic import recording_simulation, secret_machine
 

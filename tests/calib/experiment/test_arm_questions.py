@@ -5,20 +5,20 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnose.problems.arm.joint_candidates import joint_candidate
 from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm
+from calib.diagnose.problems.arm.joint_candidates import joint_candidate
 from calib.diagnose.problems.arm.linearised_poses import linearise_planned_poses
-from calib.experiment.experiment_choice import evaluate_experiment
 from calib.experiment.arm_questions import arm_questions
+from calib.experiment.experiment_choice import evaluate_experiment
+from rig.cli.command_line import main
+from rig.effects.catalogue.time_offset import TimeOffset
+from rig.effects.texts.effect_text import parse_effect
 from rig.formats.rig_toml import design_file
 from rig.model import motion_simulation
-from rig.planning import plan
-from rig.recording import recording_folder
-from rig.planning.layout import shipped_arms
-from rig.cli.command_line import main
-from rig.effects.texts.effect_text import parse_effect
-from rig.effects.catalogue.time_offset import TimeOffset
 from rig.model.pose import pose_difference
+from rig.planning import plan
+from rig.planning.layout import shipped_arms
+from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 
 FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:gap=2e-4"

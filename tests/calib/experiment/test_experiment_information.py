@@ -6,8 +6,8 @@ from scipy.stats import norm
 
 from calib.diagnose.engine.selection_policy import PLATFORM
 from calib.experiment.experiment_choice import Experiment, available_plans, rank_experiments
-from calib.experiment.experiment_question import Prediction
 from calib.experiment.experiment_information import experiment_information
+from calib.experiment.experiment_question import Prediction
 
 HALF, NOTHING = np.array([0.5, 0.5]), np.zeros(2)
 

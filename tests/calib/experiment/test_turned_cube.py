@@ -9,12 +9,12 @@ import pytest
 
 from calib.diagnose.problems.platform.linearised_corners import SEAT_LABELS, corner_rows
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from rig.planning.layout import hexapod_layout
-from rig.recording import recording_folder
 from rig.cli.command_line import main
 from rig.model.cube_quarter_turns import quarter_turns
-from vision.recording_measurement import measure_recording
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
 from vision.combined_recordings import combine_recordings
+from vision.recording_measurement import measure_recording
 
 FACE = "face_misplacement:marker 0:offset=4e-4/2e-4/0"
 CUBE = "cube_misplacement:target P1:motion=4e-4/3e-4/0/1e-3/0/1e-3"

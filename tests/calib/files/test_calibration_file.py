@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import certify, workspace_claim_of
+from calib.files import calibration_file
 from rig.errors import FileError
 from rig.formats.json_positions import Places, repeated_key
 from rig.model.mechanisms import hexapod

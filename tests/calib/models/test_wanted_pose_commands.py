@@ -7,28 +7,29 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import calib
-from calib.files import calibration_file
-from calib.models.chain import error_model as chains
-from calib.models.platform.identification import parameters
-from calib.models.arm.correction import ArmCorrection
 from calib.certify.calibration import Calibration
 from calib.correct.correction import Correction
 from calib.correct.physics import Physics
+from calib.files import calibration_file
+from calib.models.arm.correction import ArmCorrection
+from calib.models.chain import error_model as chains
 from calib.models.corrected_pose_covariance import pose_covariance
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout, two_strut_layout, shipped_arms
-from rig.model import mechanisms
-from rig.recording import recording_folder
-from rig.formats import csv_table
-from rig.planning.configuration_sets import low_discrepancy
+from calib.models.platform.identification import parameters
 from rig.effects.framework.fit_coordinates import coordinates_of
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError, Unreachable
+from rig.formats import csv_table
+from rig.formats.rig_toml import design_file
+from rig.model import mechanisms
+from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.layout import hexapod_layout, shipped_arms, two_strut_layout
+from rig.recording import recording_folder
 from rig.recording.corner_and_pose_tables import Poses
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import write_poses
 from tests import chained
 from tests.cli import command
+
 
 def designed(folder, kind):
     """Design of a machine of a kind."""

@@ -8,7 +8,7 @@ from calib.online import learner_file
 from calib.online.learners import Drifting, FirstOrder, Forgetting
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
 from tests.calib.streams import COVARIANCE, learnt, stream
 from tests.calib.worlds import OWN, rms, sampled, workspace
 

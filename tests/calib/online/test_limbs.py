@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.certify import measuring_limbs, measuring_limb_steps
+from calib.certify import measuring_limb_steps, measuring_limbs
 from calib.certify.fitted_limbs import Limbs
 from calib.models.platform.identification import pose_jacobian
-from calib.online import recorded_limb_poses, measuring_limbs_file
+from calib.online import measuring_limbs_file, recorded_limb_poses
 from calib.online.information_filter import Online
 from calib.online.limb_vision_agreement import IN_A_ROW, LimbCheck
 from calib.online.live_limb_poses import LimbLive
 from calib.samples.recording_samples import sample_recording
-from rig.recording import recording_folder
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
 from rig.planning.plan import low_discrepancy
+from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 
 

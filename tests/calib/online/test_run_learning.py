@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from calib.correct.correction import Correction
 from calib.certify.calibration import Calibration
+from calib.correct.correction import Correction
 from calib.online.run_learning import Learner, LimbWatch
 from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
 from rig.model import mechanisms
-from rig.planning.plan import low_discrepancy
 from rig.model.pose import exp, transform_points
+from rig.planning.layout import hexapod_layout
+from rig.planning.plan import low_discrepancy
 from synthetic import secret_machine
 
 SIGMA = np.r_[np.full(3, 2e-6), np.full(3, 1e-5)]

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm.correction import ArmCorrection
 from calib.correct.correction import Correction, require_reachable
-from calib.workspace.reachable_poses import is_pose_lost, uncorrected_machine, reachable_side
-from rig.planning.configuration_sets import low_discrepancy
-from rig.model.design import Planar2
+from calib.models.arm.correction import ArmCorrection
+from calib.workspace.reachable_poses import is_pose_lost, reachable_side, uncorrected_machine
 from rig.errors import Unreachable
+from rig.model.design import Planar2
 from rig.model.mechanisms import arm as arms
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import low_discrepancy
 from synthetic import secret_machine
 from tests.calib.arm_worlds import secret
 from tests.rig.arms import UR10

@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
-from calib.models.arm.correction import ArmCorrection
 from calib.certify.calibration import Calibration
 from calib.certify.platform_certification import model_covariance
 from calib.correct.correction import Correction, calibrate
+from calib.files import calibration_file
+from calib.models.arm.correction import ArmCorrection
 from calib.models.corrected_pose_covariance import add_workspace
 from calib.workspace import workspace_figures, workspace_sentences
 from calib.workspace.workspace_cells import map_workspace
 from calib.workspace.workspace_file import COLUMNS, workspace_rows
-from rig.model.design import Planar2
 from rig.errors import FileError
+from rig.model.design import Planar2
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose
 from tests.calib.arm_worlds import secret

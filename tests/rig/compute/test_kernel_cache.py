@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.compute import kernel_cache, numba_kernels
 from rig.cli.shared.progress_bars import Progress, compilation_notice
+from rig.compute import kernel_cache, numba_kernels
 from tests.conftest import ROOT
 
 

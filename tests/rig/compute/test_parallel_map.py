@@ -5,13 +5,13 @@ import os
 import numpy as np
 import pytest
 
-from rig.compute import parallel_map
-from calib.diagnose.problems.requested_effects import RequestedEffects
+from calib.diagnose.problems.platform.candidate_search import search
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
+from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import linearise
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
-from calib.diagnose.problems.platform.candidate_search import search
-from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnose.problems.requested_effects import RequestedEffects
+from rig.compute import parallel_map
 from rig.compute.worker_processes import MOST, work_parts
 from tests.calib.recorded import recorded
 

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
+from rig.compute.worker_processes import process_pool, run_child_process, worker_count
 from rig.errors import FileError, NotConverged, RigError
-from rig.compute.worker_processes import worker_count, run_child_process, process_pool
 from tests.conftest import ROOT
 
 POOL = """

@@ -12,10 +12,10 @@ import pytest
 
 from rig.driving import serial_port as ports
 from rig.driving.clock import SystemClock
-from rig.model.controller_settings import port_problem
-from rig.errors import LinkLost, RigError
-from rig.driving.controller_lock import Occupied, stop_lock_holder, lock_names
+from rig.driving.controller_lock import Occupied, lock_names, stop_lock_holder
 from rig.driving.serial_port import SerialPort
+from rig.errors import LinkLost, RigError
+from rig.model.controller_settings import port_problem
 from tests.conftest import ROOT
 
 HOLD = ("import sys, signal\nfrom rig.driving.controller_lock import Occupied\nfrom rig.errors import RigError\n"

@@ -150,8 +150,9 @@ def test_a_line_that_stays_cut_is_an_error_in_bounded_time(ready):
 def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monkeypatch):
     from types import SimpleNamespace
 
-    from rig.driving.serial_port import find_port
     from serial.tools import list_ports
+
+    from rig.driving.serial_port import find_port
 
     driver, emulator, clock = bench(driven_design, "struts", (), 1)
     opened, here = [], lambda name: [SimpleNamespace(device=name, serial_number="A9", hwid="USB VID:PID=2341:0042 SER=A9 LOCATION=1-2"),

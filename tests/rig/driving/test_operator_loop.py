@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Resumed, read_journal
+from rig.driving.run_steps import check_steps, steps_of_plan
+from rig.errors import ControllerFault, RigError, Stopped, Unreachable
 from rig.formats.rig_toml import design_file
 from rig.planning.layout import hexapod_layout
-from rig.recording import recording_folder
-from rig.errors import ControllerFault, RigError, Stopped, Unreachable
-from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Resumed, read_journal
 from rig.planning.plan import build_plan
-from rig.driving.run_steps import check_steps, steps_of_plan
+from rig.recording import recording_folder
 from tests.rig.room import RAMP, SPEED, Killed, Onlooker, Room
 
 

@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from rig.errors import FileError, RigError
 from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Journal, Readings, Remark, Resumed, journal_line, read_journal
+from rig.errors import FileError, RigError
 
 ROWS = [Began(0.0, 1.7e9, 2, "ab", (0.4,) * 6), Departure(1.0, 0, (0.4,) * 6, (0.41,) * 6),
         Arrival(2.5, 0, (0.41,) * 6, True, ((1.2, 0.1), (2.2, 0.9))), Exposed(3.0, 0, 0, (1e-3, 2e-3), ("cam0", "cam1"), ("a.png", "b.png")),

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.effects.catalogue.servo_lag import first_order_lag
+from rig.effects.framework.cardan_twist import cardan_twist
+from rig.effects.framework.play_operator import play_operator
+from rig.effects.texts.effect_text import parse_effect
+from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Platform
-from rig.effects.framework.cardan_twist import cardan_twist
-from rig.effects.texts.effect_text import parse_effect
-from rig.effects.framework.play_operator import play_operator
-from rig.effects.catalogue.servo_lag import first_order_lag
-from rig.errors import RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference, exp, pose
+from rig.model.pose import exp, pose, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 from vision.predict import State, facing, predict_sightings
 from vision.targets import marker_map

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.planning import plan
-from rig.model.design import Planar2
-from rig.effects.texts.effect_text import require_known_effect, effect_from_dict, parse_effect, require_place
+from rig.effects.texts.effect_text import effect_from_dict, parse_effect, require_known_effect, require_place
 from rig.errors import RigError
+from rig.model.design import Planar2
+from rig.planning import plan
 
 
 @pytest.mark.parametrize(("text", "says"), [

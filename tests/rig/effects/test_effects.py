@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model import motion_simulation
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.texts.effect_text import effect_from_dict, parse_effect, effect_to_dict
+from rig.effects.texts.effect_text import effect_from_dict, effect_to_dict, parse_effect
 from rig.errors import RigError
+from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
 from vision.predict import State, facing, predict_sightings

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model import motion_simulation, mechanisms
-from rig.model.design import Actuator, Arm, Design, Planar2, Platform
 from rig.effects.catalogue.effect_list import ALL
+from rig.effects.catalogue.vibration import one_direction
 from rig.effects.framework.effect import MOTION_STAGES, Context
 from rig.effects.framework.effect_validity import check_effect
-from rig.effects.framework.random_effects import Drawing
 from rig.effects.framework.machine_motion import Path
+from rig.effects.framework.random_effects import Drawing
 from rig.effects.texts.effect_text import parse_effect
-from rig.effects.catalogue.vibration import one_direction
 from rig.errors import RigError
+from rig.model import mechanisms, motion_simulation
+from rig.model.design import Actuator, Arm, Design, Planar2, Platform
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 from tests.rig.arms import UR10

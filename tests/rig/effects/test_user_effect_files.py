@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model import motion_simulation
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_text import effect_from_dict, parse_effect, effect_to_dict
+from rig.effects.texts.effect_text import effect_from_dict, effect_to_dict, parse_effect
 from rig.effects.texts.user_effect_files import catalogue_with_files, load_effect_file
 from rig.errors import FileError
+from rig.model import motion_simulation
 from tests.rig.effects.test_effects_of_all_machines import context_of, setting_of
 
 SOUND = '''"""A coupling."""

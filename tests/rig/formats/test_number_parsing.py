@@ -4,15 +4,15 @@ from argparse import ArgumentTypeError
 
 import pytest
 
-from rig.formats import csv_table
-from rig.cli.command_line import main
 from rig.cli import certify
+from rig.cli.command_line import main
 from rig.cli.go import parse_pose
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import FileError, RigError
+from rig.formats import csv_table
 from rig.formats.importers.csv_dialect import NUMBER
-from rig.recording.frame_mask import parse_frame_ranges
 from rig.formats.number_parsing import NotFinite, parse_number, parse_whole_number
+from rig.recording.frame_mask import parse_frame_ranges
 from vision.lenses import calibration_board
 
 NONE = ("1_0", "1_000.5", "\uff11", "\u0661", "1\u00b2", " 1", "1 ", "1\n", "\u00a01", "0x10", "1e5_0", "", "+", ".", "e5", "1e", "--1", "1.2.3",

@@ -6,11 +6,12 @@ import fsspec
 import numpy as np
 import pytest
 
-from rig.recording import exposures, recording_folder as recording
-from rig.formats import remote_folders
 from rig.cli.command_line import main
 from rig.errors import FileError, MissingLibrary
+from rig.formats import remote_folders
 from rig.formats.input_files import read_text
+from rig.recording import exposures
+from rig.recording import recording_folder as recording
 from tests.conftest import BENCH
 
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import design_file
-from rig.recording import combined_recordings
-from rig.model.cube_quarter_turns import rig_toml_with_turns, quarter_turns, design_with_turned_cubes
 from rig.errors import FileError, RigError
+from rig.formats.rig_toml import design_file
+from rig.model.cube_quarter_turns import design_with_turned_cubes, quarter_turns, rig_toml_with_turns
 from rig.planning.plan import build_plan
 from rig.planning.plan_table import write_plan
+from rig.recording import combined_recordings
 from vision.targets import marker_map
 
 

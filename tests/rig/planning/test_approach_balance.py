@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from calib.samples.measuring_conditions import approach_direction
 from calib.samples.confounded_conditions import Confounds, confounds_of_configurations, confounds_of_design
+from calib.samples.measuring_conditions import approach_direction
 from rig.model import mechanisms
+from rig.model.design import Design
 from rig.planning import plan
 from rig.planning.approach_balance import REACHES, balanced_order
-from rig.model.design import Design
 from rig.recording.recording_folder import PAYLOAD
 
 SCATTERED = ("sobol:14", "sobol:40", "grid:2", "simplices:2", "division:1", "axes:9", "combined:3", "payload:14", "repeat:30", "warmup:30")

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rig.planning import plan
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
+from rig.planning import plan
 
 EXPECTED = {"sobol": 100, "grid": 64, "division": 729, "simplices": 89, "axes": 54, "combined": 108, "iso9283": 150, "ladder": 96,
             "payload": 36, "moving": 60, "zigzag": 60, "warmup": 48, "repeat": 30, "dwell": 20}

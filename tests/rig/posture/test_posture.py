@@ -9,12 +9,12 @@ import pytest
 from scipy.stats import chi2
 
 from rig.cli import command_line
-from rig.formats.rig_toml import design_file
 from rig.errors import RigError
+from rig.formats.rig_toml import design_file
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics
 from rig.model.pose import pose_difference, pose_to_vector
-from rig.posture import force_transmission, posture_transition, null_space_search, wrench_estimate
+from rig.posture import force_transmission, null_space_search, posture_transition, wrench_estimate
 from rig.posture.force_transmission import Wish
 from tests.numeric import jacobian
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm

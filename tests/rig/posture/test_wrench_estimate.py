@@ -9,14 +9,15 @@ from scipy.optimize import linprog
 from scipy.stats import chi2
 
 from rig.cli import command_line
-from rig.formats.rig_toml import arm_dynamics
-from rig.formats import csv_table
 from rig.cli.wrench import SETTLED
 from rig.errors import FileError, RigError
+from rig.formats import csv_table
+from rig.formats.rig_toml import arm_dynamics
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import arm_dynamics as dynamics, arm_momentum
+from rig.model.mechanisms import arm_dynamics as dynamics
+from rig.model.mechanisms import arm_momentum
 from rig.model.pose import pose_difference
-from rig.posture import exertable_wrench, posture_transition, momentum_observer, null_space_search
+from rig.posture import exertable_wrench, momentum_observer, null_space_search, posture_transition
 from rig.posture.exertable_wrench import Exertion, Strength
 from rig.posture.force_transmission import DIRECTIONS, Wish
 from tests.numeric import jacobian

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.model import motion_simulation
-from rig.recording import recording_folder as recording
 from rig.cli.command_line import main
 from rig.effects.framework.random_effects import Drawing
 from rig.effects.texts.effect_text import parse_effect
-from rig.recording.exposures import Exposures
+from rig.model import motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector
-from rig.recording.recording_folder import Commands, Recording
+from rig.recording import recording_folder as recording
 from rig.recording.combined_recordings import join_recordings, stated_camera_owners
+from rig.recording.exposures import Exposures
+from rig.recording.recording_folder import Commands, Recording
 from tests.rig.effects.test_effects_of_all_machines import MOVING, context_of, setting_of
 
 OWN_CLOCK = ("moment", "phase")  # roles of parameters that are told by one recording's clock

@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.recording import image_file_check, recording_folder as recording
-from rig.model.design import Camera
 from rig.errors import FileError
-from rig.recording.exposures import read_image
+from rig.model.design import Camera
 from rig.model.pose import pose
+from rig.recording import image_file_check
+from rig.recording import recording_folder as recording
+from rig.recording.exposures import read_image
 
 CAMERA = Camera("cam0", 64, 48, np.diag([50.0, 50.0, 1.0]), np.zeros(5), pose([0, 0, 0], [0, 0, 0]))
 PICTURE = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)

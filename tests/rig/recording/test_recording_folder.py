@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.recording import corner_and_pose_tables, recording_folder as recording, recording_tables
-from rig.formats import csv_table
 from rig.errors import FileError, RigError
+from rig.formats import csv_table
+from rig.model.pose import pose, pose_difference
+from rig.recording import corner_and_pose_tables, recording_tables
+from rig.recording import recording_folder as recording
 from rig.recording.frame_mask import remove_frames
-from rig.model.pose import pose_difference, pose
 from tests.conftest import BENCH, SHARED
 
 

@@ -5,9 +5,10 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from rig.recording import recording_folder as recording, recording_tables
-from rig.recording.time_origin import Origin
 from rig.errors import FileError
+from rig.recording import recording_folder as recording
+from rig.recording import recording_tables
+from rig.recording.time_origin import Origin
 from tests.origins import ORIGINS, counted_from
 
 

@@ -8,12 +8,12 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
-from rig.model.pose import pose_difference, exp, log
+from rig.model.pose import exp, log, pose_difference
 from tests.vision.scenes import known, scene
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.observability import determined_combinations
+from vision.bundle.estimate_update import align_points, offset_from_stated, update_estimate
 from vision.bundle.normal_equations import linearise
-from vision.bundle.estimate_update import align_points, update_estimate, offset_from_stated
+from vision.bundle.observability import determined_combinations
 from vision.bundle.unknown_priors import TERM_PRIOR, adjustment_unknowns
 from vision.corner_observations import corner_correlation, whitener
 from vision.predict import State, predict

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from rig.formats.rig_toml import design_file
-from rig.model.pose import pose_difference, log
+from rig.model.pose import log, pose_difference
 from tests.vision.tumbling import scene
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.held_out_frames import crossvalidate
-from vision.bundle.observability import determined_combinations
-from vision.bundle.marker_displacements import adjusted_markers, marker_places
 from vision.bundle.estimate_update import align_points
+from vision.bundle.held_out_frames import crossvalidate
+from vision.bundle.marker_displacements import adjusted_markers, marker_places
+from vision.bundle.observability import determined_combinations
 from vision.recording_adjustment import measure
 from vision.recording_measurement import unsolved_frames
 from vision.targets import marker_map

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model.pose import pose_difference, exp
 from rig.model.manufacturing_tolerances import PLACES, SIDES
+from rig.model.pose import exp, pose_difference
 from tests.numeric import jacobian
 from tests.vision.scenes import nees, scene, standing
 from tests.vision.test_recording_adjustment import joint_chi2
-from vision.bundle.estimate_update import update_estimate, offset_from_stated
+from vision.bundle.estimate_update import offset_from_stated, update_estimate
 from vision.bundle.normal_equations import linearise
 from vision.bundle.printing_errors import Printing
 from vision.bundle.unknown_priors import adjustment_unknowns
-from vision.recording_adjustment import measure
 from vision.corner_observations import whitener
 from vision.predict import State, predict
+from vision.recording_adjustment import measure
 from vision.targets import marker_map
 
 FREE = ("poses", "lenses")

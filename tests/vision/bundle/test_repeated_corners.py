@@ -7,9 +7,9 @@ import pytest
 
 from tests.vision.scenes import known, scene
 from vision.bundle import bundle_adjustment as adjusting
-from vision.bundle.repeated_corners import merge_repeated_corners
 from vision.bundle.estimate_update import offset_from_stated
 from vision.bundle.normal_equations import linearise, normal_equations
+from vision.bundle.repeated_corners import merge_repeated_corners
 from vision.bundle.unknown_priors import adjustment_unknowns
 from vision.corner_observations import corner_correlation, whitener
 from vision.predict import State

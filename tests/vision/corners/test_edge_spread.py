@@ -6,10 +6,10 @@ from scipy.special import ndtr
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import SIZE, camera, picture, quad
-from vision.corners.marker_detection import fit_read_markers
 from vision.corners.cell_whiteness import GRID
-from vision.corners.marker_reader import Read
 from vision.corners.edge_spread import PLAIN, WIDTHS, empty_profile, learn_edge_spread
+from vision.corners.marker_detection import fit_read_markers
+from vision.corners.marker_reader import Read
 
 
 def test_plain_edges_are_odd_and_their_slope_is_theirs():

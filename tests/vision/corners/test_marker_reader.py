@@ -6,10 +6,10 @@ import pytest
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import quad
-from vision.corners.marker_bits import marker_codes, identify_markers
-from vision.corners.quadrangle_candidates import Candidates, marker_candidates
 from vision.corners.dark_pixels import BY, WINDOWS, mark_dark_pixels
+from vision.corners.marker_bits import identify_markers, marker_codes
 from vision.corners.marker_reader import dark_quadrangles, read_markers
+from vision.corners.quadrangle_candidates import Candidates, marker_candidates
 from vision.targets import marker_cells
 
 FINE = 12  # texture pixels to a cell

@@ -9,13 +9,13 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import multivariate_normal
 
-from rig.model.design import Camera
 from rig.errors import RigError
+from rig.model.design import Camera
 from rig.model.pose import pose, transform_points
 from tests.numeric import jacobian
 from vision import lens
 from vision.lenses import chessboard_corner
-from vision.lenses.calibration_board import parse, find_board_corners
+from vision.lenses.calibration_board import find_board_corners, parse
 
 TEXT = "charuco:5x7:0.036:0.018:DICT_6X6_250"
 PINHOLE = Camera("cam", 420, 460, [[500, 0, 210], [0, 500, 230], [0, 0, 1]], np.zeros(5), RigidTransform.identity())

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera
 from rig.errors import NotEnoughData
+from rig.model.design import Camera
 from rig.model.pose import pose, transform_points
 from vision import lens
 from vision.lenses.calibration_board import BoardView, parse

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from vision.pose.ambiguous_poses import rotation_angle, pose_outliers, choose_by_neighbours, expected_pose, neighbour_distance
+from vision.pose.ambiguous_poses import choose_by_neighbours, expected_pose, neighbour_distance, pose_outliers, rotation_angle
 
 
 def track(count=60, rate=0.6, jitter=0.002, seed=0):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.model.design import Marker, Target
-from rig.model.pose import pose_difference, pose
+from rig.model.pose import pose, pose_difference
 from tests.vision import tumbling
 from tests.vision.scenes import known, nees, scene
 from vision.pose.body_pose import View, locate, undistorted

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vision.reading.live_measurement import Sight
 from vision.reading.camera_and_marker_alarms import Watch
+from vision.reading.live_measurement import Sight
 
 NOISE = 0.02
 

@@ -8,14 +8,14 @@ import pytest
 
 from rig.model import mechanisms
 from rig.model.design import Marker, Target
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Exposures, Recording
 from tests.vision.reading.test_marker_identity import printed
 from vision.corners import marker_detection
-from vision.reading import recording_corners as collecting
 from vision.reading import expected_markers
-from vision.reading.recording_corners import LEARN_FROM, collect_corners
+from vision.reading import recording_corners as collecting
 from vision.reading.marker_identity import suspects
+from vision.reading.recording_corners import LEARN_FROM, collect_corners
 from vision.recording_measurement import measure_recording
 from vision.targets import marker_map
 

@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.formats.rig_toml import design_file
-from rig.recording import recording_folder
 from rig.driving.cameras.emulated_camera import USUAL
 from rig.driving.clock import SimulatedClock
-from rig.planning.configuration_sets import low_discrepancy
+from rig.formats.rig_toml import design_file
 from rig.model.design import Sensor
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
+from rig.planning.configuration_sets import low_discrepancy
+from rig.recording import recording_folder
 from synthetic import secret_machine
 from synthetic.emulated_sensors import Eyes
 from synthetic.image_simulation import Images
 from tests.vision import in_hand
 from vision.reading import live_measurement as module
-from vision.reading.recording_corners import read_image
 from vision.reading.live_measurement import TAUGHT, Live
+from vision.reading.recording_corners import read_image
 
 ALL = "tests/data/bench/fit"
 

@@ -9,10 +9,10 @@ import pytest
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.model.pose import pose_difference
 from tests.vision.scenes import nees, scene
-from vision.recording_adjustment import measure
 from vision.predict import expected
+from vision.reading.marker_identity import Suspect, no_marker_reason, suspects
 from vision.reading.recording_corners import Collected, Unplaced
-from vision.reading.marker_identity import Suspect, suspects, no_marker_reason
+from vision.recording_adjustment import measure
 from vision.targets import marker_cells, marker_map
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.recording import recording_folder
 from rig.errors import FileError, NotEnoughData
 from rig.model.pose import pose_difference
+from rig.recording import recording_folder
 from tests.conftest import BENCH, make_recording
 from vision.reading.corner_refit import SETTLED, lens_difference
 from vision.reading.recording_corners import collect_corners

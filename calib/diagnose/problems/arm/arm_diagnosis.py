@@ -8,36 +8,36 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.diagnose.engine.candidates import NotAsked
+from calib.diagnose.engine.covariate_ranking import Covariate
 from calib.diagnose.engine.cross_validation import CrossValidation, time_stretch_folds
-from calib.diagnose.engine.stated_terms import UNSAID, Given
+from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.problem_interface import Progress
-from calib.diagnose.engine.covariate_ranking import Covariate
+from calib.diagnose.engine.stated_terms import UNSAID, Given
 from calib.diagnose.engine.term_selection import Finding, choose_terms, labelled_progress, select_terms
-from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
+from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.excess_scatter import scatter_beyond_noise
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.remainder_covariates import remainder_covariates
-from calib.diagnose.problems.arm.pose_fit import Fit, fit_poses
 from calib.diagnose.problems.arm.joint_formulas import formula_suggestions
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
-from calib.diagnose.problems.arm.arm_problem import ArmProblem
-from calib.diagnose.problems.arm.repeated_commands import Repeats, pose_repeatability
 from calib.diagnose.problems.arm.outlier_poses import GATE, GROSS, WildPoses, outlier_poses
-from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
+from calib.diagnose.problems.arm.pose_fit import Fit, fit_poses
+from calib.diagnose.problems.arm.remainder_covariates import remainder_covariates
+from calib.diagnose.problems.arm.repeated_commands import Repeats, pose_repeatability
 from calib.diagnose.problems.formula_suggestion import Suggestion
+from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
 from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
+from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.recording_samples import Sampled, sample_recording
-from rig.model.design import Arm, Chain
+from rig.compute.parallel_map import parallel_map
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.user_effect_files import Plugin
-from rig.recording.time_origin import Origin
-from rig.compute.parallel_map import parallel_map
+from rig.model.design import Arm, Chain
 from rig.recording.recording_folder import Part, Recording
+from rig.recording.time_origin import Origin
 from vision.pose_uncertainty_prediction import predict_pose_uncertainty
 
 PARTS = 3

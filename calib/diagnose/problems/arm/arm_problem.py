@@ -5,25 +5,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.engine.cross_validation import FOLDS, STRETCHES, CrossValidation, sizes_without_columns, signed_rank_gain, time_stretch_folds
-from calib.diagnose.engine.stated_terms import Given
+from calib.diagnose.engine.cross_validation import FOLDS, STRETCHES, CrossValidation, signed_rank_gain, sizes_without_columns, time_stretch_folds
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear_model import Column, LinearModel
-from calib.diagnose.engine.selection_policy import ARM, SelectionPolicy
 from calib.diagnose.engine.problem_interface import Wald
+from calib.diagnose.engine.selection_policy import ARM, SelectionPolicy
+from calib.diagnose.engine.stated_terms import Given
 from calib.diagnose.engine.term_selection import remove_redundant_terms
 from calib.diagnose.problems.arm import lack_of_fit as remainder
+from calib.diagnose.problems.arm.candidate_search import candidate_with_nodes, column_of, search_candidates
 from calib.diagnose.problems.arm.joint_candidates import JointCandidate, JointScore
-from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
-from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters
 from calib.diagnose.problems.arm.linearised_poses import Arms
-from calib.diagnose.problems.arm.candidate_search import column_of, candidate_with_nodes, search_candidates
+from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters
+from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
 from calib.diagnose.problems.arm.term_simplification import (
     FINE,
     QUICK,
-    optimise_terms,
-    merge_sinusoids_into_profiles,
     admissible_candidates,
+    merge_sinusoids_into_profiles,
+    optimise_terms,
     refine_profiles,
     simplify_profiles,
 )

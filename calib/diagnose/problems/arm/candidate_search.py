@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.diagnose.engine.candidates import Node
-from calib.diagnose.engine.linear_model import Column
-from calib.diagnose.engine.frame_inner_products import FrameProducts, Normal, Solved, normal_of_weighted_directions, solve_with_prior
 from calib.diagnose.engine.candidate_score import score_at_node
+from calib.diagnose.engine.candidates import Node
+from calib.diagnose.engine.frame_inner_products import FrameProducts, Normal, Solved, normal_of_weighted_directions, solve_with_prior
+from calib.diagnose.engine.linear_model import Column
 from calib.diagnose.engine.sinusoid_sums import sinusoid_sums
 from calib.diagnose.problems.arm.joint_candidates import Form, JointCandidate, JointScore
 from calib.diagnose.problems.arm.pose_fit import Fit

@@ -5,9 +5,9 @@ import numpy as np
 
 from calib.diagnose.engine.hypothesis_separation import Separation, hypothesis_separation
 from calib.models.geometric_parameters import geometric_freedoms
+from rig.effects.framework.effect import Effect
 from rig.model import motion_simulation
 from rig.model.design import Design
-from rig.effects.framework.effect import Effect
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 

@@ -4,10 +4,10 @@ import numpy as np
 
 from calib.models.arm import error_model
 from calib.models.arm.identification import parameters
-from rig.model import motion_simulation
-from rig.model.design import Arm, Design
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
+from rig.model import motion_simulation
+from rig.model.design import Arm, Design
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 

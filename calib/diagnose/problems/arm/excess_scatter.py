@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.diagnose.engine.covariate_ranking import Covariate
 from calib.diagnose.engine.excess_scatter import test_excess_scatter
 from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit
-from calib.diagnose.engine.covariate_ranking import Covariate
 from calib.diagnose.problems.arm.pose_fit import Fit
 from calib.diagnose.problems.arm.repeated_commands import Repeats
 

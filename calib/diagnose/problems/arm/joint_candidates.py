@@ -6,8 +6,8 @@ from enum import Enum
 
 import numpy as np
 
-from calib.diagnose.engine.candidates import Candidate, Node, NotAsked
 from calib.diagnose.engine.candidate_score import Score
+from calib.diagnose.engine.candidates import Candidate, Node, NotAsked
 from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.effects.framework.effect import Effect

@@ -6,15 +6,15 @@ import numpy as np
 
 from calib.diagnose.engine.chance_probability import Z95
 from calib.diagnose.engine.cross_validation import FOLDS, STRETCHES, signed_rank_gain, time_stretch_folds
+from calib.diagnose.engine.formula_library import Library
 from calib.diagnose.engine.formula_search import Formula, Search
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.engine.formula_library import Library
-from calib.diagnose.engine.selection_policy import ARM
 from calib.diagnose.engine.reduced_least_squares import Reduced
-from calib.diagnose.problems.arm.joint_candidates import joint_candidate
-from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
-from calib.diagnose.problems.arm.nonlinear_parameters import joint_parameter_covariance, has_continuous_parameters
+from calib.diagnose.engine.selection_policy import ARM
 from calib.diagnose.problems.arm.candidate_search import joint_products
+from calib.diagnose.problems.arm.joint_candidates import joint_candidate
+from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters, joint_parameter_covariance
+from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
 from calib.diagnose.problems.arm.term_simplification import optimise_terms
 from calib.diagnose.problems.formula_suggestion import AGREE, NAME, Suggestion, formula_library, formula_quantities, written
 from rig.effects.texts.formula_effect_file import Written

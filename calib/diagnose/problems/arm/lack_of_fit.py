@@ -3,9 +3,9 @@
 import numpy as np
 
 from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, significant_lack_of_fit, test_lack_of_fit
-from calib.diagnose.problems.arm.pose_fit import Fit
-from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.arm.candidate_search import joint_products
+from calib.diagnose.problems.arm.linearised_poses import Arms
+from calib.diagnose.problems.arm.pose_fit import Fit
 from rig.effects.catalogue.compliance import distinct
 
 KNOTS = 8  # of a smooth function of time

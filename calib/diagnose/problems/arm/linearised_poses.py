@@ -14,10 +14,10 @@ from calib.models.arm.instrument_observations import of_samples, rows
 from calib.models.chain import error_model as chains
 from calib.models.chain.identification import identify
 from calib.samples.pose_samples import Samples
-from rig.model import motion_simulation
-from rig.model.design import Arm, Chain, Design
 from rig.effects.framework.effect import Context, Effect
 from rig.errors import NotEnoughData, RigError
+from rig.model import motion_simulation
+from rig.model.design import Arm, Chain, Design
 from rig.model.mechanism_kinds import arm_of, chain_of
 from rig.model.mechanisms import chain as mechanism
 from rig.model.pose import pose_difference

@@ -11,9 +11,9 @@ from scipy.linalg import cho_solve
 
 from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.frame_inner_products import normal_of_weighted_directions, solve_with_prior
+from calib.diagnose.problems.arm.candidate_search import joint_products, solved_nodes
 from calib.diagnose.problems.arm.joint_candidates import Form, JointCandidate
 from calib.diagnose.problems.arm.pose_fit import Fit, Term
-from calib.diagnose.problems.arm.candidate_search import joint_products, solved_nodes
 from rig.effects.framework.parameter import Parameter
 
 SEARCHED = ("size", "log", "even")  # roles of parameters that have a value between those of a grid

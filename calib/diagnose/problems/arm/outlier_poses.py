@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.models.arm.excess_scatter import MIDDLE
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
 from calib.diagnose.problems.arm.linearised_poses import Arms
 from calib.diagnose.problems.remainder_covariates import cosines, speed
-from calib.identify.robust_fit import MOST, robust_fit, outlier_rows
+from calib.identify.robust_fit import MOST, outlier_rows, robust_fit
+from calib.models.arm.excess_scatter import MIDDLE
 
 GROSS, GATE = 20.0, 7.0  # times the scatter of the others, from which a pose may be wild before anything is admitted, and after
 SLOW = 4  # cosines of time that are free at each joint

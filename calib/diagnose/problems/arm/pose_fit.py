@@ -11,12 +11,12 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from calib.models.arm.excess_scatter import beyond, bounded
 from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear_model import Block, Column, LinearModel
 from calib.diagnose.problems.arm.joint_candidates import JointCandidate, JointScore
-from calib.diagnose.problems.arm.whitened_columns import Columns, Part
 from calib.diagnose.problems.arm.linearised_poses import Arms
+from calib.diagnose.problems.arm.whitened_columns import Columns, Part
+from calib.models.arm.excess_scatter import beyond, bounded
 
 ROUNDS = 6  # of weighing anew
 SETTLED = 1e-3  # share by which the scatter may still change

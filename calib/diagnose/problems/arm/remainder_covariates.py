@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from calib.diagnose.engine.covariate_ranking import Covariate, Share, rank_covariates, explained_share
-from calib.diagnose.problems.arm.pose_fit import Fit
+from calib.diagnose.engine.covariate_ranking import Covariate, Share, explained_share, rank_covariates
 from calib.diagnose.problems.arm.candidate_search import joint_products
-from calib.diagnose.problems.remainder_covariates import time_and_sensor_functions, motion_functions
+from calib.diagnose.problems.arm.pose_fit import Fit
+from calib.diagnose.problems.remainder_covariates import motion_functions, time_and_sensor_functions
 
 JOINTS = "joints"
 

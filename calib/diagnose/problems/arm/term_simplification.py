@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.diagnose.engine.stated_terms import UNSAID, Given
 from calib.diagnose.engine.selection_policy import SelectionPolicy
-from calib.diagnose.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
-from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
-from calib.diagnose.problems.arm.nonlinear_parameters import optimise_nonlinear_parameters, has_continuous_parameters
+from calib.diagnose.engine.stated_terms import UNSAID, Given
 from calib.diagnose.problems.arm.candidate_search import search_candidates
+from calib.diagnose.problems.arm.joint_candidates import OWN_ANGLE, SPAN, Form, JointCandidate
+from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters, optimise_nonlinear_parameters
+from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
 from rig.effects.framework.search_candidate import COUNT
 
 FINE = 0.3  # step between orders, of what a joint's travel resolves

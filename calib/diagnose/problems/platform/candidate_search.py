@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 
 from calib.diagnose.engine import frame_inner_products as inner
+from calib.diagnose.engine.candidate_score import best_node_score, insignificant_score, score_at_node
 from calib.diagnose.engine.candidates import Node
-from calib.diagnose.engine.linear_model import Column
 from calib.diagnose.engine.frame_inner_products import FrameProducts, Solved
-from calib.diagnose.engine.candidate_score import score_at_node, best_node_score, insignificant_score
+from calib.diagnose.engine.linear_model import Column
 from calib.diagnose.problems.platform import corner_sum_kernels, vibration_frequency
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, Reach
-from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from rig.effects.framework.effect import Motion
+from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from rig.compute.parallel_map import Progress, parallel_map
+from rig.effects.framework.effect import Motion
 from vision.bundle.corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time

@@ -5,10 +5,10 @@ from enum import Enum
 
 import numpy as np
 
-from calib.diagnose.engine.candidates import Candidate, Node, NotAsked, Role, UsualRange
 from calib.diagnose.engine.candidate_score import Score
-from calib.diagnose.problems.requested_effects import RequestedEffects
+from calib.diagnose.engine.candidates import Candidate, Node, NotAsked, Role, UsualRange
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
+from calib.diagnose.problems.requested_effects import RequestedEffects
 from rig.effects.framework.effect import Context, Effect
 from rig.effects.framework.search_candidate import QUADRATURE
 from rig.effects.framework.search_candidate import Candidate as EffectCandidate

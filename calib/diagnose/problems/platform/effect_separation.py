@@ -4,10 +4,10 @@ import numpy as np
 
 from calib.diagnose.engine.hypothesis_separation import Separation, hypothesis_separation
 from calib.models.platform.identification import PRIOR, loop_jacobian
-from rig.model import motion_simulation
-from rig.model.design import Design, Hexapod
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
+from rig.model import motion_simulation
+from rig.model.design import Design, Hexapod
 from rig.model.mechanisms import hexapod
 from rig.recording.recording_folder import Commands, Sensors
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, group_sightings
 from calib.diagnose.problems.platform.linearised_residuals import linearise
-from rig.model import motion_simulation
-from rig.model.design import Design
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, group_sightings
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
+from rig.model import motion_simulation
+from rig.model.design import Design
 from rig.recording.recording_folder import Recording, Sensors
 from vision.corner_observations import observations_from_corners
 from vision.targets import marker_map

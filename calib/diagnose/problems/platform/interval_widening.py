@@ -6,10 +6,10 @@ import numpy as np
 
 from calib.diagnose.engine.linear_model import Column, Projection, join_columns
 from calib.diagnose.problems.platform.effect_candidates import context_of
+from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
-from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.temperature_alternatives import WARM
 from calib.diagnose.problems.platform.tolerance_columns import TOGETHER, ToleranceModel, tolerance_model
 

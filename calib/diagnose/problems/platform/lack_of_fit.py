@@ -7,27 +7,27 @@ import numpy as np
 import scipy
 
 from calib.diagnose.engine.chance_probability import scan_p_value
-from calib.diagnose.engine.lack_of_fit import ALPHA, LIKELY, LackOfFit, Test, significant_lack_of_fit, test_lack_of_fit
 from calib.diagnose.engine.frame_inner_products import FrameProducts, solve_normal_equations
+from calib.diagnose.engine.lack_of_fit import ALPHA, LIKELY, LackOfFit, Test, significant_lack_of_fit, test_lack_of_fit
+from calib.diagnose.problems.platform.candidate_search import axis_products, corner_products, lasting
 from calib.diagnose.problems.platform.effect_candidates import context_of, lacking
 from calib.diagnose.problems.platform.linearised_corners import MEDIAN
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.diagnose.problems.platform.candidate_search import axis_products, corner_products, lasting
 from calib.diagnose.problems.platform.smooth_functions import (
     FAST,
     SLOW,
     edge_pixels,
-    time_functions,
     one_marker,
     strut_weights,
+    time_functions,
     view_pixels,
     warp_pixels,
 )
-from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import Effect
-from rig.effects.catalogue.lens_distortion import LensDistortion
 from rig.compute.parallel_map import parallel_map
+from rig.effects.catalogue.effect_list import ALL
+from rig.effects.catalogue.lens_distortion import LensDistortion
+from rig.effects.framework.effect import Effect
 
 MEDIAN_SPREAD = 5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
 FAR = 5.0  # standard deviations; a residual counts for no more where neighbours are compared

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from rig.model.manufacturing_tolerances import FINDER, SEAT
-from rig.model.design import Design
 from rig.effects.catalogue.edge_bias import EdgeBias
+from rig.model.design import Design
+from rig.model.manufacturing_tolerances import FINDER, SEAT
 from vision import lens
 from vision.bundle.bundle_adjustment import lens_prior
+from vision.bundle.corner_jacobians import camera_jacobians, corner_jacobians, motion_jacobian, rotate_jacobian
 from vision.bundle.repeated_corners import find_repeats, group_sums
-from vision.bundle.corner_jacobians import corner_jacobians, motion_jacobian, camera_jacobians, rotate_jacobian
 from vision.corner_observations import Observations
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings

@@ -6,23 +6,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.certify.calibration import Calibration
 from calib.diagnose.engine.problem_interface import Progress
 from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
 from calib.samples.recording_samples import Sampled, sample_recording
-from calib.certify.calibration import Calibration
-from rig.model import motion_simulation, mechanisms
-from rig.model.design import Camera, Design, Hexapod, Planar2
-from rig.effects.framework.effect import Effect, Motion
 from rig.effects.catalogue.cube_misplacement import CubeMisplacement
 from rig.effects.catalogue.edge_bias import EdgeBias
+from rig.effects.framework.effect import Effect, Motion
 from rig.errors import NotEnoughData, RigError
+from rig.model import mechanisms, motion_simulation
+from rig.model.design import Camera, Design, Hexapod, Planar2
 from rig.model.mechanism_kinds import Struts
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
-from vision.hand_mounted_cameras import has_hand_cameras
-from vision.recording_adjustment import Measurement
 from vision.corner_observations import Observations
+from vision.hand_mounted_cameras import has_hand_cameras
 from vision.predict import Sightings, State, predict_sightings
+from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
 from vision.targets import MarkerMap, marker_map
 

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
-from calib.diagnose.problems.remainder_covariates import cosines, speed, scaled_to_unit_interval
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, group_sightings
+from calib.diagnose.problems.remainder_covariates import cosines, scaled_to_unit_interval, speed
+from calib.identify.robust_fit import ALIKE, CONSISTENT, IN_PLACE, IN_TIME, MOST, many_deviations, outlier_rows, robust_fit
 from calib.models.platform.identification import loop_jacobian, strut_jacobian
-from calib.identify.robust_fit import ALIKE, CONSISTENT, IN_PLACE, IN_TIME, MOST, robust_fit, many_deviations, outlier_rows
 from rig.model import mechanisms
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames

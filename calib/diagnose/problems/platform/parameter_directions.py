@@ -4,8 +4,8 @@ import numpy as np
 
 from calib.diagnose.engine.linear_model import Column, join_columns
 from calib.diagnose.problems.platform.effect_candidates import seen_alone
-from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from rig.effects.framework.effect import COUNT, Effect, Linear
 from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of
 

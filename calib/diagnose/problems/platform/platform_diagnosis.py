@@ -6,38 +6,38 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
+from calib.certify.calibration import Calibration
 from calib.diagnose.engine.candidates import NotAsked
+from calib.diagnose.engine.covariate_ranking import Covariate
 from calib.diagnose.engine.cross_validation import CrossValidation
-from calib.diagnose.engine.stated_terms import UNSAID, Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.problem_interface import Progress
-from calib.diagnose.engine.covariate_ranking import Covariate
-from calib.diagnose.engine.term_selection import select_terms, remove_unsupported_findings
-from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
-from calib.diagnose.problems.platform.excess_scatter import scatter_beyond_noise
+from calib.diagnose.engine.stated_terms import UNSAID, Given
+from calib.diagnose.engine.term_selection import remove_unsupported_findings, select_terms
+from calib.diagnose.problems.formula_suggestion import Suggestion
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
+from calib.diagnose.problems.platform.excess_scatter import scatter_beyond_noise
+from calib.diagnose.problems.platform.exchanged_markers import exchanged, swaps
+from calib.diagnose.problems.platform.held_out_validation import cross_validate_blocks
+from calib.diagnose.problems.platform.interval_widening import widened
+from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, operating_point_of_recording, without_distant_corners
+from calib.diagnose.problems.platform.outlier_frames import Outliers, fit_without_outliers
+from calib.diagnose.problems.platform.platform_problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.remainder_covariates import remainder_covariates
 from calib.diagnose.problems.platform.strut_formulas import formula_suggestions
-from calib.diagnose.problems.platform.held_out_validation import cross_validate_blocks
-from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.diagnose.problems.platform.exchanged_markers import exchanged, swaps
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, operating_point_of_recording, without_distant_corners
-from calib.diagnose.problems.platform.platform_problem import PlatformProblem, PlatformSelection
-from calib.diagnose.problems.platform.tolerable_findings import Remarks, separate_tolerable_findings
 from calib.diagnose.problems.platform.temperature_alternatives import add_temperature_alternatives
-from calib.diagnose.problems.platform.interval_widening import widened
-from calib.diagnose.problems.platform.outlier_frames import Outliers, fit_without_outliers
-from calib.certify.calibration import Calibration
-from calib.diagnose.problems.formula_suggestion import Suggestion
+from calib.diagnose.problems.platform.tolerable_findings import Remarks, separate_tolerable_findings
+from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
+from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.recording_samples import Sampled
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import Effect
 from rig.effects.catalogue.face_misplacement import FaceMisplacement
 from rig.effects.catalogue.marker_swap import MarkerSwap
+from rig.effects.framework.effect import Effect
 from rig.effects.texts.user_effect_files import Plugin
-from rig.recording.time_origin import Origin
 from rig.recording.recording_folder import Part, Recording
+from rig.recording.time_origin import Origin
 from vision.bundle.marker_displacements import Move, marker_displacements
 
 

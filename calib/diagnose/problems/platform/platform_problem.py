@@ -6,23 +6,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib.diagnose.engine.cross_validation import CrossValidation
-from calib.diagnose.engine.stated_terms import Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear_model import Column, LinearModel
-from calib.diagnose.engine.selection_policy import PLATFORM, SelectionPolicy
 from calib.diagnose.engine.problem_interface import Wald
+from calib.diagnose.engine.selection_policy import PLATFORM, SelectionPolicy
+from calib.diagnose.engine.stated_terms import Given
 from calib.diagnose.engine.term_selection import Selection
 from calib.diagnose.problems.platform import lack_of_fit as remainder
 from calib.diagnose.problems.platform import tolerance_columns
+from calib.diagnose.problems.platform.candidate_search import column_of, search
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
-from calib.diagnose.problems.platform.parameter_directions import parameter_directions
+from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.held_out_validation import cross_validate
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
+from calib.diagnose.problems.platform.parameter_directions import parameter_directions
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined, add_term, refine, refine_standing, remove_term
-from calib.diagnose.problems.platform.candidate_search import column_of, search
-from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
-from calib.diagnose.problems.platform.smooth_functions import smooth_function_columns, model_with_smooth_functions
+from calib.diagnose.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)

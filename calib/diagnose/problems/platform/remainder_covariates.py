@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from calib.diagnose.engine.covariate_ranking import Covariate, Share, rank_covariates, explained_share
-from calib.diagnose.problems.remainder_covariates import time_and_sensor_functions, separate_weights, motion_functions
-from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnose.engine.covariate_ranking import Covariate, Share, explained_share, rank_covariates
 from calib.diagnose.problems.platform.candidate_search import axis_products, corner_products
+from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.smooth_functions import view_pixels
+from calib.diagnose.problems.remainder_covariates import motion_functions, separate_weights, time_and_sensor_functions
 from rig.compute.parallel_map import parallel_map
 
 STRUTS, IMAGES = "struts", "images"

@@ -11,13 +11,13 @@ from scipy.linalg import block_diag
 
 from calib.diagnose.engine.chance_probability import Z95
 from calib.diagnose.engine.linear_model import Column, join_columns
+from calib.diagnose.problems.platform.candidate_search import column_of
 from calib.diagnose.problems.platform.effect_candidates import SIZED, PlatformScore, bounds_of
-from calib.diagnose.problems.platform.parameter_directions import parameter_directions
-from calib.diagnose.problems.platform.linearised_corners import edge_bias_freedoms, seat_freedoms, repeated_corner_error
+from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnose.problems.platform.linearised_corners import edge_bias_freedoms, repeated_corner_error, seat_freedoms
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, move_operating_point
-from calib.diagnose.problems.platform.candidate_search import column_of
-from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
+from calib.diagnose.problems.platform.parameter_directions import parameter_directions
 from calib.identify.bounded_step import bounded_step
 from calib.models.platform.identification import parameters, with_parameters
 from rig.effects.framework.effect import Effect

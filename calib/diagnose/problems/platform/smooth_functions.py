@@ -6,10 +6,10 @@ import numpy as np
 from scipy.linalg import null_space
 
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.problems.remainder_covariates import cosines, powers, speed, scaled_to_unit_interval
+from calib.diagnose.problems.platform.candidate_search import mount_pixels
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.diagnose.problems.platform.candidate_search import mount_pixels
+from calib.diagnose.problems.remainder_covariates import cosines, powers, scaled_to_unit_interval, speed
 from rig.effects.catalogue.lens_distortion import products
 from rig.model.pose import pose_difference
 

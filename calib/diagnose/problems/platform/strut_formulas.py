@@ -6,21 +6,21 @@ import numpy as np
 
 from calib.certify.platform_certification import silent_progress
 from calib.diagnose.engine.cross_validation import frame_folds, held_out_residuals, summed_gain
-from calib.diagnose.engine.formula_search import Formula, Search
-from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.formula_library import Library
+from calib.diagnose.engine.formula_search import Formula, Search
+from calib.diagnose.engine.frame_inner_products import FrameProducts
+from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear_model import LinearModel
 from calib.diagnose.engine.problem_interface import Progress
-from calib.diagnose.engine.frame_inner_products import FrameProducts
 from calib.diagnose.engine.reduced_least_squares import Reduced
-from calib.diagnose.problems.platform.parameter_directions import parameter_directions
+from calib.diagnose.problems.formula_suggestion import AGREE, GAIN, NAME, Suggestion, formula_library, formula_quantities, written
+from calib.diagnose.problems.platform.candidate_search import axis_products
 from calib.diagnose.problems.platform.held_out_validation import change
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
+from calib.diagnose.problems.platform.parameter_directions import parameter_directions
 from calib.diagnose.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
-from calib.diagnose.problems.platform.candidate_search import axis_products
-from calib.diagnose.problems.formula_suggestion import AGREE, GAIN, NAME, Suggestion, formula_library, formula_quantities, written
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.formula_quantities import POSE
 from rig.effects.texts.formula_effect_file import Written

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.diagnose.engine.linear_model import Column, Projection, column_cosine, join_columns
 from calib.diagnose.engine.candidate_score import Alternative, Score
+from calib.diagnose.engine.linear_model import Column, Projection, column_cosine, join_columns
 from calib.diagnose.engine.term_selection import Finding, is_finding_significant
-from calib.diagnose.problems.remainder_covariates import cosines
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, candidate_of, context_of, lacking
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.smooth_functions import SLOW
+from calib.diagnose.problems.remainder_covariates import cosines
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import AXES, REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.search_candidate import Candidate as EffectCandidate

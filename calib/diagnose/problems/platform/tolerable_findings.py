@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.candidate_score import Score
+from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.term_selection import Finding, is_significant
+from calib.diagnose.problems.platform.candidate_search import column_of
 from calib.diagnose.problems.platform.held_out_validation import change
 from calib.diagnose.problems.platform.linearised_residuals import CORNERS
 from calib.diagnose.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnose.problems.platform.candidate_search import column_of
 from calib.diagnose.problems.platform.tolerance_columns import (
     SignificantTolerance,
     model_with_tolerances,

@@ -6,17 +6,17 @@ import numpy as np
 import scipy
 from scipy.sparse import csr_array
 
+from calib.diagnose.engine.frame_inner_products import Normal, solve_fixed_size, solve_normal_equations, solve_with_prior
 from calib.diagnose.engine.linear_model import Column, Projection
-from calib.diagnose.engine.frame_inner_products import Normal, solve_normal_equations, solve_with_prior, solve_fixed_size
-from calib.diagnose.problems.remainder_covariates import cosines
+from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.smooth_functions import SLOW
-from rig.model import mechanisms
-from rig.effects.framework.effect import Linear
+from calib.diagnose.problems.remainder_covariates import cosines
 from rig.effects.catalogue.face_misplacement import FaceMisplacement
 from rig.effects.catalogue.print_scale import PrintScale
+from rig.effects.framework.effect import Linear
+from rig.model import mechanisms
 from rig.model.manufacturing_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
 from vision.bundle.printing_errors import KINDS, NAMES
 

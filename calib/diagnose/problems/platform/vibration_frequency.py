@@ -3,9 +3,9 @@
 import numpy as np
 import scipy
 
+from calib.diagnose.engine.candidate_score import Score
 from calib.diagnose.engine.chance_probability import residual_dispersion
 from calib.diagnose.engine.frame_inner_products import FrameProducts, Normal, normal_of_weighted_directions, solve_normal_equations
-from calib.diagnose.engine.candidate_score import Score
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from rig.effects.catalogue.vibration import one_direction

@@ -3,9 +3,9 @@
 import tomllib
 from pathlib import Path
 
+from rig.errors import FileError
 from rig.formats import json_file, yaml_file
 from rig.formats.checked_entries import Entries
-from rig.errors import FileError
 from rig.formats.importers.camera_calibrations import caliscope, kalibr, multical, opencv_and_ros
 from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera
 from rig.formats.input_files import read_text

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, camera_transform, image_size, distortion_terms
-from rig.formats.importers.camera_calibrations.fisheye_lens import conversion_sentence, require_four_terms, rational_lens_of_fisheye
+from rig.formats.importers.camera_calibrations.fisheye_lens import conversion_sentence, rational_lens_of_fisheye, require_four_terms
+from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, camera_transform, distortion_terms, image_size
 
 NAME = re.compile(r"cam_\d{1,4}")
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.formats.rig_toml.camera_entries import LARGEST_IMAGE
-from rig.model.design import DISTORTION_TERMS
 from rig.formats.checked_entries import Entries
 from rig.formats.input_files import value_text
+from rig.formats.rig_toml.camera_entries import LARGEST_IMAGE
+from rig.model.design import DISTORTION_TERMS
 
 ORTHOGONAL = 1e-3  # that a rotation's product with its transpose may differ from one: files have six digits at times
 

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_transform, image_size
 from rig.formats.importers.camera_calibrations.fisheye_lens import rational_lens_of_fisheye
+from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_transform, image_size
 
 NAME = re.compile(r"cam(\d{1,4})")
 OTHERS = {"omni": "the omnidirectional", "ds": "the double sphere", "eucm": "the extended unified"}

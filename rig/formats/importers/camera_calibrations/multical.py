@@ -4,7 +4,7 @@ Source: multical, io/export_calib.py and motion/static_frames.py
 """
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, camera_transform, image_size, distortion_terms
+from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, camera_transform, distortion_terms, image_size
 
 MODELS = ("standard", "rational", "thin_prism", "tilted")  # which are OpenCV's
 

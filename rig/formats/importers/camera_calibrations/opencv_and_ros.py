@@ -5,10 +5,10 @@ Source: ROS, camera_calibration_parsers and sensor_msgs/CameraInfo; OpenCV, samp
 
 import numpy as np
 
-from rig.formats.rig_toml.camera_entries import LARGEST_IMAGE
 from rig.formats.checked_entries import Entries
+from rig.formats.importers.camera_calibrations.fisheye_lens import conversion_sentence, rational_lens_of_fisheye, require_four_terms
 from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, distortion_terms
-from rig.formats.importers.camera_calibrations.fisheye_lens import conversion_sentence, require_four_terms, rational_lens_of_fisheye
+from rig.formats.rig_toml.camera_entries import LARGEST_IMAGE
 
 MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "mtx")
 DISTORTION = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "Distortion_Coefficients", "D", "dist")

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Camera
-from rig.formats.rig_toml.design_file import camera_block, with_cameras
-from rig.formats.checked_entries import LARGEST_RIG, name_problem
 from rig.errors import RigError
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera
+from rig.formats.checked_entries import LARGEST_RIG, name_problem
 from rig.formats.importers.camera_calibrations.calibration_reader import read_cameras
+from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera
 from rig.formats.importers.import_recipe import Cameras
-from rig.formats.number_parsing import parse_numbers
 from rig.formats.input_files import value_text
+from rig.formats.number_parsing import parse_numbers
+from rig.formats.rig_toml.design_file import camera_block, with_cameras
+from rig.model.design import Camera
 from rig.model.pose import pose
 
 

@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
 from calib.certify.calibration import Calibration
+from calib.files import calibration_file
 from calib.models.arm import certification as certifying
 from calib.models.arm import error_model
 from calib.models.arm.certification import calibrate, certify
 from rig.cli import command_line
 from rig.errors import NotEnoughData, Unreachable
+from rig.model.pose import exp, pose_difference, pose_to_vector
 from rig.planning.plan import low_discrepancy
-from rig.model.pose import pose_difference, exp, pose_to_vector
 from tests.calib import arm_worlds as worlds
 from tests.cli import run
 from tests.conftest import make_recording

@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.certify.calibration import Calibration
+from calib.certify.extension_certification import Asked
+from calib.correct.interpolation.interpolation_methods import field_from_entries, field_to_dict
 from calib.files import calibration_file
 from calib.models.arm import error_model
 from calib.models.arm.certification import model_covariance
-from calib.models.arm.extension_certification import certify_extended, left, owners, claim_without_geometry, single_step_errors
-from calib.certify.calibration import Calibration
-from calib.certify.extension_certification import Asked
-from calib.correct.interpolation.interpolation_methods import field_to_dict, field_from_entries
+from calib.models.arm.extension_certification import certify_extended, claim_without_geometry, left, owners, single_step_errors
 from calib.samples.pose_samples import Samples
-from rig.recording import recording_folder
-from rig.planning.configuration_sets import grid_division, low_discrepancy
-from rig.formats.checked_entries import Entries
 from rig.errors import RigError
-from rig.model.pose import pose_difference, exp
-from rig.recording.recording_tables import write_poses
+from rig.formats.checked_entries import Entries
+from rig.model.pose import exp, pose_difference
+from rig.planning.configuration_sets import grid_division, low_discrepancy
+from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses
+from rig.recording.recording_tables import write_poses
 from tests.calib import arm_worlds as worlds
 from tests.cli import command
 from tests.rig.arms import SEVEN, UR10

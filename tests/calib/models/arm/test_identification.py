@@ -9,7 +9,7 @@ from calib.models.arm import error_model, instrument_placement
 from calib.models.arm.identification import identify, parameters
 from calib.models.arm.instrument_observations import of_poses
 from rig.errors import NotEnoughData
-from rig.model.pose import pose_difference, exp, log, pose
+from rig.model.pose import exp, log, pose, pose_difference
 from tests.calib import arm_worlds as worlds
 from tests.numeric import jacobian
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm

@@ -11,9 +11,9 @@ from calib.models.arm.identification import identify
 from calib.models.arm.instrument_observations import Observations, of_positions, of_samples
 from calib.models.arm.instrument_placement import place_arm
 from calib.samples.pose_samples import Samples
+from rig.errors import RigError
 from rig.formats.rig_toml import design_file
 from rig.model.design import Arm
-from rig.errors import RigError
 from rig.model.pose import exp
 from tests.calib import arm_worlds as worlds
 from tests.conftest import ROOT

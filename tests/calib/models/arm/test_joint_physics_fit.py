@@ -7,27 +7,27 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from calib.certify.calibration import Calibration
+from calib.correct.physics import Physics
+from calib.correct.pose_route import Pace
 from calib.files import calibration_file
 from calib.models.arm import error_model
 from calib.models.arm.certification import start_of
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.instrument_observations import of_samples
-from calib.models.arm.joint_physics_fit import Prior, History, fit_geometry_and_effects
-from calib.certify.calibration import Calibration
+from calib.models.arm.joint_physics_fit import History, Prior, fit_geometry_and_effects
 from calib.models.wanted_pose_commands import commands_along_route
-from calib.correct.physics import Physics
-from calib.correct.pose_route import Pace
 from calib.samples.recording_samples import sample_recording
-from rig.formats.rig_toml import design_file
-from rig.model import motion_simulation
-from rig.planning import plan
-from rig.recording import recording_folder
-from rig.planning.layout import shipped_arms
 from rig.cli.command_line import main
-from rig.planning.configuration_sets import low_discrepancy
 from rig.effects.framework.fit_coordinates import coordinates_of
 from rig.effects.texts.effect_text import parse_effect
+from rig.formats.rig_toml import design_file
+from rig.model import motion_simulation
 from rig.model.pose import pose_difference
+from rig.planning import plan
+from rig.planning.configuration_sets import low_discrepancy
+from rig.planning.layout import shipped_arms
+from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses, Sensors
 from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine

@@ -9,11 +9,11 @@ import pytest
 from calib.models.arm import error_model, instrument_placement
 from calib.models.arm.identification import identify, parameters
 from calib.models.arm.instrument_observations import of_orientations
-from calib.samples.recording_samples import sample_recording
 from calib.samples.pose_samples import Samples
-from rig.recording import recording_folder
+from calib.samples.recording_samples import sample_recording
 from rig.errors import FileError, RigError
-from rig.model.pose import pose_difference, exp, pose
+from rig.model.pose import exp, pose, pose_difference
+from rig.recording import recording_folder
 from tests.calib import arm_worlds as worlds
 from tests.cli import command
 from tests.numeric import jacobian

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm import error_model, instrument_placement, independent_parameters
+from calib.models.arm import error_model, independent_parameters, instrument_placement
 from calib.models.arm.certification import calibrate
 from calib.models.arm.identification import identify, parameters
 from calib.models.arm.instrument_observations import of_poses

@@ -9,7 +9,7 @@ from calib.models.arm import error_model
 from calib.models.arm.certification import calibrate
 from rig.errors import Unreachable
 from rig.model.mechanisms import arm as mechanism
-from rig.model.pose import pose_difference, pose
+from rig.model.pose import pose, pose_difference
 from tests.calib import arm_worlds as worlds
 from tests.rig.arms import SEVEN, UR10
 

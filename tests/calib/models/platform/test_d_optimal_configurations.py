@@ -6,9 +6,9 @@ import pytest
 from calib.models.platform.d_optimal_configurations import CANDIDATES, CRITERIA, FILL, choose_configurations, configuration_information
 from calib.models.platform.identification import identify, parameters
 from calib.models.platform.parameter_observability import PLAUSIBLE, parameter_combinations
-from rig.planning import plan
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
+from rig.planning import plan
 from tests.calib.worlds import sampled
 
 SIGMAS = (1e-5, 1e-4)

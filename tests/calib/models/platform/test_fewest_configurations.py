@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.models.platform.identification import identify
 from calib.models.platform.fewest_configurations import fewest_configurations
+from calib.models.platform.identification import identify
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference

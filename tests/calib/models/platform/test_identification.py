@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.models.platform.identification import PRIOR, identify, loop_jacobian, parameters, pose_jacobian, with_parameters
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference, exp
+from rig.model.pose import exp, pose_difference
 from tests.calib.designs import worst_jacobian
 from tests.calib.worlds import sampled
 from tests.numeric import jacobian

@@ -7,8 +7,8 @@ from calib.correct.camera_refinement import refine_with_cameras
 from calib.models.platform import joint_camera_fit
 from calib.models.platform.identification import identify, parameters
 from calib.samples.recording_samples import sample_recording
-from rig.recording import recording_folder
 from rig.errors import RigError
+from rig.recording import recording_folder
 from tests.conftest import make_recording
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from calib.models.platform.identification import NAMES, identify, parameters, pose_jacobian, with_parameters
-from calib.models.platform.parameter_observability import parameter_combinations, frame_motion_columns
+from calib.models.platform.parameter_observability import frame_motion_columns, parameter_combinations
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference, exp, transform_points
+from rig.model.pose import exp, pose_difference, transform_points
 from tests.calib.worlds import sampled, workspace
 
 

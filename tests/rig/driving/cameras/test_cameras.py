@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from rig.driving.cameras import CameraError, open_source
+from rig.driving.cameras.clock_offset import Offset
 from rig.driving.cameras.emulated_camera import EmulatedSource
 from rig.driving.cameras.folder_camera import FolderSource
 from rig.driving.cameras.genicam_camera import GenicamSource
-from rig.driving.cameras.clock_offset import Offset
 from rig.driving.cameras.opencv_camera import VideoSource
-from rig.model.design import Camera
 from rig.errors import RigError
+from rig.model.design import Camera
 from rig.model.pose import pose
 from tests.rig.ticking import SIZE, Ticking
 

@@ -5,10 +5,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.driving.clock import SimulatedClock
-from rig.errors import ControllerFault
 from rig.driving.controller_link import Link
-from rig.driving.protocols.protocol_interface import Segment
 from rig.driving.protocols.linuxcnc import LinuxCNC
+from rig.driving.protocols.protocol_interface import Segment
+from rig.errors import ControllerFault
 from tests.rig.wire import ScriptedPort
 
 HOMED = (b"GET JOINT_HOMED\r\n", b"JOINT_HOMED YES YES YES YES YES YES\r\n")

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from rig.driving.clock import SimulatedClock, SystemClock
-from rig.driving.driver import Driver
-from rig.errors import ControllerFault, NoAnswer, PositionLost
 from rig.driving.controller_link import Link
-from rig.driving.serial_port import SerialPort
-from rig.driving.protocols.protocol_interface import Segment
+from rig.driving.driver import Driver
 from rig.driving.protocols.own_strut_protocol import Struts, decode, encode
+from rig.driving.protocols.protocol_interface import Segment
+from rig.driving.serial_port import SerialPort
+from rig.errors import ControllerFault, NoAnswer, PositionLost
 from tests.conftest import ROOT
 from tests.rig.wire import ScriptedPort
 

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model import motion_simulation
-from rig.planning import plan
-from rig.model.design import Arm, Hexapod
 from rig.effects.texts.effect_text import parse_effect
 from rig.errors import RigError
-from rig.formats.exporters import linuxcnc_genhexkins, geometry_json_and_csv, arm_urdf
+from rig.formats.exporters import arm_urdf, geometry_json_and_csv, linuxcnc_genhexkins
+from rig.model import motion_simulation
+from rig.model.design import Arm, Hexapod
 from rig.model.mechanisms import arm as serial
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference, pose
+from rig.model.pose import pose, pose_difference
+from rig.planning import plan
 from synthetic import secret_machine
 from tests.rig.arms import GANTRY, STANFORD
 from tests.rig.genhexkins import forward, settings

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.recording import recording_folder
 from rig.formats.exporters import rerun_recording
 from rig.model.mechanisms import hexapod
+from rig.recording import recording_folder
 from rig.recording.recording_folder import Poses
 from rig.recording.recording_tables import write_poses
 from tests.calib.checks.good import recorded

@@ -8,12 +8,12 @@ import pinocchio
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.planning.layout import hexapod_layout
-from rig.planning import plan
 from rig.errors import RigError
 from rig.formats.exporters import hexapod_sdf, hexapod_urdf
 from rig.formats.exporters.simulator_struts import simulator_struts
 from rig.model.mechanisms import hexapod
+from rig.planning import plan
+from rig.planning.layout import hexapod_layout
 from synthetic import secret_machine
 from tests.calib.checks.test_mistakes import said
 

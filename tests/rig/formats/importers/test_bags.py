@@ -12,10 +12,10 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.planning.layout import hexapod_layout
-from rig.recording import recording_folder
 from rig.errors import RigError
 from rig.formats.importers.ros_image_messages import encode_image_message
+from rig.planning.layout import hexapod_layout
+from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
 
 START, WIDTH, HEIGHT = 1763800000 * 10**9, 64, 48

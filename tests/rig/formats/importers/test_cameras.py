@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from rig.formats.rig_toml import design_file
-from rig.planning.layout import hexapod_layout
 from rig.errors import RigError
 from rig.formats.exporters import opencv_and_ros_camera as exported
+from rig.formats.rig_toml import design_file
 from rig.model.pose import exp
+from rig.planning.layout import hexapod_layout
 from tests.calib.checks.test_mistakes import said
 from vision.lens import project
 

@@ -5,11 +5,11 @@ import re
 import numpy as np
 import pytest
 
-from rig.recording import recording_folder
 from rig.checks.clock_shift import clock_offset_mistake, standing_shift
 from rig.planning.plan import build_plan
-from tests.rig.formats.importers.test_importing import words
+from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
+from tests.rig.formats.importers.test_importing import words
 
 
 def log(gaps, rate=10.0):

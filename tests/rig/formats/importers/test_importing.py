@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import design_file
-from rig.formats import importers
-from rig.recording import recording_folder
 from rig.cli.command_line import main
 from rig.errors import RigError
+from rig.formats import importers
 from rig.formats.importers import timestamps
-from tests.rig.formats.importers.foreign import DIALECTS, export
+from rig.formats.rig_toml import design_file
+from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import said
+from tests.rig.formats.importers.foreign import DIALECTS, export
 
 
 def words(folder, files, dialect=None, *more):

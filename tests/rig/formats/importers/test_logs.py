@@ -9,14 +9,14 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.formats import parquet_table
-from rig.recording import recording_folder
 from rig.errors import FileError, MissingLibrary
+from rig.formats import parquet_table
 from rig.formats.importers import csv_dialect
 from rig.formats.importers.import_recipe import ForeignTable
+from rig.recording import recording_folder
+from tests.calib.checks.test_mistakes import said
 from tests.rig.formats.importers.foreign import columns
 from tests.rig.formats.importers.test_importing import same, words
-from tests.calib.checks.test_mistakes import said
 
 EPOCH = 1763800000
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rig.recording import recording_folder
+from tests.calib.checks.test_mistakes import said
 from tests.conftest import BENCH
 from tests.rig.formats.importers.foreign import EPOCH
-from tests.calib.checks.test_mistakes import said
 
 
 def theirs(folder):

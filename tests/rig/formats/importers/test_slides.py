@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rig.planning.layout import shipped_arms
 from rig.errors import RigError
 from rig.formats.importers.command_table import read_commands
 from rig.formats.importers.import_recipe import ForeignTable
+from rig.planning.layout import shipped_arms
 
 
 def table(path, header, row):

@@ -9,10 +9,10 @@ import sys
 
 import pytest
 
-from rig.recording import recording_folder as recording
 from rig.errors import FileError, RigError
 from rig.formats.output_files import MANIFEST, Outputs, require_complete, write_text
 from rig.formats.output_files.folder_manifest import load_manifest
+from rig.recording import recording_folder as recording
 from tests.conftest import ROOT
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import design_file
-from rig.model import mechanisms
 from rig.errors import FileError
-from rig.model.pose import pose_difference, exp
+from rig.formats.rig_toml import design_file
 from rig.formats.toml_positions import value_positions
+from rig.model import mechanisms
+from rig.model.pose import exp, pose_difference
 from tests.conftest import SHARED
 
 MILLIMETRES = ("base_joints = [[0.2911", "base_joints = [[291.1")

@@ -6,11 +6,11 @@ import numpy as np
 import pinocchio
 import pytest
 
-from rig.model.design import Arm
 from rig.errors import Unreachable
+from rig.model.design import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import deficient_arm, arm_dynamics, kinematics_of
-from rig.model.pose import pose_difference, exp, log
+from rig.model.mechanisms import arm_dynamics, deficient_arm, kinematics_of
+from rig.model.pose import exp, log, pose_difference
 from tests.numeric import jacobian
 from tests.rig.arms import GANTRY, SCARA, SEVEN, STANFORD, UR10, configurations, random_arm
 from tests.rig.pinocchio_arm import build, poses

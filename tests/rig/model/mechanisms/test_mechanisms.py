@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.model.design import Planar2
 from rig.errors import NotConverged, RigError
+from rig.model.design import Planar2
 from rig.model.mechanisms import ALL, hexapod, kinematics_of
 from rig.model.pose import exp, pose
 from tests.numeric import jacobian

@@ -6,11 +6,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.files import calibration_file
 from calib.certify import measuring_limbs
 from calib.certify.calibration import Calibration
 from calib.certify.fitted_limbs import Limbs
 from calib.correct.correction import Correction
+from calib.files import calibration_file
 from calib.online import measuring_limbs_file
 from rig.cli.command_line import main
 from rig.errors import RigError

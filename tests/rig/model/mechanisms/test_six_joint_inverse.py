@@ -5,9 +5,9 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
+from rig.errors import RigError, Unreachable
 from rig.formats.rig_toml import design_file
 from rig.model.design import Arm
-from rig.errors import RigError, Unreachable
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import six_joint_inverse
 from rig.model.pose import pose_difference

@@ -5,14 +5,14 @@ import re
 import numpy as np
 import pytest
 
-from rig.report.verdict import State, Verdict
+from rig.report.pages.axis_scale import scale_of_values
+from rig.report.pages.html_elements import capitalised, inline_html, table
+from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane
 from rig.report.pages.page_template import Link, Page, page_html
 from rig.report.pages.plots import MOST, RIGHT, Series, bar_chart, plot_panel
+from rig.report.pages.svg_elements import round_ticks, text_within
 from rig.report.pages.text_layout import text_width, wrap_text
-from rig.report.pages.html_elements import capitalised, table, inline_html
-from rig.report.pages.image_plane_figures import Arrows, Cells, image_plane
-from rig.report.pages.axis_scale import scale_of_values
-from rig.report.pages.svg_elements import text_within, round_ticks
+from rig.report.verdict import State, Verdict
 
 
 def test_a_page_says_its_verdict_first_and_needs_no_network():
