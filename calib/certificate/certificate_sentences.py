@@ -46,7 +46,8 @@ def promise_line(c: Contents) -> str:
         if p.rotation is None
         else f"both {micrometre_text(p.position.upper)} and {microradian_text(p.rotation.upper)}"
     )
-    return f"With {percentage_text(p.confidence)} confidence, {percentage_text(p.coverage)} of poses in this volume lie within {both} of where they should be."
+    how_sure = f"With {percentage_text(p.confidence)} confidence, {percentage_text(p.coverage)} of poses"
+    return f"{how_sure} in this volume lie within {both} of where they should be."
 
 
 def volume_line(c: Contents) -> str:

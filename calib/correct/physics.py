@@ -79,7 +79,7 @@ class Physics:
     def with_effects(self, mechanism: Struts | Arm | Chain, samples: Samples, commands: Commands, sensors: Sensors | None) -> Samples:
         """Samples with what this physics says of their commands, which lasts; mechanism : fitted."""
         there, _ = self.sensed(sensors, samples.t)
-        return told(self.machine(mechanism), samples, commands, self.compensable_effects(), there)
+        return samples_with_effects(self.machine(mechanism), samples, commands, self.compensable_effects(), there)
 
 
 def samples_with_effects(design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None) -> Samples:

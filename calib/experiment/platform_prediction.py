@@ -60,10 +60,10 @@ class PlatformQuestion(Question[Refined]):
         return any(type(h.fitted.point.effects[h.number]) in WARM for h in self.named)
 
     def predict_outcomes(self, plan: Plan, warmer: float = 0.0) -> Prediction:
-        return foretold(self, plan, warmer)
+        return predict_outcomes(self, plan, warmer)
 
     def predict_outcomes_by_frame(self, plan: Plan) -> PerFrame:
-        return per_frame(self, plan)
+        return predict_outcomes_by_frame(self, plan)
 
 
 def predict_outcomes(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> Prediction:

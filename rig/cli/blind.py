@@ -32,12 +32,14 @@ if TYPE_CHECKING:
 
     from synthetic.diagnosis_score import Case
 
-ALONE = "import sys; from rig.compute.worker_processes import end_with_parent as end_with; end_with(int(sys.argv[1])); "  # a child does not outlive this process
+# a child does not outlive this process
+ALONE = "import sys; from rig.compute.worker_processes import end_with_parent; end_with_parent(int(sys.argv[1])); "
 DIAGNOSE = (
     ALONE
-    + "from rig.cli.shared.folder_access_ban import forbid_folder as forbid; from rig.cli.command_line import main; forbid(sys.argv[2]); sys.exit(main(sys.argv[3:]))"
+    + "from rig.cli.shared.folder_access_ban import forbid_folder; from rig.cli.command_line import main; "
+    + "forbid_folder(sys.argv[2]); sys.exit(main(sys.argv[3:]))"
 )
-DRAW = ALONE + "import json; from rig.cli.blind import draw_blind_case as blinded; blinded(*json.loads(sys.argv[2]))"
+DRAW = ALONE + "import json; from rig.cli.blind import draw_blind_case; draw_blind_case(*json.loads(sys.argv[2]))"
 ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
 ROOT = Path(__file__).parents[2]  # children run the code that runs here, wherever they stand
 MOST, MOST_FRAMES = 1_000_000, 10_000  # cases of a campaign, frames of a case

@@ -179,7 +179,7 @@ def _against_claim(calibration: Calibration, held: list[tuple[Recording, Sampled
         claims.append(one)
         known = evidence_with_verification(known, one.found, recording.name)
         if one.found.refutes:
-            refutation_marks.write_refutation(arguments, arguments.calibration, recording.name, words.refuting(one.found))
+            refutation_marks.write_refutation(arguments, arguments.calibration, recording.name, words.refutation_sentence(one.found))
     return known, tuple(claims)
 
 

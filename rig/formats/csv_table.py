@@ -46,7 +46,7 @@ class Table:
         """(n,) finite floats. Raises FileError at the first cell that is none."""
         cells = self.text(column)
         try:
-            values = np.array(numbers(cells))
+            values = np.array(parse_numbers(cells))
             if (np.abs(values) <= LARGEST_NUMBER).all():
                 return values
         except ValueError:

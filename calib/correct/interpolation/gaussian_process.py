@@ -97,7 +97,7 @@ class RadialMap:
         if each.values.shape[1] > axes:
             raise ValueError(f"radial takes no more outputs than axes, got {each.values.shape[1]} and {axes}")
         parts = tuple(None if like is not None and like.parts[i] is None else
-                      fit(x, each.values[:, i], each.variances[:, i], i, each.strokes, None if like is None else like.parts[i])
+                      fit_gaussian_process(x, each.values[:, i], each.variances[:, i], i, each.strokes, None if like is None else like.parts[i])
                       for i in range(each.values.shape[1]))
         return cls(parts, x.min(axis=0), x.max(axis=0))
 

@@ -40,7 +40,7 @@ class History:
 
     def told(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> Samples:
         """Samples as measured, with what effects do to their commands on an arm."""
-        return told(replace(self.design, mechanism=arm), samples, self.commands, effects, self.sensors)
+        return samples_with_effects(replace(self.design, mechanism=arm), samples, self.commands, effects, self.sensors)
 
     def identified(self, samples: Samples, start: Arm) -> Identified:
         """Identified geometry of samples that were told, by the parameters that the arm as stated has."""

@@ -36,7 +36,7 @@ class Scale:
     def ticks(self) -> list[float]:
         """Values at which ticks stand."""
         if not self.log:
-            return [v for v in ticks(self.low, self.high) if v == round(v) or not self.whole]
+            return [v for v in round_ticks(self.low, self.high) if v == round(v) or not self.whole]
         first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
         wide = last - first > 2
         every = -(-(last - first) // 6)

@@ -73,7 +73,7 @@ class ArmProblem:
 
     def search(self, model: Fit, candidates: list[JointCandidate], least: float = 0.0,
                progress: Callable[[int, int], None] | None = None) -> list[JointScore]:
-        return search(model, candidates, least, self.policy.cluster, progress)
+        return search_candidates(model, candidates, least, self.policy.cluster, progress)
 
     def rescored(self, model: Fit, fit: Fit, number: int) -> JointScore:
         return self.search(model, [fit.terms[number].only], -np.inf)[0]
@@ -112,7 +112,7 @@ class ArmProblem:
 
     def simplified(self, now: Fit) -> Fit:
         now = merge_sinusoids_into_profiles(now, self.candidates, self.train, self.policy, self.given)
-        now = remove_redundant_terms(self, simplified(now, self.candidates, self.train, self.policy, self.given))
+        now = remove_redundant_terms(self, simplify_profiles(now, self.candidates, self.train, self.policy, self.given))
         now = optimise_terms(now, [term for term in now.terms if has_continuous_parameters(term)])
         return fit_poses(self.arms, now.terms, self.train, now.weighing)
 

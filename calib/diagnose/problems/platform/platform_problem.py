@@ -101,7 +101,7 @@ class PlatformProblem:
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
         model = self.beside(fit, number)
-        return self.marginalised(covered(model, *smooth_function_columns(model, left)))
+        return self.marginalised(model_with_smooth_functions(model, *smooth_function_columns(model, left)))
 
     def linear(self, model: LinearisedModel) -> LinearModel:
         return model.linear
