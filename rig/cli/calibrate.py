@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared import extension_calibration, limb_poses, recording_checks, user_effects_option
-from rig.cli.shared.calibration_summary import say_joints, say_physics, tell
+from rig.cli.shared.calibration_summary import print_pose_counts, say_joints, say_physics, show_calibration, tell
 from rig.cli.shared.output_options import (
     SEED,
     Progress,
@@ -24,16 +24,11 @@ from rig.cli.shared.output_options import (
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import numpy as np
 
-    from calib.certify.platform_certification import Certified
     from calib.diagnose.arm_findings_refit import ArmRefit
     from calib.diagnose.platform_findings_refit import Findings, PlatformRefit
     from calib.files.calibration_file import Calibration
-    from calib.models.arm.certification import Certified as ArmCertified
-    from calib.models.chain.certification import Certified as ChainCertified
     from calib.samples.pose_samples import Samples
     from calib.samples.recording_samples import Sampled
     from rig.effects.texts.effect_text import Kinds
@@ -41,9 +36,6 @@ if TYPE_CHECKING:
     from rig.report.pages.page_template import Link
 
     Places = tuple[Any, Path | None, list[Link]]  # of the file, of its page, and the page's links
-
-
-MOST_NAMED = 10  # frames
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -197,14 +189,14 @@ def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Name
     claim = workspace_claim_of(samples, done, rng)
     made = calibration_with_provenance(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
     calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), calibration, progress)
+    show_calibration(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     struts = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
     print("beyond the geometry: " + (f"struts {', '.join(map(str, struts))} corrected over the configuration space" if struts
                                      else "nothing that pays on held-out poses" if done.held_out else "not asked, for want of held-out poses"))
     say_physics(calibration.physics)
-    _print_poses(sampled, done)
+    print_pose_counts(sampled, done)
     return calibration
 
 
@@ -218,12 +210,12 @@ def _extended(recording: Recording, sampled: Sampled, out: Places, arguments: Na
     done = found.done
     made = calibration_with_provenance(recording, sampled, done, found.claim, arguments.argv, before=None if before is None else (before, found.kept))
     calibration = _stored(out[0], made, arguments, None)
-    _shown(out[1], lambda page: found.draw(page, recording, calibration, out[2]), calibration, progress)
+    show_calibration(out[1], lambda page: found.draw(page, recording, calibration, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
     extension_calibration.print_extension(found, f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
         "the owner's model alone" if arguments.alone else "the fitted geometry"))
-    _print_poses(sampled, done)
+    print_pose_counts(sampled, done)
     return calibration
 
 
@@ -252,12 +244,12 @@ def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespa
     claim = workspace_claim_of(samples, done, rng)
     made = calibration_with_provenance(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
     calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done, out[2]), calibration, progress)
+    show_calibration(out[1], lambda page: calibration_page(page, recording, calibration, samples, done, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
     say_joints(done, calibration.physics)
     print("\n".join(done.found.rank.report()))
-    _print_poses(sampled, done)
+    print_pose_counts(sampled, done)
     return calibration
 
 
@@ -273,32 +265,12 @@ def _chain(recording: Recording, sampled: Sampled, out: Places, arguments: Names
     calibration = _stored(
         out[0], calibration_with_provenance(recording, sampled, done, claim, arguments.argv), arguments, (recording, sampled, progress)
     )
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), calibration, progress)
+    show_calibration(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     print("\n".join(done.found.report()))
-    _print_poses(sampled, done)
+    print_pose_counts(sampled, done)
     return calibration
-
-
-def _shown(page: Path | None, draw: Callable[[Path], None], calibration: Calibration, progress: Progress) -> None:
-    """Draw the page, where there is one, and print the verdict, first of all."""
-    from calib.certify.calibration_evidence import calibration_verdict
-    from calib.certify.calibration_verdict import claim_lines
-
-    if page:
-        progress("drawing the page", 0, 1)
-        draw(page)
-    progress.close()
-    judged = calibration_verdict(calibration)
-    print("\n".join([judged.line, *judged.rests_on, *(claim_lines(calibration.claim)[1:] if calibration.claim is not None else [])]))
-
-
-def _print_poses(sampled: Sampled, done: Certified | ArmCertified | ChainCertified) -> None:
-    odd = [str(frame) for frame in sampled.samples.frame[~done.found.inliers]]
-    named = f"; not frame {', '.join(odd[:MOST_NAMED])}" + (f" and {len(odd) - MOST_NAMED} more" if len(odd) > MOST_NAMED else "") if odd else ""
-    print(f"{len(sampled.samples)} poses of {done.label.max() + 1} distinct configurations from {sampled.source}, {done.found.inliers.sum()} of "
-          f"them agree with one geometry{named}")
 
 
 def _stored(out: Any, calibration: Calibration, arguments: Namespace, look: tuple[Recording, Sampled, Progress] | None) -> Calibration:

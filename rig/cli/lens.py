@@ -40,7 +40,7 @@ def run(arguments: Namespace) -> None:
 
     from calib.report.lens_page import lens_page, lens_verdict
     from rig.formats.output_files import write_text
-    from rig.formats.rig_toml.design_file import camera_block
+    from rig.formats.rig_toml.design_text_edits import camera_block
     from vision.lenses.board_photographs import calibrate_photographs
 
     found = calibrate_photographs(paths, board, arguments.name, Progress())

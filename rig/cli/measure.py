@@ -34,7 +34,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Measure a recording and write what was measured."""
-    from rig.formats.rig_toml.design_file import with_cameras, with_places
+    from rig.formats.rig_toml.design_text_edits import with_cameras, with_places
     from rig.recording import data_provenance, recording_tables
     from rig.recording import recording_folder as recordings
 

@@ -17,6 +17,7 @@ from rig.cli.shared.output_options import (
     page_path,
     parse_length,
 )
+from rig.cli.shared.plan_inputs import calibrated_geometry, visited_configurations
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number, parse_whole_number
 from rig.report.verdict import Evidence, Missing, judge_evidence
@@ -24,8 +25,7 @@ from rig.report.verdict import Evidence, Missing, judge_evidence
 if TYPE_CHECKING:
     import numpy as np
 
-    from calib.models.platform.d_optimal_configurations import Avoided
-    from rig.model.design import Arm, Chain, Design, Free, Hexapod, Planar2
+    from rig.model.design import Arm, Chain, Design, Planar2
 
 SHOWN = 8  # combinations that are listed
 LEAST = 3.0  # standard deviations by which effects must differ to be told apart
@@ -114,8 +114,8 @@ def _promise(arguments: Namespace) -> Made:
 
     from calib.models.platform.fewest_configurations import fewest_configurations
 
-    mechanism, avoided = _calibrated(arguments, mechanism)
-    given = _given(arguments.given, mechanism) if arguments.given else None
+    mechanism, avoided = calibrated_geometry(arguments, mechanism)
+    given = visited_configurations(arguments.given, mechanism) if arguments.given else None
     progress = Progress()
     found = fewest_configurations(
         mechanism, arguments.promise, arguments.sigma, given, SEED, lambda done, of: progress("choosing", done, of), avoided
@@ -224,11 +224,11 @@ def _parameters(arguments: Namespace) -> Made:
         return _of_any(arguments, design, mechanism, out)
 
     from calib.models.platform.d_optimal_configurations import choose_configurations as choose
-    from calib.models.platform.parameter_observability import PLAUSIBLE
+    from calib.models.platform.parameter_observability import PLAUSIBLE, standard_error_along
     from calib.models.platform.parameter_observability import parameter_combinations as combinations
 
-    mechanism, avoided = _calibrated(arguments, mechanism)
-    given = _given(arguments.given, mechanism) if arguments.given else None
+    mechanism, avoided = calibrated_geometry(arguments, mechanism)
+    given = visited_configurations(arguments.given, mechanism) if arguments.given else None
     progress = Progress()
     chosen = choose(mechanism, arguments.count, arguments.sigma, arguments.criterion, given, SEED,
                     lambda done, of: progress("choosing", done, of), avoided)
@@ -246,7 +246,7 @@ def _parameters(arguments: Namespace) -> Made:
         said.append(f"{len(hidden)} combinations that what was given does not tell from {PLAUSIBLE * 1e3:g} mm become visible; the worst:")
     else:
         said.append("the worst determined combinations:")
-    said += [f"  {_sigma(part.sigma)} -> {_sigma(_along(chosen.root, part.direction))}  {part.name}" if visited else
+    said += [f"  {_sigma(part.sigma)} -> {_sigma(standard_error_along(chosen.root, part.direction))}  {part.name}" if visited else
              f"  {_sigma(part.sigma)}  {part.name}" for part in (before if visited else after)[:SHOWN]]
     unseen = sum(not part.determined for part in after)
     return Made(design, chosen.commands, "check" if unseen else "good", said[0] + (f"; {unseen} combinations stay unseen" if unseen else ""), said)
@@ -283,46 +283,8 @@ def _of_any(arguments: Namespace, design: Design, mechanism: Arm | Chain | Plana
     return Made(design, found.values, "good", f"{arguments.count} configurations for {len(found.names)} parameters", ["", *said])
 
 
-def _calibrated(arguments: Namespace, mechanism: Hexapod) -> tuple[Hexapod, Avoided | None]:
-    """(geometry, which configurations are not to be visited) by the calibration that is named; the mechanism as it is where none is.
-
-    Raises RigError for a calibration of another kind of mechanism
-    """
-    if not arguments.calibration:
-        return mechanism, None
-    from functools import partial
-
-    from calib.files import calibration_file
-    from calib.workspace.reachable_poses import is_pose_lost
-
-    correction = calibration_file.load(arguments.calibration).correction
-    if correction.fitted.kind != "hexapod":
-        raise RigError(f"{arguments.calibration} is a calibration of a mechanism of kind {correction.fitted.kind!r}, not of a hexapod")
-    return correction.fitted, partial(is_pose_lost, correction)
-
-
-def _along(root: np.ndarray, direction: np.ndarray) -> float:
-    """m, standard error along a direction (42,) for the information's square root."""
-    import numpy as np
-
-    return float(np.linalg.norm(np.linalg.solve(root.T, direction)))
-
-
 def _sigma(value: float) -> str:
     return f"{value * 1e6:9.2f} um" if value < 1e-2 else "   unseen   "
-
-
-def _given(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> np.ndarray:
-    """(k, 6) m configurations visited: of a recording's frames, or of a table."""
-    from rig.formats import csv_table
-    from rig.recording import recording_folder
-
-    if path.is_dir():
-        read = recording_folder.load(path)
-        if read.design.mechanism.kind != "hexapod":
-            raise RigError(f"{path} is a recording of a mechanism of kind {read.design.mechanism.kind!r}")
-        return read.commanded()[2]
-    return csv_table.read(path, ("frame", *mechanism.axes)).matrix(mechanism.axes)
 
 
 PURPOSES = {"parameters": _parameters}

@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from typing import Any, TextIO, TypeVar
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from rig.driving import path_check, protocols
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_link import Link, Port
+from rig.driving.driver_reports import Arrival, Status
 from rig.driving.operator_advice import ANEW, CANNOT_HOME, OUT_OF_RANGE, TRUST, advice
 from rig.driving.protocols.protocol_interface import Dialogue, Segment, State, Verdict
 from rig.driving.serial_port import SerialPort, find_port
@@ -27,28 +27,6 @@ STILL = 1.0  # s without coming nearer: standing
 PROGRESS = 1e-7  # m; less is noise of the read-back
 STANDING = 1e-6  # m by which a rig that stands may seem to come nearer from one look to the next
 TRIES = 3  # times that a move is sent which the read-back shows was never begun
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Status:
-    """activity : as rig.driving.protocols.protocol_interface.State; lengths : (n,) m; known : whether the lengths can be believed; fault, said :
-    text."""
-
-    activity: str
-    lengths: np.ndarray
-    known: bool
-    fault: str
-    said: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Arrival:
-    """A move that is done. lengths : (n,) m, as read back; start_time, ended : s on the clock; note : what went wrong on the way, or ""."""
-
-    lengths: np.ndarray
-    start_time: float
-    ended: float
-    note: str
 
 
 class Driver:

@@ -43,7 +43,7 @@ from calib.diagnose.report.platform_report import (
     unnamed_finding_entries,
     unusual_size_reason,
 )
-from calib.models.arm.certification import UNSTATED
+from calib.models.arm.held_out_scatter import UNSTATED
 from rig.formats import machine_json
 from rig.formats.output_files import write_text
 from rig.model import mechanisms

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.distinct_configurations import LEAST, axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
-from calib.certify.held_out_error_statistics import HeldErrors, Influence, both, held_out_error_statistics, influence
+from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics
 from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after, is_significant_gain
 from calib.certify.platform_certification import Progress, silent_progress
 from calib.certify.workspace_claim import (
@@ -24,6 +24,7 @@ from calib.certify.workspace_claim import (
 from calib.identify.robust_fit import CONSISTENT, MOST, outlier_rows
 from calib.models.arm import error_model, joint_profiles
 from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.held_out_scatter import as_held_out, beyond_geometry, by_parameters, unexplained
 from calib.models.arm.identification import GATE, Identified, identify, needed, parameters
 from calib.models.arm.instrument_observations import KINDS, Observations, of_samples
 from calib.models.arm.instrument_placement import place_arm
@@ -37,7 +38,6 @@ from rig.planning.plan import FILL, low_discrepancy
 STRETCHES = 30  # in time; every third is held out at once, so a third of the samples, and each sample once
 PARTS = 3
 FEW = 30  # configurations below which one at a time is held out, or a tenth of them
-UNSTATED = 1.2  # times what is stated, from which a scatter is unexplained
 ROUNDS = 2  # of fitting the geometry and the profiles in turn
 UNPLACED = {"orientation": "orientations alone were measured, which tell nothing of lengths and places",
             "distance": "a wire's length alone was measured, which does not tell how the arm's base is turned"}
@@ -124,29 +124,6 @@ def _counted(found: Identified, samples: Samples) -> np.ndarray:
 def shared_errors(samples: Samples, shared: np.ndarray) -> np.ndarray:
     """(n, 6) m and rad by which what all poses share moves each. shared : (j,) draw of it, as a fit has it"""
     return np.einsum("nik,k->ni", samples.common, shared) if len(shared) == samples.common.shape[2] else np.zeros((len(samples), 6))
-
-
-def beyond_geometry(found: Identified, correction: ArmCorrection, agreed: Samples, label: np.ndarray) -> HeldErrors:
-    """HeldErrors of an arm's geometry at each configuration. agreed : Samples that it was fitted to; label : (m,) configuration of each"""
-    return held_out_error_statistics(_influence(found, correction, agreed, label).standardised, agreed, label)
-
-
-def by_parameters(found: Identified, correction: ArmCorrection, agreed: Samples, parts: np.ndarray) -> np.ndarray:
-    """(2,) m^2 and rad^2, mean square of errors at samples held out that comes of the parameters. parts : (m,) which are held out together"""
-    return both(_influence(found, correction, agreed, parts).without)
-
-
-def _influence(found: Identified, correction: ArmCorrection, agreed: Samples, parts: np.ndarray) -> Influence:
-    J = error_model.parameter_jacobian(agreed.commanded, correction.fitted)
-    noise = of_samples(agreed).covariance + np.diag(found.scatter**2)
-    return influence(found.residuals[found.inliers], J, found.covariance, noise, parts)
-
-
-def as_held_out(found: Identified, left: HeldErrors, rng: np.random.Generator) -> Identified:
-    """The Identified, its scatter no less than poses held out show beyond the parameters' errors: what a model lacks a fit takes into itself."""
-    if len(found.scatter) != 6:
-        return found
-    return replace(found, scatter=np.maximum(found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3))))
 
 
 def _as_stated(found: Identified, measured: str) -> Identified:
@@ -298,18 +275,3 @@ def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generat
     draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")
     draws *= np.sqrt(draw_variance_ratio(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
     return replace(claim_of_drawn_machines(workspace, draws, each, told, rng), unexplained=unexplained(again.scatter, observed.covariance))
-
-
-def unexplained(scatter: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:
-    """A sentence for positions, and one for rotations, that scatter beyond what their instrument states by more than a fifth of that.
-
-    scatter : (k,) m and rad beyond; covariance : (n, k, k) as stated
-    """
-    out = []
-    for part, name, unit in ((slice(0, 3), "positions", "mm"), (slice(3, 6), "rotations", "mrad")):
-        beyond = float(np.sqrt((scatter[part] ** 2).sum()))
-        stated = float(np.sqrt(np.einsum("nkk->nk", covariance)[:, part].sum(axis=1).mean())) if beyond else 0.0
-        if np.hypot(beyond, stated) > UNSTATED * stated:
-            out.append(f"{name} of the hand scatter by {beyond * 1e3:.3g} {unit} beyond the {stated * 1e3:.3g} {unit} that is stated for them, which "
-                       "nothing in this calibration explains")
-    return tuple(out)

@@ -26,8 +26,9 @@ from calib.certify.workspace_claim import (
 from calib.correct.correction_tables import Summands
 from calib.correct.interpolation.field import Field, Known
 from calib.models.arm import error_model
-from calib.models.arm.certification import UNPLACED, Certified, as_held_out, beyond_geometry, by_parameters, calibrate, owners_model, start_of
+from calib.models.arm.certification import UNPLACED, Certified, calibrate, owners_model, start_of
 from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.held_out_scatter import as_held_out, beyond_geometry, by_parameters
 from calib.models.arm.identification import Identified, identify, parameters
 from calib.models.arm.instrument_observations import of_samples
 from calib.models.arm.parameter_rank import PLAUSIBLE, Rank

@@ -19,7 +19,7 @@ from calib.certify.workspace_claim import (
     claim_of_too_few_configurations,
 )
 from calib.correct.correction import Correction, commands_with_pose
-from calib.models.arm.certification import unexplained
+from calib.models.arm.held_out_scatter import unexplained
 from calib.models.chain import error_model
 from calib.models.chain.identification import Identified, identify
 from calib.samples.pose_samples import Samples

@@ -39,6 +39,11 @@ def parameter_combinations(root: np.ndarray, mechanism: Struts) -> tuple[tuple[C
     return tuple(Combination(d, float(s), direction_text(d, patterns)) for d, s in zip(seen.directions[::-1], sigma[::-1])), seen
 
 
+def standard_error_along(root: np.ndarray, direction: np.ndarray) -> float:
+    """m, standard error along a direction (42,) for the information's square root."""
+    return float(np.linalg.norm(np.linalg.solve(root.T, direction)))
+
+
 def frame_motion_columns(mechanism: Hexapod) -> np.ndarray:
     """(42, 12) the parameters' motions with the frames: base joints with the base frame (x y z rx ry rz), platform joints with theirs.
 

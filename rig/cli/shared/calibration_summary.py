@@ -1,4 +1,4 @@
-"""What `rig calibrate` says of a calibration's worth beyond the verdict: a promise kept or not, and what becomes of the workspace."""
+"""What `rig calibrate` says of a calibration: the verdict, which poses agree, a promise kept or not, what becomes of the workspace."""
 
 from __future__ import annotations
 
@@ -7,10 +7,32 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from calib.certify.platform_certification import Certified as PlatformCertified
     from calib.certify.workspace_claim import Claim
     from calib.correct.physics import Physics
     from calib.files.calibration_file import Calibration
     from calib.models.arm.certification import Certified
+    from calib.models.chain.certification import Certified as ChainCertified
+    from calib.samples.recording_samples import Sampled
+    from rig.cli.shared.progress_bars import Progress
+
+MOST_NAMED = 10  # frames
+
+
+def show_calibration(page: Path | None, draw: Callable[[Path], None], calibration: Calibration, progress: Progress) -> None:
+    """Draw the page, where there is one, and print the verdict, first of all."""
+    from calib.certify.calibration_evidence import calibration_verdict
+    from calib.certify.calibration_verdict import claim_lines
+
+    if page:
+        progress("drawing the page", 0, 1)
+        draw(page)
+    progress.close()
+    judged = calibration_verdict(calibration)
+    print("\n".join([judged.line, *judged.rests_on, *(claim_lines(calibration.claim)[1:] if calibration.claim is not None else [])]))
 
 
 def tell(arguments: Namespace, calibration: Calibration, poses: int) -> None:
@@ -74,3 +96,11 @@ def say_physics(physics: Physics | None) -> None:
     for u in physics.unknown:
         print(f"unknown at {u.place}: " + ("corrected as a smooth function of the configuration" if u.corrected else "not corrected, as no smooth "
                                            "function of the configuration explains it"))
+
+
+def print_pose_counts(sampled: Sampled, done: PlatformCertified | Certified | ChainCertified) -> None:
+    """Print how many poses of how many configurations there are, how many agree with one geometry, and which frames do not."""
+    odd = [str(frame) for frame in sampled.samples.frame[~done.found.inliers]]
+    named = f"; not frame {', '.join(odd[:MOST_NAMED])}" + (f" and {len(odd) - MOST_NAMED} more" if len(odd) > MOST_NAMED else "") if odd else ""
+    print(f"{len(sampled.samples)} poses of {done.label.max() + 1} distinct configurations from {sampled.source}, {done.found.inliers.sum()} of "
+          f"them agree with one geometry{named}")

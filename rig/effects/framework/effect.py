@@ -19,7 +19,7 @@ from rig.effects.framework.parameter_grid import derivative_step, parameter_grid
 from rig.effects.framework.place_names import AXES, axis_mask, axis_word, includes_place, kind_of
 from rig.effects.framework.random_effects import Drawing, draw_parameter
 from rig.effects.framework.recording_context import Context
-from rig.effects.framework.search_candidate import COUNT, QUADRATURE, Candidate, Linear
+from rig.effects.framework.search_candidate import COUNT, QUADRATURE, Candidate, Linear, parameter_values
 from rig.errors import RigError
 from rig.model.design import Camera
 
@@ -219,21 +219,7 @@ class Effect:
     @classmethod
     def composed(cls, candidate: Candidate, node: dict, coefficients: np.ndarray) -> "Effect":
         """The effect of a Candidate's node with coefficients (q,) of its linear parameters."""
-        values, by = dict(node), {p.name: p for p in cls.parameters}
-        vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in candidate.linear if index is not None}
-        for (name, index, _), c in zip(candidate.linear, coefficients):
-            if name == QUADRATURE:
-                amplitude = next(p.name for p in cls.parameters if p.role == "linear")
-                phase = next(p.name for p in cls.parameters if p.role == "phase")
-                values[amplitude], values[phase] = float(np.hypot(values[amplitude], c)), float(np.arctan2(c, values[amplitude]))
-            elif index is not None:
-                vectors[name][index] = c
-            elif by[name].role == "inverse":
-                values[name] = 1 / c if c else np.inf
-            else:
-                values[name] = float(c)
-        values.pop(COUNT, None)
-        return cls(candidate.place, **values, **{name: tuple(v.tolist()) for name, v in vectors.items()})
+        return cls(candidate.place, **parameter_values(candidate.linear, node, coefficients, cls.parameters))
 
     @classmethod
     def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:

@@ -1,11 +1,13 @@
 """What a search may ask of a recording: an effect at a place, with the values of its nonlinear parameters to be tried."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from rig.effects.framework.machine_motion import Motion
+from rig.effects.framework.parameter import Parameter
 
 if TYPE_CHECKING:
     from rig.effects.framework.effect import Effect
@@ -55,3 +57,22 @@ class Candidate:
         """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole where the size
         is part of the node. For effects that neither shift time nor change the path: see Effect.follow."""
         return self.kind.columns(self, node, motion)
+
+
+def parameter_values(linear: Sequence[Linear], node: dict, coefficients: np.ndarray, parameters: Sequence[Parameter]) -> dict[str, Any]:
+    """{parameter name: number or tuple} of an effect with such parameters: a node's values, and coefficients (q,) of its linear columns."""
+    values, by = dict(node), {p.name: p for p in parameters}
+    vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in linear if index is not None}
+    for (name, index, _), c in zip(linear, coefficients):
+        if name == QUADRATURE:
+            amplitude = next(p.name for p in parameters if p.role == "linear")
+            phase = next(p.name for p in parameters if p.role == "phase")
+            values[amplitude], values[phase] = float(np.hypot(values[amplitude], c)), float(np.arctan2(c, values[amplitude]))
+        elif index is not None:
+            vectors[name][index] = c
+        elif by[name].role == "inverse":
+            values[name] = 1 / c if c else np.inf
+        else:
+            values[name] = float(c)
+    values.pop(COUNT, None)
+    return {**values, **{name: tuple(v.tolist()) for name, v in vectors.items()}}

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_file, design_text_edits
 from rig.model.pose import log, pose_difference
 from tests.vision.tumbling import scene
 from vision.bundle.bundle_adjustment import adjust_bundle
@@ -101,6 +101,6 @@ def test_places_are_written_into_rig_toml_and_read_back(worked, tmp_path):
         f'[[target]]\nname = "{target.name}"\nbody = "{target.body}"\ndictionary = "{target.dictionary}"\nedge = 1.0\nmarker = 0.5\n'
         'faces = {"+x" = 0}\npose = { position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }' for target in m.design.targets])
     path = tmp_path / "rig.toml"
-    path.write_text(design_file.with_places(text, adjusted_markers(m)))
+    path.write_text(design_text_edits.with_places(text, adjusted_markers(m)))
     again = marker_map(design_file.load(path))
     np.testing.assert_allclose(again.corners, m.adjustment.state.markers.corners, atol=1e-8)

@@ -14,7 +14,7 @@ from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCame
 from rig.formats.importers.import_recipe import Cameras
 from rig.formats.input_files import value_text
 from rig.formats.number_parsing import parse_numbers
-from rig.formats.rig_toml.design_file import camera_block, with_cameras
+from rig.formats.rig_toml.design_text_edits import camera_block, with_cameras
 from rig.model.design import Camera
 from rig.model.pose import pose
 

@@ -10,7 +10,7 @@ import yaml
 
 from rig.errors import RigError
 from rig.formats.exporters import opencv_and_ros_camera as exported
-from rig.formats.rig_toml import design_file
+from rig.formats.rig_toml import design_file, design_text_edits
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout
 from tests.calib.checks.test_mistakes import said
@@ -166,7 +166,7 @@ def test_what_opencv_writes_is_read_and_what_it_reads_is_written(suffix, stated,
 
 def test_camera_info_goes_both_ways(stated, true, tmp_path):
     out = tmp_path / "changed.toml"
-    out.write_text(design_file.with_cameras(stated[0].read_text(), true))
+    out.write_text(design_text_edits.with_cameras(stated[0].read_text(), true))
     assert said("export", out, "--format", "camera-info", "--out", tmp_path / "info")[0] == 0
     tree = yaml.safe_load((tmp_path / "info" / f"{true[1].name}.yaml").read_text())
     assert tree["distortion_model"] == "plumb_bob" and tree["projection_matrix"]["data"][:3] == tree["camera_matrix"]["data"][:3]
