@@ -31,6 +31,7 @@ DRAWS = 1000
 TRUSTED = 20  # degrees of freedom that the poses' stated covariance is worth beside what their residuals say of it
 LEAST_ERROR = 1e-12  # m, below which no error counts
 EDGES = (0.5, 0.025, 0.975)
+WIDER = 1.2  # times the logarithms of drawn errors about their median: what the draws leave out, as driven machines of an independent truth show it
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +112,7 @@ def claim_of_mean_squares(
     before: np.ndarray, after: np.ndarray, words: str, samples: Samples, told: ConfigurationInformation, rng: np.random.Generator
 ) -> Claim:
     """Claim of drawn machines' mean squares over the workspace, before and after (d, 2) m^2 and rad^2. words : what is meant by it"""
-    count = len(after)
+    count, after = len(after), _wider(after)
     seen = np.full(count, np.trace(samples.covariance[:, :3, :3], axis1=1, axis2=2).mean())
     if samples.common.shape[2]:
         shared = samples.common[:, :3] @ rng.normal(size=(samples.common.shape[2], count))
@@ -120,6 +121,13 @@ def claim_of_mean_squares(
     ratio = np.sqrt(np.maximum(before[:, 0], least) / np.maximum(after[:, 0], least))
     measured = np.sqrt((np.maximum(before[:, 0], least) + seen) / (np.maximum(after[:, 0], least) + seen))
     return Claim(*told, words, _both(before), _both(after), _three(ratio), _three(measured))
+
+
+def _wider(squares: np.ndarray) -> np.ndarray:
+    """Draws (d, 2) of mean squares, spread about their medians by WIDER."""
+    middle = np.median(squares, axis=0)
+    share = np.divide(squares, middle, out=np.ones_like(squares), where=middle > 0)
+    return np.where(middle > 0, middle * share**WIDER, squares)
 
 
 def _three(values: np.ndarray) -> tuple[float, ...]:
