@@ -126,7 +126,7 @@ def evaluate_experiment(asked: Sequence[Question], design: Design, text: str, se
 
 def _worth(question: Question, plan: Plan) -> Information:
     """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first recording's and others."""
-    odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "by_data"))
+    odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "data_log_odds"))
     found = [
         experiment_information(odds, question.predict_outcomes(plan, warmer), behind) for warmer in (DAYS if question.follows_temperature else (0.0,))
     ]

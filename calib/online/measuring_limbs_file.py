@@ -96,8 +96,9 @@ def load(path: Path | str) -> Accepted:
     others = [] if checks is None else checks.limbs.tolist()
     if sorted([*chosen.tolist(), *others]) != list(range(6 + len(others))):
         tree.fail(f"chosen {(chosen + 1).tolist()} and the limbs of checks {[i + 1 for i in others]} must be all limbs, each once", "checks")
-    found = Accepted(Limbs(hexapod, covariance_in(tree, 42, "covariance"), sigma, chosen, checks), nominal,
-                     Agreement(table.whole("n", 1), tolerance=tree.array("tolerance", (6,)), **parts), _withdrawal(tree),
+    proven = parts.pop("surely")
+    agreement = Agreement(table.whole("n", 1), tolerance=tree.array("tolerance", (6,)), proven_limits=proven, **parts)
+    found = Accepted(Limbs(hexapod, covariance_in(tree, 42, "covariance"), sigma, chosen, checks), nominal, agreement, _withdrawal(tree),
                      dict(tree.table("provenance").tree))
     verdict = tree.text("verdict", VERDICTS)
     if verdict != found.verdict:

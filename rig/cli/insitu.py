@@ -139,12 +139,13 @@ def _result(accepted: Accepted, channels: tuple[str, ...], error: np.ndarray, si
     """What --json prints. error, sigma : (n, checks) m, of the limbs beyond six"""
     found, gone = accepted.agreement, accepted.withdrawn
     names = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
+    figures = {name: getattr(found, "proven_limits" if name == "surely" else name).tolist() for name in names}
     checks = accepted.limbs.checks
     closures = [{"limb": channels[i], "mean": float(e.mean()), "rms": float((e**2).mean() ** 0.5), "expected": float((s**2).mean() ** 0.5)}
                 for i, e, s in zip([] if checks is None else checks.limbs, error.T, sigma.T)]
     return {"schema": "insitu/1", "verdict": accepted.verdict, "poses": found.n, "order": "x y z rx ry rz, m and rad",
             "pose_from": [channels[i] for i in accepted.limbs.chosen], "closures": closures,
-            **{name: getattr(found, name).tolist() for name in names}, "withdrawn": gone and {"frame": gone.frame, "reason": gone.reason}}
+            **figures, "withdrawn": gone and {"frame": gone.frame, "reason": gone.reason}}
 
 
 def _print(found: Agreement, source: str) -> None:

@@ -171,10 +171,10 @@ def _foreign(folder, design):
         found = frames.pictures_of_folder(files, Path("in"), {name: name for name in cameras}, None, cameras)
         return frames.group_exposures(found, Images((Path("in"),)), lambda t: True) if found else None
 
-    return [Reader("foreign commands", (german, plain), lambda path: importers.command_table.commands(ForeignTable(path), design)),
-            Reader("foreign poses", (turns, angles), lambda path: importers.pose_table.poses(
+    return [Reader("foreign commands", (german, plain), lambda path: importers.command_table.read_commands(ForeignTable(path), design)),
+            Reader("foreign poses", (turns, angles), lambda path: importers.pose_table.read_poses(
                 ForeignTable(path, rotation_unit="deg", rotation="zyx") if b"roll" in
                 path.read_bytes() else ForeignTable(path), design, lambda *_: None, lambda t: True)),
-            Reader("foreign sensors", (log,), lambda path: importers.sensor_table.sensors(ForeignTable(path), lambda t: True)),
+            Reader("foreign sensors", (log,), lambda path: importers.sensor_table.read_sensors(ForeignTable(path), lambda t: True)),
             Reader("recipe", (recipe,), importers.load),
             Reader("names of images", (b"cam0_1763800000123.png\ncam1_1763800000125.png\ncam0_1763800001123.png", b"cam0/1.png\ncam1/1.png"), names)]

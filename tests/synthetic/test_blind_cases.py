@@ -17,7 +17,7 @@ from rig.errors import FileError
 from rig.model import manufacturing_tolerances, motion_simulation
 from rig.planning import plan
 from rig.recording import recording_folder
-from synthetic import blind_cases, diagnosis_score, recording_simulation, secret_machine, unlisted_physics
+from synthetic import blind_cases, blind_image_settings, diagnosis_score, recording_simulation, secret_machine, unlisted_physics
 
 
 def test_a_schedule_deals_every_kind_and_every_effect_alike():
@@ -244,11 +244,11 @@ def test_a_campaign_end_to_end(tmp_path, capsys):
 
 def test_a_case_in_images_draws_optics_and_prints_its_markers_within_tolerance():
     cases = [blind_cases.draw_case(8, index, 40, (), ("one",), (), True) for index in range(1, 7)]
-    assert {(t.image_settings.width, t.image_settings.height) for t in cases} == set(blind_cases.blind_images.RESOLUTIONS)
-    assert {t.image_settings.lens for t in cases} == set(blind_cases.blind_images.LENSES) and all(t.image_settings.lens in t.text for t in cases)
+    assert {(t.image_settings.width, t.image_settings.height) for t in cases} == set(blind_image_settings.RESOLUTIONS)
+    assert {t.image_settings.lens for t in cases} == set(blind_image_settings.LENSES) and all(t.image_settings.lens in t.text for t in cases)
     for t in cases:
         (hidden,), (*_, printed) = t.hidden, t.simulation.world.effects
-        assert blind_cases.blind_images.drawable(type(hidden)) and hidden in t.simulation.world.effects
+        assert blind_image_settings.is_drawable(type(hidden)) and hidden in t.simulation.world.effects
         assert printed.name == "printing" and np.std(printed.offsets) < manufacturing_tolerances.PLACES.sigma * 1.3 and np.any(printed.offsets)
         assert np.abs(printed.scales).max() < 6 * manufacturing_tolerances.SIDES.sigma
         assert 0.0005 < t.noise < 0.05 and len(blind_cases.simulated_corners(t).frame) > 40

@@ -102,8 +102,8 @@ def test_each_camera_has_its_own_resolution(design, opengl):
 
 
 def test_without_opengl_one_clear_line(tmp_path):
-    code = ("import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.renderer import opengl\nfrom rig.errors import MissingLibrary\n"
-            "try: opengl()\nexcept MissingLibrary as e: print(e)")
+    code = ("import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.renderer import import_pyrender\nfrom rig.errors import MissingLibrary\n"
+            "try: import_pyrender()\nexcept MissingLibrary as e: print(e)")
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
     assert "apt-get install -y libegl1 libgl1" in out and out.count("\n") == 1
     assert issubclass(MissingLibrary, Exception)

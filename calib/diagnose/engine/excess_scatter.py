@@ -8,7 +8,7 @@ from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit
 MATERIAL = 1.2  # times the stated noise; a statement of noise is seldom better than that
 
 
-def test_excess_scatter(place: str, unit: str, noise: float, square: float, freedom: float, tests: int = 1,
+def detect_excess_scatter(place: str, unit: str, noise: float, square: float, freedom: float, tests: int = 1,
                  depends_on: tuple[str, ...] = ()) -> LackOfFit | None:
     """LackOfFit of what scatters more than chance and a statement's own accuracy allow, None where the noise suffices.
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.excess_scatter import MATERIAL, test_excess_scatter
+from calib.diagnose.engine.excess_scatter import MATERIAL, detect_excess_scatter
 from calib.diagnose.problems.arm import arm_diagnosis as arms
 from calib.diagnose.problems.platform import platform_diagnosis as platforms
 from calib.diagnose.report import arm_report, platform_report
@@ -91,7 +91,7 @@ def test_corners_noisier_than_stated_are_unexplained(tmp_path, design):
 def test_chance_alone_is_never_beyond_the_noise():
     rng = np.random.default_rng(0)
     squares = [float((rng.normal(size=60) ** 2).sum()) for _ in range(3000)]
-    assert not any(test_excess_scatter("rig", "m", 1.0, s, 60) for s in squares)
-    assert test_excess_scatter("rig", "m", 1.0, 0.99 * MATERIAL**2 * 5000, 5000) is None and test_excess_scatter(
+    assert not any(detect_excess_scatter("rig", "m", 1.0, s, 60) for s in squares)
+    assert detect_excess_scatter("rig", "m", 1.0, 0.99 * MATERIAL**2 * 5000, 5000) is None and detect_excess_scatter(
         "rig", "m", 1.0, 1.1 * MATERIAL**2 * 5000, 5000
     )

@@ -3,7 +3,7 @@
 import pytest
 
 from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform
-from rig import effects
+from rig.effects.catalogue import effect_list
 from rig.effects.texts.effect_text import parse_effect
 from tests.calib.recorded import recorded
 
@@ -23,7 +23,7 @@ AT_LIMITS = [  # what is not a size at both ends of what rigs show
 
 def test_every_parameter_that_is_no_size_has_its_ends_here():
     asked = {parse_effect(text).name for text in AT_LIMITS}
-    for kind in effects.ALL:
+    for kind in effect_list.ALL:
         if any(p.role in ("log", "even", "frequency") for p in kind.parameters):
             assert kind.name in asked, kind.name
 

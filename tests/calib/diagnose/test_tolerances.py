@@ -19,7 +19,7 @@ from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.report.diagnosis_page import diagnosis_page
 from calib.diagnose.report.platform_page_figures import PlatformView
 from calib.diagnose.report.platform_report import platform_report
-from rig import effects
+from rig.effects.catalogue import effect_list
 from rig.model.manufacturing_tolerances import PLACES, SIDES
 from synthetic import printing_errors
 from tests.calib.recorded import recorded
@@ -73,7 +73,7 @@ def test_tolerances_are_not_at_work_where_nothing_is_off(tmp_path, design):
 
 def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
     """The cost that is left beside tolerances is that of the best sizes under their priors."""
-    scale = effects.BY_NAME["print_scale"]("markers", 4 * SIDES.limit)
+    scale = effect_list.BY_NAME["print_scale"]("markers", 4 * SIDES.limit)
     point = operating_point_of_recording(recorded(tmp_path, design, [scale], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
     found = tolerance_columns.tolerance_model(model, sensitivities)

@@ -101,7 +101,7 @@ def test_no_kernel_is_loaded_from_where_others_can_write(open_one, tmp_path):
     theirs = tmp_path / "rig" / "effects" / "framework" / "__pycache__" if open_one == "__pycache__" else tmp_path / "theirs"
     theirs.mkdir()
     theirs.chmod(0o777)
-    code = "from rig.effects.framework import play_operator as play; import numpy as np; print(play.play(np.ones((3, 1)), 0.5).sum())"
+    code = "from rig.effects.framework import play_operator; import numpy as np; print(play_operator.play_operator(np.ones((3, 1)), 0.5).sum())"
     environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(tmp_path), "HOME": str(tmp_path / "home"), "PYTHONDONTWRITEBYTECODE": "1"}
     if open_one == "NUMBA_CACHE_DIR":
         environment[open_one] = str(theirs)
@@ -120,7 +120,8 @@ def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
         pytest.skip("this Python is out of other users' reach")
     (tmp_path / "tmp").mkdir()
     (tmp_path / "tmp").chmod(0o777)
-    code = "from rig.effects.framework import play_operator as play; import numpy as np; print(play.__file__, play.play(np.ones((3, 1)), 0.5).sum())"
+    code = ("from rig.effects.framework import play_operator; import numpy as np\n"
+            "print(play_operator.__file__, play_operator.play_operator(np.ones((3, 1)), 0.5).sum())")
     done = subprocess.run([*nobody, "-c", code], capture_output=True,
                           text=True, cwd=tmp_path, env={"PYTHONPATH": str(tmp_path), "HOME": "/nonexistent", "TMPDIR": str(tmp_path / "tmp")})
     assert done.returncode == 0 and str(tmp_path / "rig") in done.stdout and done.stdout.split()[-1] == "3.0", done.stderr
@@ -129,9 +130,10 @@ def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
 
 def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_loaded(tmp_path):
     code = (
-        "from rig.compute.numba_kernels import announce_compilation as saying; from rig.effects.framework import play_operator as play; import "
+        "from rig.compute.numba_kernels import announce_compilation; from rig.effects.framework import play_operator; import "
         "numpy as np\n"
-        "with saying(lambda: print('compiling')):\n    for values in (np.ones((3, 1)), np.ones((3, 1), np.float32)): play.play(values, 0.5)"
+        "with announce_compilation(lambda: print('compiling')):\n    "
+        "for values in (np.ones((3, 1)), np.ones((3, 1), np.float32)): play_operator.play_operator(values, 0.5)"
     )
     told = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True,
                            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}).stdout for _ in range(2)]

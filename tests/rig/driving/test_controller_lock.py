@@ -22,8 +22,9 @@ HOLD = ("import sys, signal\nfrom rig.driving.controller_lock import Occupied\nf
         "def end(*_): raise KeyboardInterrupt\nsignal.signal(signal.SIGTERM, end)\n"
         "try:\n    with Occupied(*sys.argv[1:]):\n        print('held', flush=True)\n        signal.pause()\n"
         "except RigError as error:\n    print(error, flush=True)\nexcept KeyboardInterrupt:\n    print('ended', flush=True)\n")
-STOP = ("import sys\nfrom rig.driving.clock import SystemClock\nfrom rig.driving.controller_lock import interrupt\nfrom rig.errors import RigError\n"
-        "try:\n    print(interrupt(sys.argv[1], SystemClock(), 5.0), flush=True)\nexcept RigError as error:\n    print(error, flush=True)\n")
+STOP = ("import sys\nfrom rig.driving.clock import SystemClock\nfrom rig.driving.controller_lock import stop_lock_holder\n"
+        "from rig.errors import RigError\n"
+        "try:\n    print(stop_lock_holder(sys.argv[1], SystemClock(), 5.0), flush=True)\nexcept RigError as error:\n    print(error, flush=True)\n")
 ENVIRONMENTS = ({"XDG_RUNTIME_DIR": "/tmp"}, {}, {"XDG_RUNTIME_DIR": "/nowhere", "HOME": "/nowhere", "TMPDIR": "/nowhere"})
 NOBODY = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", "--inh-caps=-all"]
 

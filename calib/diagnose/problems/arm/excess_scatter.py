@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.diagnose.engine.covariate_ranking import Covariate
-from calib.diagnose.engine.excess_scatter import test_excess_scatter
+from calib.diagnose.engine.excess_scatter import detect_excess_scatter
 from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit
 from calib.diagnose.problems.arm.pose_fit import Fit
 from calib.diagnose.problems.arm.repeated_commands import Repeats
@@ -31,7 +31,7 @@ def scatter_beyond_noise(fit: Fit, again: Repeats | None, covariates: Sequence[C
         if left.size:
             square = float(np.einsum("ni,nij,nj->", left, np.linalg.inv(own), left))
             noise = float(np.sqrt(np.einsum("nii->n", own).mean()))
-            found.append(test_excess_scatter("rig", unit, noise, square, left.size - left.shape[1] * taken, k // 3, depends))
+            found.append(detect_excess_scatter("rig", unit, noise, square, left.size - left.shape[1] * taken, k // 3, depends))
     return [u for u in found if u is not None]
 
 

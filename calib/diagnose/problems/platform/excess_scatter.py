@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.diagnose.engine.excess_scatter import test_excess_scatter
+from calib.diagnose.engine.excess_scatter import detect_excess_scatter
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.problems.platform.lack_of_fit import within
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
@@ -27,7 +27,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
     own = model.strut_noise() - model.closures.scatter**2
     squares, freedom = (residual**2 / own).sum(axis=0), F - len(parameters(k.platform)) / k.axes
     noise = np.sqrt(own.mean(axis=0))
-    return [test_excess_scatter(f"strut {i + 1}", "m", float(noise[i]), float(squares[i]), freedom, k.axes) for i in range(k.axes)]
+    return [detect_excess_scatter(f"strut {i + 1}", "m", float(noise[i]), float(squares[i]), freedom, k.axes) for i in range(k.axes)]
 
 
 def _corners(model: LinearisedModel) -> LackOfFit | None:
@@ -36,4 +36,4 @@ def _corners(model: LinearisedModel) -> LackOfFit | None:
     if seen is None or stated is None:
         return None
     freedom = (len(model.corner_residual) - model.corners.local.shape[1] * model.frames) / MIDDLE
-    return test_excess_scatter("cameras", "px", stated, freedom * (model.corner_noise() / stated) ** 2, freedom)
+    return detect_excess_scatter("cameras", "px", stated, freedom * (model.corner_noise() / stated) ** 2, freedom)

@@ -147,7 +147,7 @@ def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
     error = pose_difference(done.correction.predict(q), error_model.predicted(q - geared(q), true))[:, :3]
     assert done.correction.extension.inflation > 1.5
     size = np.sqrt((error**2).sum(axis=1).mean())  # nearer the middle than most that were held out
-    assert 0.6 < size / claim.after[0][0] < 1.3 and claim.after[0][1] < claim.after[0][2] < 3 * claim.after[0][1]
+    assert 0.6 < size / claim.after[0][0] < 1.3 and claim.after[0][1] < claim.after[0][2] < 4 * claim.after[0][1]
     again = field_from_entries(Entries(json.loads(json.dumps(field_to_dict(done.correction.extension))), ("extension",), "c.json", {}), 6)
     np.testing.assert_array_equal(again.error(q), done.correction.extension.error(q))
 
