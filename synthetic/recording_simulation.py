@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.formats.output_files import write_text
 from rig.model import motion_simulation
-from rig.model.cube_quarter_turns import quarter_turns, rig_toml_with_turns
+from rig.model.cube_remounting import quarter_turns, rig_toml_with_turns
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs
 from rig.model.mechanism_kinds import axes_of
 from rig.model.pose import exp, pose_to_vector, transform_points

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from rig.effects.catalogue.cube_misplacement import CubeMisplacement
-from rig.model.cube_quarter_turns import design_with_turned_cubes, quarter_turns
+from rig.model.cube_remounting import design_with_turned_cubes, quarter_turns
 from synthetic.secret_machine import World
 
 SEAT = np.repeat([1e-4, 1e-3], 3)  # m, rad, by which a cube that is put back sits off

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from rig.errors import RigError
-from rig.model.cube_quarter_turns import WORDS
+from rig.model.cube_remounting import WORDS
 from rig.model.pose import log
 from rig.recording.combined_recordings import (
     Owners,

@@ -13,7 +13,7 @@ from calib.certify import tolerance_conformity, tolerance_limits
 from calib.certify.calibration import Calibration
 from calib.certify.held_out_errors import error_figures, errors_before_and_after
 from calib.certify.held_out_poses import HeldPoses, held_poses
-from calib.certify.iso230_axis_test import iso230
+from calib.certify.iso230_axis_errors import iso230
 from calib.certify.iso9283 import duty_of, iso9283
 from calib.certify.pose_error_promise import POSITION, ROTATION, Unit, depth_bound, pose_error_promise, promise_by_cell
 from calib.certify.repeatability import pose_repeatability

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.certificate.measuring_conditions import Conditions, Volume
 from calib.certify.held_out_errors import Figures
-from calib.certify.iso230_axis_test import AxisTest
+from calib.certify.iso230_axis_errors import AxisTest
 from calib.certify.iso9283 import Iso9283
 from calib.certify.pose_error_promise import Cell, Promise
 from calib.certify.recording_claim_check import AgainstClaim

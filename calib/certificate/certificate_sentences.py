@@ -2,7 +2,7 @@
 
 from calib.certificate.certificate_contents import Contents
 from calib.certify.calibration_verdict import rigid_motion_text, stands
-from calib.certify.iso230_axis_test import AxisTest
+from calib.certify.iso230_axis_errors import AxisTest
 from calib.certify.iso9283 import POSES, VISITS
 from calib.certify.recording_claim_check import AgainstClaim
 from calib.certify.tolerance_conformity import CONFORMS, FAILS

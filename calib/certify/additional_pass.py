@@ -16,7 +16,7 @@ from calib.certify.platform_certification import Certified, Progress, model_cova
 from calib.certify.workspace_claim import DRAWS, extension_scatter, sample_workspace
 from calib.correct.correction import Correction
 from calib.correct.interpolation.field import Field
-from calib.correct.interpolation.partial_map import Part, Within
+from calib.correct.interpolation.restricted_map import Part, Within
 from calib.correct.interpolation.repeated_passes import Passes
 from calib.correct.pose_space_map import PoseMap, pose_coordinates
 from calib.correct.summand_extension import (

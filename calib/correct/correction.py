@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.correct.interpolation import gaussian_process
 from calib.correct.interpolation.field import Field
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.correct.interpolation.partial_map import Within
+from calib.correct.interpolation.restricted_map import Within
 from calib.correct.interpolation.simplex import Simplex
 from calib.correct.pose_space_map import PoseMap
 from calib.models.platform.identification import Identified, identify, inverse_strut_jacobian, pose_jacobian, strut_jacobian

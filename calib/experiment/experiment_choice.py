@@ -11,7 +11,7 @@ from calib.experiment.experiment_information import Information, experiment_info
 from calib.experiment.experiment_question import Question
 from calib.experiment.investigation_folder import SETTING_UP
 from rig.errors import RigError
-from rig.model.cube_quarter_turns import quarter_turns, turning_instructions
+from rig.model.cube_remounting import quarter_turns, turning_instructions
 from rig.model.design import Design, Permission
 from rig.planning.plan import Plan, build_plan
 

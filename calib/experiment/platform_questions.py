@@ -4,7 +4,7 @@ from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosi
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
 from calib.diagnose.problems.platform.simultaneous_refinement import Refined
 from calib.experiment.experiment_question import Rival, data_log_odds, hypotheses, is_ruled_out
-from calib.experiment.platform_prediction import PlatformQuestion
+from calib.experiment.platform_outcome_prediction import PlatformQuestion
 from rig.errors import RigError
 
 

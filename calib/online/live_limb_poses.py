@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certify import redundant_limb_checks
 from calib.online.limb_vision_agreement import Disagreement, LimbCheck
 from calib.online.measuring_limbs_file import Accepted
-from calib.online.recorded_limb_poses import LOOKS
+from calib.online.measuring_limb_poses import LOOKS
 
 
 class LimbLive:

@@ -45,7 +45,7 @@ def run(arguments: Namespace) -> int:
     recording = read_recording(arguments)
 
     from calib.certify import measuring_limbs
-    from calib.online import measuring_limbs_file, recorded_limb_poses
+    from calib.online import measuring_limbs_file, measuring_limb_poses
     from calib.samples.recording_samples import sample_recording
 
     renewed = arguments.out is not None and measuring_limbs_file.is_limbs_file(arguments.out)
@@ -80,7 +80,8 @@ def run(arguments: Namespace) -> int:
         limbs_page(page, recording.name, found, by_vision.source, why, page_links(arguments, arguments.page))
         print(f"written: {arguments.page}")
     if state is not None and passed:
-        _learn(arguments, recording, recorded_limb_poses.samples_of_limb_poses(recording, recorded_limb_poses.limb_poses(recording, accepted)), state)
+        read = measuring_limb_poses.samples_of_limb_poses(recording, measuring_limb_poses.limb_poses(recording, accepted))
+        _learn(arguments, recording, read, state)
     return 0 if passed else 1
 
 

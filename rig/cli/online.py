@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared import limb_poses, recording_checks, refutation_marks, simple_online_learners
 from rig.cli.shared.output_options import Progress, add_page, add_recording, add_result, page_links, page_path, print_unsolved
-from rig.cli.shared.unlearnt_frames import unlearnt_frame_numbers, unlearnt_samples
+from rig.cli.shared.pending_frames import unlearnt_frame_numbers, unlearnt_samples
 from rig.errors import RigError
 
 if TYPE_CHECKING:

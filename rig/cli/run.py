@@ -57,7 +57,7 @@ def run(arguments: Namespace) -> int:
     from rig.cli.shared.controller_session import design_with_controller
     from rig.driving.cameras.settling_check import parse_settling
     from rig.driving.run_steps import steps_of_plan
-    from rig.model.cube_quarter_turns import quarter_turns, turning_instructions
+    from rig.model.cube_remounting import quarter_turns, turning_instructions
     from rig.planning.plan import build_plan
 
     design = design_with_controller(arguments.design, arguments.port)

@@ -120,7 +120,7 @@ def _again(arguments: Namespace) -> None:
     import numpy as np
 
     from synthetic import recording_simulation
-    from synthetic.diagnosis_replay import replay_diagnosis
+    from synthetic.recording_with_findings import replay_diagnosis
     from synthetic.image_simulation import Images
 
     done = replay_diagnosis(arguments.source, user_effects_option.known_effects(user_effects_option.load_effect_files(arguments)))

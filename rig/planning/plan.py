@@ -14,7 +14,7 @@ from rig.errors import FileError, RigError
 from rig.formats import csv_table
 from rig.formats.input_files import value_text
 from rig.model import mechanisms
-from rig.model.cube_quarter_turns import cube_named
+from rig.model.cube_remounting import cube_named
 from rig.model.design import Design
 from rig.planning.configuration_sets import (
     FILL,

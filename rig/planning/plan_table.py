@@ -8,7 +8,7 @@ from rig.errors import FileError
 from rig.formats import csv_table
 from rig.formats.input_files import value_text
 from rig.model import mechanisms
-from rig.model.cube_quarter_turns import COLUMN, QUARTERS, cube_named
+from rig.model.cube_remounting import COLUMN, QUARTERS, cube_named
 from rig.model.design import Design
 from rig.planning.plan_construction import Plan
 from rig.recording.recording_folder import PAYLOAD, Commands

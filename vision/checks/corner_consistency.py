@@ -13,7 +13,7 @@ from rig.effects.catalogue.edge_bias import EdgeBias
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Corners, Recording
 from vision.checks import camera_mistakes as cameras
-from vision.checks import corner_mistakes as order
+from vision.checks import corner_convention_errors as order
 from vision.checks import target_mistakes
 from vision.checks.trial_measurement import LOST, Seen, Trial, measure_sample, sample_frames
 from vision.hand_mounted_cameras import has_hand_cameras, recording_seen_from_hand

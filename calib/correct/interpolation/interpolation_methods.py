@@ -11,7 +11,7 @@ from calib.correct.interpolation.delaunay import Delaunay
 from calib.correct.interpolation.field import Field, Known
 from calib.correct.interpolation.gaussian_process import Radial, RadialMap
 from calib.correct.interpolation.multilinear import Linear
-from calib.correct.interpolation.partial_map import Part, Within
+from calib.correct.interpolation.restricted_map import Part, Within
 from calib.correct.interpolation.polynomial import Polynomial
 from calib.correct.interpolation.repeated_passes import Passes
 from calib.correct.interpolation.simplex import Simplex

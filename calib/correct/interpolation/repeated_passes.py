@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from calib.correct.interpolation.field import Field
-from calib.correct.interpolation.partial_map import Within
+from calib.correct.interpolation.restricted_map import Within
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from calib.certify.extension_certification import Tried
     from calib.certify.platform_certification import Certified, Progress
     from calib.certify.workspace_claim import Claim
-    from calib.correct.interpolation.partial_map import Part
+    from calib.correct.interpolation.restricted_map import Part
     from calib.models.arm.certification import Certified as ArmCertified
     from calib.samples.pose_samples import Samples
     from calib.samples.recording_samples import Sampled
@@ -156,7 +156,7 @@ def _parts(text: str | None, mechanism: Struts) -> tuple[Part | None, Part | Non
         return None, None
     import numpy as np
 
-    from calib.correct.interpolation.partial_map import Part
+    from calib.correct.interpolation.restricted_map import Part
     from calib.correct.pose_space_map import NAMES
     from calib.correct.summand_extension import pose_coordinate_indices
 

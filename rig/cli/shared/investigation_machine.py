@@ -68,7 +68,7 @@ class Rig:
 
     def _drive(self, plan: Path, out: Path) -> None:
         """Have the driver carry a plan out, from where it was interrupted."""
-        from rig.model.cube_quarter_turns import quarter_turns, turning_instructions
+        from rig.model.cube_remounting import quarter_turns, turning_instructions
         from rig.planning.plan import build_plan
 
         begun, a = (out / "journal.jsonl").exists(), self._arguments
@@ -85,7 +85,7 @@ class Rig:
     def _stood(self, plan: Path, out: Path) -> None:
         """Raise RigError where a recording by hand does not say that cubes stood as its plan has them."""
         from rig.formats.rig_toml import design_file
-        from rig.model.cube_quarter_turns import quarter_turns
+        from rig.model.cube_remounting import quarter_turns
         from rig.planning.plan import build_plan
 
         wanted, told = dict(build_plan(self.design, f"commands:{plan}").turned), quarter_turns(design_file.load(out / "rig.toml"))
@@ -95,7 +95,7 @@ class Rig:
 
     def _asked(self, plan: Path, out: Path) -> str:
         """What somebody is asked to do, in words."""
-        from rig.model.cube_quarter_turns import turning_instructions
+        from rig.model.cube_remounting import turning_instructions
         from rig.planning.plan import build_plan
 
         todo = build_plan(self.design, f"commands:{plan}")

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from calib.online.measuring_limbs_file import Accepted
-    from calib.online.recorded_limb_poses import LimbPoses
+    from calib.online.measuring_limb_poses import LimbPoses
     from calib.samples.recording_samples import Sampled
     from rig.cli.shared.output_options import Progress
     from rig.model.design import Design
@@ -47,7 +47,7 @@ def samples_by_limbs_or_vision(
 
     Raises RigError for limbs that were not accepted, that are others than rig.toml states, or with which vision no longer agrees
     """
-    from calib.online import recorded_limb_poses
+    from calib.online import measuring_limb_poses
     from calib.samples.recording_samples import sample_recording
 
     if arguments.limbs is None:
@@ -55,19 +55,19 @@ def samples_by_limbs_or_vision(
         return sample_recording(recording, progress=progress, look=look)
     found, accepted = checked_limb_poses(arguments, recording, progress)
     return replace(
-        recorded_limb_poses.samples_of_limb_poses(recording, found), files=(arguments.limbs,), data=tuple(accepted.provenance.get("data", ()))
+        measuring_limb_poses.samples_of_limb_poses(recording, found), files=(arguments.limbs,), data=tuple(accepted.provenance.get("data", ()))
     )
 
 
 def checked_limb_poses(arguments: Namespace, recording: Recording, progress: Progress) -> tuple[LimbPoses, Accepted]:
     """(LimbPoses of a recording, checked and said; the Accepted they are from). Raises as `samples_by_limbs_or_vision` does: the acceptance is
     withdrawn first."""
-    from calib.online import measuring_limbs_file, recorded_limb_poses
+    from calib.online import measuring_limbs_file, measuring_limb_poses
 
     every = check_interval(arguments)
     accepted = measuring_limbs_file.accepted_limbs(arguments.limbs, recording.design)
-    found = recorded_limb_poses.limb_poses(recording, accepted)
-    checked = recorded_limb_poses.check_limb_poses(recording, accepted, found, every, progress)
+    found = measuring_limb_poses.limb_poses(recording, accepted)
+    checked = measuring_limb_poses.check_limb_poses(recording, accepted, found, every, progress)
     progress.close()
     if checked.disagreement is not None and checked.frame is not None:
         write_withdrawal(arguments.limbs, accepted, str(recording.folder), checked.frame, checked.disagreement.reason)

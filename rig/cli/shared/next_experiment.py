@@ -47,7 +47,7 @@ def refuse_invalid_options(arguments: Namespace) -> None:
 
 def allowed_interventions(arguments: Namespace, design: Design) -> tuple[str, ...]:
     """What an experiment may ask of an operator, cubes by their names. Raises RigError for a cube that the design does not have"""
-    from rig.model.cube_quarter_turns import parse_permission
+    from rig.model.cube_remounting import parse_permission
 
     out = []
     for word in arguments.may or design.experiment.may:
@@ -62,7 +62,7 @@ def write_next_plan(arguments: Namespace, asked: Sequence[Question], design: Des
     """Write the plan that would tell best what a diagnosis leaves alike, and say its chance; say so where nothing is, or no plan would."""
     from calib.experiment.discriminating_configurations import camera_shares
     from calib.experiment.experiment_choice import available_plans, choose_experiment
-    from rig.model.cube_quarter_turns import quarter_turns
+    from rig.model.cube_remounting import quarter_turns
     from rig.planning import plan_table
 
     experiments: list[Experiment] = []

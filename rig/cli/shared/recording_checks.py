@@ -96,7 +96,7 @@ def load_and_check_recordings(
 def _judge_files(recording: "Recording", anyway: bool) -> None:
     """Judge what a recording's files and some of its images show."""
     from rig.checks.recording_without_images import file_mistakes
-    from rig.model.cube_quarter_turns import WORDS, quarter_turns
+    from rig.model.cube_remounting import WORDS, quarter_turns
 
     report_mistakes(file_mistakes(recording), anyway)
     for name, quarters in quarter_turns(recording.design).items():

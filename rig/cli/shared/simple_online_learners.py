@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared.output_options import Progress, print_unsolved
-from rig.cli.shared.unlearnt_frames import unlearnt_frame_numbers, unlearnt_samples
+from rig.cli.shared.pending_frames import unlearnt_frame_numbers, unlearnt_samples
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from rig.formats.checked_entries import Entries
-from rig.model.cube_quarter_turns import cube_named, parse_permission
+from rig.model.cube_remounting import cube_named, parse_permission
 from rig.model.design import PERMITTED, TURN, Permission, Target
 
 

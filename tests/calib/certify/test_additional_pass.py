@@ -12,7 +12,7 @@ from calib.certify.platform_certification import model_covariance
 from calib.correct.correction import Correction
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known
-from calib.correct.interpolation.partial_map import Part, Within
+from calib.correct.interpolation.restricted_map import Part, Within
 from calib.correct.interpolation.repeated_passes import Passes
 from calib.files import calibration_file
 from calib.samples.pose_samples import Samples

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.certify import measuring_limbs, redundant_limb_checks
-from calib.online import measuring_limbs_file, recorded_limb_poses
+from calib.online import measuring_limbs_file, measuring_limb_poses
 from calib.online.live_limb_poses import LimbLive
 from rig.cli import command_line
 from rig.errors import RigError
@@ -128,7 +128,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     assert "six different limbs of m1 .. m8" in capsys.readouterr().err
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: of 8, not of 6"):
         measuring_limbs_file.accepted_limbs(tmp_path / "first.json", _with_limbs(tmp_path, 6))
-    assert recorded_limb_poses.limb_poses(read, measuring_limbs_file.load(tmp_path / "first.json")).lengths.shape == (60, EIGHT)
+    assert measuring_limb_poses.limb_poses(read, measuring_limbs_file.load(tmp_path / "first.json")).lengths.shape == (60, EIGHT)
 
 
 def _with_limbs(folder, count):

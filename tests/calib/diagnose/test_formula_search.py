@@ -13,13 +13,13 @@ from calib.diagnose.engine.reduced_least_squares import Reduced
 from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.joint_formulas import formula_suggestions as arm_suggestions
+from calib.diagnose.problems.arm.unlisted_joint_effects import formula_suggestions as arm_suggestions
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit as arm_left
 from calib.diagnose.problems.arm.pose_fit import fit_poses
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
-from calib.diagnose.problems.platform.strut_formulas import formula_suggestions
+from calib.diagnose.problems.platform.unlisted_strut_effects import formula_suggestions
 from calib.diagnose.problems.requested_effects import RequestedEffects
 from calib.diagnose.report.diagnosis_json import FitEntry, suggestion_entries
 from calib.diagnose.report.diagnosis_page import _suggestions

@@ -9,7 +9,7 @@ from calib.diagnose.problems.platform.simultaneous_refinement import refine
 from calib.experiment.discriminating_configurations import camera_shares, choose_exposures, discriminating_configurations
 from calib.experiment.experiment_choice import CHOSEN, available_plans
 from calib.experiment.experiment_question import Hypothesis, PerFrame
-from calib.experiment.platform_prediction import PlatformQuestion, predict_outcomes_by_frame
+from calib.experiment.platform_outcome_prediction import PlatformQuestion, predict_outcomes_by_frame
 from rig.effects.texts.effect_text import parse_effect
 from rig.planning.plan import build_plan
 from tests.calib.recorded import recorded

@@ -10,7 +10,7 @@ import pytest
 from calib.diagnose.problems.platform.linearised_corners import SEAT_LABELS, corner_rows
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from rig.cli.command_line import main
-from rig.model.cube_quarter_turns import quarter_turns
+from rig.model.cube_remounting import quarter_turns
 from rig.planning.layout import hexapod_layout
 from rig.recording import recording_folder
 from vision.combined_recordings import combine_recordings

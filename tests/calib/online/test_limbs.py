@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from calib.certify import measuring_limb_steps, measuring_limbs
 from calib.certify.fitted_limbs import Limbs
 from calib.models.platform.identification import pose_jacobian
-from calib.online import measuring_limbs_file, recorded_limb_poses
+from calib.online import measuring_limbs_file, measuring_limb_poses
 from calib.online.information_filter import Online
 from calib.online.limb_vision_agreement import IN_A_ROW, LimbCheck
 from calib.online.live_limb_poses import LimbLive
@@ -105,7 +105,7 @@ def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path
 @pytest.mark.slow
 def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(accepted, again, limbed):
     nominal = limbed[0].mechanism
-    by_limbs = recorded_limb_poses.samples_of_limb_poses(again, recorded_limb_poses.limb_poses(again, accepted)).samples
+    by_limbs = measuring_limb_poses.samples_of_limb_poses(again, measuring_limb_poses.limb_poses(again, accepted)).samples
     learners = [Online(nominal, samples.common.shape[2]) for samples in (by_limbs, sample_recording(again).samples)]
     for learner, samples in zip(learners, (by_limbs, sample_recording(again).samples)):
         for pose in zip(samples.commanded, samples.T_base_platform, samples.covariance, samples.common):
@@ -125,7 +125,7 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
 def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, limb, every):
     at = 22
     read = slipped(again, limb, 3e-5, at)
-    found = recorded_limb_poses.check_limb_poses(read, accepted, recorded_limb_poses.limb_poses(read, accepted), every)
+    found = measuring_limb_poses.check_limb_poses(read, accepted, measuring_limb_poses.limb_poses(read, accepted), every)
     assert found.disagreement is not None and found.disagreement.limb == limb and at <= found.frame < at + 5
     assert abs(float(found.disagreement.reason.split("by ")[1].split(" ")[0]) - 30) < 10
 
@@ -143,10 +143,10 @@ def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(lim
 
 
 def test_limbs_that_stay_agree_and_few_poses_are_looked_at(accepted, again):
-    found = recorded_limb_poses.check_limb_poses(again, accepted, recorded_limb_poses.limb_poses(again, accepted), 5)
-    assert found == recorded_limb_poses.Checked(8, None, None)
+    found = measuring_limb_poses.check_limb_poses(again, accepted, measuring_limb_poses.limb_poses(again, accepted), 5)
+    assert found == measuring_limb_poses.Checked(8, None, None)
     unseen = replace(again, corners=None)
-    assert recorded_limb_poses.check_limb_poses(unseen, accepted, recorded_limb_poses.limb_poses(again, accepted), 5).count == 0
+    assert measuring_limb_poses.check_limb_poses(unseen, accepted, measuring_limb_poses.limb_poses(again, accepted), 5).count == 0
 
 
 def told(accepted, count, slip=0.0, at=10**9, wrong=()):

@@ -19,7 +19,7 @@ from calib.diagnose.engine.term_selection import Finding, choose_terms, labelled
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.excess_scatter import scatter_beyond_noise
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.joint_formulas import formula_suggestions
+from calib.diagnose.problems.arm.unlisted_joint_effects import formula_suggestions
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
 from calib.diagnose.problems.arm.outlier_poses import GATE, GROSS, WildPoses, outlier_poses

@@ -25,7 +25,7 @@ from calib.diagnose.problems.platform.operating_point import OperatingPoint, ope
 from calib.diagnose.problems.platform.outlier_frames import Outliers, fit_without_outliers
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.remainder_covariates import remainder_covariates
-from calib.diagnose.problems.platform.strut_formulas import formula_suggestions
+from calib.diagnose.problems.platform.unlisted_strut_effects import formula_suggestions
 from calib.diagnose.problems.platform.temperature_alternatives import add_temperature_alternatives
 from calib.diagnose.problems.platform.tolerable_findings import Remarks, separate_tolerable_findings
 from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable

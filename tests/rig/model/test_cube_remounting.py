@@ -7,7 +7,7 @@ import pytest
 
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_file
-from rig.model.cube_quarter_turns import design_with_turned_cubes, quarter_turns, rig_toml_with_turns
+from rig.model.cube_remounting import design_with_turned_cubes, quarter_turns, rig_toml_with_turns
 from rig.planning.plan import build_plan
 from rig.planning.plan_table import write_plan
 from rig.recording import combined_recordings
