@@ -80,8 +80,8 @@ def run(arguments: Namespace) -> int:
         limbs_page(page, recording.name, found, by_vision.source, why, page_links(arguments, arguments.page))
         print(f"written: {arguments.page}")
     if state is not None and passed:
-        read = measuring_limb_poses.samples_of_limb_poses(recording, measuring_limb_poses.limb_poses(recording, accepted))
-        _learn(arguments, recording, read, state)
+        poses = measuring_limb_poses.samples_of_limb_poses(recording, measuring_limb_poses.limb_poses(recording, accepted))
+        _learn(arguments, recording, poses, state)
     return 0 if passed else 1
 
 
