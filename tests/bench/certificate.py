@@ -17,7 +17,7 @@ SIZES = (59, 93, 120)  # held out
 CASES = {  # (coverage, confidence), effects, factor of the instrument's noise
     "95/95, play left out, measuring the smaller part": ((0.95, 0.95), ("backlash",), 0.1),
     "90/90, play left out, measuring the smaller part": ((0.9, 0.9), ("backlash",), 0.1),
-    "95/95, nothing left out, measuring the smaller part": ((0.95, 0.95), (), 0.1),
+    "95/95, nothing left out": ((0.95, 0.95), (), 0.1),
     "95/95, none to two effects": ((0.95, 0.95), None, 1.0),
     "90/90, none to two effects": ((0.9, 0.9), None, 1.0),
 }
