@@ -151,7 +151,8 @@ def _exchanged(problem: Problem[Fit, Model, C], fit: Fit, trial: Fit, best: Scor
     variants = [s for s in scores if (s.candidate.name, s.candidate.place) == (best.candidate.name, best.candidate.place)]
     told = next(s.delta_chi2 * s.dispersion for s in variants if s.candidate is best.candidate)
     reach, least = max(fitted / told, 1.0) ** 2, fitted - best.complexity(size)
-    others = [s for s in variants if s.candidate is not best.candidate and reach * s.delta_chi2 * s.dispersion - s.complexity(size) >= least]
+    seen = [s for s in variants if s.candidate is not best.candidate and s.freedom > 0]  # of the others the scan says nothing
+    others = [s for s in seen if reach * s.delta_chi2 * s.dispersion - s.complexity(size) >= least]
     found, chosen = trial, best
     for s in sorted(others, key=lambda s: -s.evidence(size))[: problem.policy.refitted]:
         new = problem.add_term(fit, s)
