@@ -25,6 +25,8 @@ from tests.conftest import BENCH
 @pytest.mark.parametrize("words, says", [
     (["mesure"], "did you mean measure?"), (["simulat", "rig.toml"], "did you mean simulate?"),
     (["measure", "REC", "--ot", "DIR"], "--ot: did you mean --out?"),
+    (["design", "--radius", "300mm"], "argument --radius: invalid number value: '300mm'"),
+    (["design", "--radius", "0.3", "--cameras", "two"], "argument --cameras: invalid whole number value: 'two'"),
     (["measure", "REC", "--out", "DIR", "--skip-unredable"], "--skip-unreadable?"), (["xyzzy"], "there is no command 'xyzzy'. `rig --help`"),
 ])
 def test_a_mistyped_word_is_told_from_what_was_meant(words, says, capsys):

@@ -10,7 +10,7 @@ PRINTED = ("completion", "doctor", "effects", "status")  # what they print is al
 
 SHARED = ("blind", "calibrate", "certify", "diagnose", "insitu", "investigate", "measure", "online", "simulate", "verify", "watch")  # work for many
 
-
+INVALID = re.compile(r"invalid parse_(\w+) value")  # as argparse names what parses an argument
 NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures joined by commas, of which the first is negative
 
 
@@ -37,7 +37,7 @@ class Parser(ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong with the usage, and what was probably meant, and end with status 2."""
-        parser = self.command or self
+        parser, message = self.command or self, INVALID.sub(lambda found: f"invalid {found[1].replace('_', ' ')} value", message)
         hints = [f"{word}: did you mean {near}?" for word in self.words if word.startswith("--") and len(word) > 2
                  for near in [nearest_word(word.split("=")[0], parser.options())] if near]
         hint = "".join(f"\n{line}" for line in hints)
