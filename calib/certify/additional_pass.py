@@ -13,7 +13,7 @@ from calib.certify.calibration import Calibration
 from calib.certify.distinct_configurations import axis_ranges, configuration_numbers
 from calib.certify.extension_certification import Stand, Tried, certify_extension_of, stated_position_variance
 from calib.certify.platform_certification import Certified, Progress, model_covariance, silent_progress
-from calib.certify.workspace_claim import DRAWS, extension_scatter, sample_workspace
+from calib.certify.workspace_claim import extension_scatter, sample_workspace
 from calib.correct.correction import Correction
 from calib.correct.interpolation.field import Field
 from calib.correct.interpolation.restricted_map import Part, Within
@@ -39,8 +39,8 @@ SPACES = (CONFIGURATION, POSE, BOTH)
 
 
 class Pass(NamedTuple):
-    """What is asked of a pass. kind : one of `kinds.ALL`, or AUTO; space : of SPACES; configurations : Part of the configuration space in which it
-    holds, poses : Part of pose space, in the coordinates of `extend.coordinates`; None for all of it."""
+    """What is asked of a pass. kind : one of `interpolation_methods.ALL`, or AUTO; space : of SPACES; configurations : Part of the configuration
+    space in which it holds, poses : Part of pose space, in the coordinates of `pose_coordinate_indices`; None for all of it."""
 
     kind: str
     space: str = CONFIGURATION
@@ -85,7 +85,7 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
     was = float(np.trace(model_covariance(before, T)[:, :3, :3], axis1=1, axis2=2).mean())
     stated = float(extension_scatter(done.correction, commands, inverse_strut_jacobian(T, done.correction.fitted))[0])
     moved = pose_difference(before.correction.predict(commands), T)[:, :3]
-    held = float(done.left.own_draws(stated, DRAWS, rng)[:, 0].mean())
+    held = float(done.left.own(stated, rng)[0])
     now = max(held, was - float((moved**2).sum(axis=1).mean()), min(was, done.left.unnoticed()))
     struts = np.diag(before.scatter**2) if before.strut_covariance is None else before.strut_covariance
     scale = now / was if was else 0.0

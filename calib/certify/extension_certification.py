@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calib.certify.distinct_configurations import axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
-from calib.certify.held_out_error_statistics import both, draw_common_error_squares, held_out_error_statistics, influence
+from calib.certify.held_out_error_statistics import draw_common_error_squares, held_out_error_statistics, parameter_squares_without
 from calib.certify.held_out_errors import HeldOut, compare_errors, is_significant_gain, pose_errors
 from calib.certify.platform_certification import FOLDS, SURELY, Certified, Progress, of_geometry, silent_progress, sizes_beyond, with_drawn
 from calib.certify.workspace_claim import (
@@ -44,7 +44,7 @@ NONE = "none"  # of the ways: the geometry, or the owner's model, as it is
 
 
 class Asked(NamedTuple):
-    """kind : one of `kinds.ALL`, or AUTO; alone : whether on the owner's model instead of on top of a fitted geometry."""
+    """kind : one of `interpolation_methods.ALL`, or AUTO; alone : whether on the owner's model instead of on top of a fitted geometry."""
 
     kind: str
     alone: bool
@@ -73,7 +73,7 @@ def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.ra
     """(Certified, what was tried): calibrated on all samples, and what was left at configurations held out.
 
     Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST configurations
-    beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses' covariance, if that `is_significant_gain`
+    beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses' covariance, if that is a significant gain
     against doing without. Raises RigError where the way asked for does not take these samples
     """
     said = progress or silent_progress
@@ -109,7 +109,7 @@ def with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) ->
     J, out = pose_jacobian(samples.T_base_platform, correction.fitted), inverse_strut_jacobian(samples.T_base_platform, correction.fitted)
     noise = samples.covariance + (out * found.scatter**2) @ np.swapaxes(out, 1, 2)
     part = configuration_folds(done.label, min(FOLDS, done.label.max() + 1))
-    left = replace(done.left, parameters=both(influence(np.zeros((len(samples), 6)), J, found.covariance, noise, part).without))
+    left = replace(done.left, parameters=parameter_squares_without(J, found.covariance, noise, part))
     commands, T = sample_workspace(correction)
     back = inverse_strut_jacobian(T, correction.fitted)
     stated = float(extension_scatter(correction, commands, back)[0])
@@ -225,7 +225,7 @@ def stated_position_variance(field: Field, samples: Samples, nominal: Struts) ->
 
 
 def _best(outcome: _Outcome) -> str:
-    """The way that leaves least, if it `is_significant_gain` against doing without."""
+    """The way that leaves least, if that is a significant gain against doing without."""
     covariance = outcome.samples.total_covariance()
     weight = inverse_covariance(np.where(np.isinf(covariance), 1.0, covariance))  # what was not measured has no error to weigh
     loss = {name: np.einsum("ni,nij,nj->n", e, weight, e) for name, e in ((name, np.nan_to_num(errors)) for name, errors in outcome.after.items())}

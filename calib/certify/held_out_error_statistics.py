@@ -6,8 +6,8 @@ themselves scatter by (Satterthwaite), never more than INDEPENDENT a configurati
 Source: Satterthwaite, An approximate distribution of estimates of variance components, Biometrics 1946
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -45,10 +45,10 @@ class HeldErrors:
 
         What depends on the place grows as that does; what is left where it was fitted as well, as friction, does not.
         """
-        beyond = float(self.beyond()[0])
-        own = 1 - min(1.0, self.fitted / beyond) if beyond else 1.0
-        there = stated / (self.stated * self.scale**2) if self.stated and self.scale else 1.0
-        share = (1 - own + own * there) if self.scale else 1.0
+        share, beyond = 1.0, float(self.beyond()[0])
+        if self.stated and self.scale:
+            own = 1 - min(1.0, self.fitted / beyond) if beyond else 1.0
+            share = 1 - own + own * stated / (self.stated * self.scale**2)
         return np.asarray(share * np.exp(ELSEWHERE * rng.normal(size=(count, 1))))
 
     def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -104,37 +104,42 @@ def held_out_error_statistics(
                       parameters=np.zeros(2) if parameters is None else parameters)
 
 
-class Influence(NamedTuple):
-    """Of samples, by a linear fit of all of them. standardised : (n, 6) m and rad, residuals freed of what the fit took into itself, as great as
-    errors there are in the mean; without : (n, 6) m^2 and rad^2, variances of the poses by parameters fitted without the samples of the same part"""
+def standardised_residuals(residuals: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """(n, 6) m and rad, residuals of a linear fit freed of what it took into itself: as great as errors at its configurations are in the mean.
 
-    standardised: np.ndarray
-    without: np.ndarray
-
-
-def influence(residuals: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, part: np.ndarray) -> Influence:
-    """Influence of samples, part by part.
-
-    residuals : (n, 6); jacobian : (n, 6, p) of poses with the parameters; covariance : (p, p) of the parameters; noise : (n, 6, 6) by which the fit
-    weighed the samples; part : (n,) of each sample
-    Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, sections 2.1 and 2.2, by blocks
+    residuals : (n, 6); label : (n,) configuration of each sample; the rest as `parameter_squares_without`
+    Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.1, by blocks
     """
-    out, without = np.empty_like(residuals), np.empty_like(residuals)
+    out = np.empty_like(residuals)
+    for own, L, U, share in _leverages(jacobian, covariance, noise, label):
+        left = np.linalg.solve(L, residuals[own, :, None]).ravel()
+        out[own] = (L @ (U / np.sqrt(1 - share) @ (U.T @ left)).reshape(-1, 6, 1))[..., 0]
+    return out
+
+
+def parameter_squares_without(jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """(2,) m^2 and rad^2, mean square of pose errors by parameters that were fitted without the samples of the same part.
+
+    jacobian : (n, 6, p) of poses with the parameters; covariance : (p, p) of the parameters of a fit of all samples; noise : (n, 6, 6) by which that
+    fit weighed them; part : (n,) which are held out together
+    Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.2, by blocks
+    """
+    out = np.empty(jacobian.shape[:2])
+    for own, L, U, share in _leverages(jacobian, covariance, noise, part):
+        out[own] = ((L @ (U * np.sqrt(share / (1 - share))).reshape(len(L), 6, -1)) ** 2).sum(axis=2)
+    return np.asarray(out.mean(axis=0).reshape(2, 3).sum(axis=1))
+
+
+def _leverages(jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray,
+               part: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Of each part (its samples (n,) bool, roots of their noise (m, 6, 6), directions (6 m, 6 m) of their whitened poses, and of each direction the
+    share, 0 to ALL_OWN, of what is known of it that these samples tell themselves)."""
     for each in np.unique(part):
         own = part == each
         L = np.linalg.cholesky(noise[own])
         white = np.linalg.solve(L, jacobian[own]).reshape(-1, jacobian.shape[2])
-        share, U = np.linalg.eigh(white @ covariance @ white.T)  # of what is known of their own poses, that these samples tell themselves
-        share = share.clip(0, ALL_OWN)
-        left = np.linalg.solve(L, residuals[own, :, None]).ravel()
-        out[own] = (L @ (U / np.sqrt(1 - share) @ (U.T @ left)).reshape(-1, 6, 1))[..., 0]
-        without[own] = ((L @ (U * np.sqrt(share / (1 - share))).reshape(len(L), 6, -1)) ** 2).sum(axis=2)
-    return Influence(out, without)
-
-
-def both(squares: np.ndarray) -> np.ndarray:
-    """(2,) m^2 and rad^2 of squares (n, 6): their mean over the samples, of positions and of rotations."""
-    return np.asarray(squares.mean(axis=0).reshape(2, 3).sum(axis=1))
+        share, U = np.linalg.eigh(white @ covariance @ white.T)
+        yield own, L, U, share.clip(0, ALL_OWN)
 
 
 def degrees_of_freedom(squares: np.ndarray) -> float:

@@ -69,7 +69,7 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
             progress: Progress | None = None) -> Certified:
     """Certified: calibrated on all samples, and what was left at configurations held out in turn.
 
-    The remainder is kept only where it `is_significant_gain` on the held-out stretches; its size and smoothness, and how good
+    The remainder is kept only where it is a significant gain on the held-out stretches; its size and smoothness, and how good
     the owner's figures are, are those found on the whole recording. rng : numpy Generator, for the bootstrap
     progress : called with (label, done, of), or None
     """

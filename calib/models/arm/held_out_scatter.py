@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certify.held_out_error_statistics import HeldErrors, Influence, both, held_out_error_statistics, influence
+from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics, parameter_squares_without, standardised_residuals
 from calib.models.arm import error_model
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification import Identified
@@ -16,18 +16,19 @@ UNSTATED = 1.2  # times what is stated, from which a scatter is unexplained
 
 def beyond_geometry(found: Identified, correction: ArmCorrection, agreed: Samples, label: np.ndarray) -> HeldErrors:
     """HeldErrors of an arm's geometry at each configuration. agreed : Samples that it was fitted to; label : (m,) configuration of each"""
-    return held_out_error_statistics(_influence(found, correction, agreed, label).standardised, agreed, label)
+    freed = standardised_residuals(found.residuals[found.inliers], *_fitted(found, correction, agreed), label)
+    return held_out_error_statistics(freed, agreed, label)
 
 
 def by_parameters(found: Identified, correction: ArmCorrection, agreed: Samples, parts: np.ndarray) -> np.ndarray:
     """(2,) m^2 and rad^2, mean square of errors at samples held out that comes of the parameters. parts : (m,) which are held out together"""
-    return both(_influence(found, correction, agreed, parts).without)
+    return parameter_squares_without(*_fitted(found, correction, agreed), parts)
 
 
-def _influence(found: Identified, correction: ArmCorrection, agreed: Samples, parts: np.ndarray) -> Influence:
+def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(jacobian (m, 6, p), covariance (p, p), noise (m, 6, 6)) of a fit."""
     J = error_model.parameter_jacobian(agreed.commanded, correction.fitted)
-    noise = of_samples(agreed).covariance + np.diag(found.scatter**2)
-    return influence(found.residuals[found.inliers], J, found.covariance, noise, parts)
+    return J, found.covariance, of_samples(agreed).covariance + np.diag(found.scatter**2)
 
 
 def as_held_out(found: Identified, left: HeldErrors, rng: np.random.Generator) -> Identified:

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.distinct_configurations import LEAST, configuration_numbers, mean_sample_per_configuration
-from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics, influence
+from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics, standardised_residuals
 from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after
 from calib.certify.platform_certification import Progress, held_out_errors_by_fold, silent_progress
 from calib.certify.workspace_claim import (
@@ -59,8 +59,8 @@ def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress
     agreed = samples.take(good)
     J = error_model.parameter_jacobian(agreed.commanded, found.chain)
     noise = agreed.covariance + np.diag(found.scatter**2)
-    by = influence(errors_before_and_after(correction, agreed)[1], J, found.covariance, noise, label[good])
-    left = held_out_error_statistics(by.standardised, agreed, label[good])
+    freed = standardised_residuals(errors_before_and_after(correction, agreed)[1], J, found.covariance, noise, label[good])
+    left = held_out_error_statistics(freed, agreed, label[good])
     scatter = np.maximum(found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3)))  # what a model lacks a fit takes into itself
     return Certified(correction, replace(found, scatter=scatter), label, compare_errors(before, after, samples.total_covariance(), rng, label), left)
 

@@ -297,5 +297,4 @@ def test_paper_has_every_page(held):
                                          (("--country", "de"), "two capital letters"), (("--scale-source", "x"), "--scale-uncertainty says"),
                                          (("--out", "made.txt"), "is written as")])
 def test_what_makes_no_sense_is_refused(held, tmp_path, words, said):
-    arguments = ["certify", held.folder / "cal.json", held.folder / "other", "--out", tmp_path / "c.json", *words]
-    assert said in rig(*arguments, ok=False)
+    assert said in rig("certify", held.folder / "cal.json", held.folder / "other", "--out", tmp_path / "c.json", *words, ok=False)
