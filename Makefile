@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo demo-files docs test test-slow test-bounds fuzz fuzz-wire bench results release clean
+.PHONY: setup demo demo-files docs test test-slow test-bounds coverage hooks fuzz fuzz-wire bench results release clean
 
 setup: .venv/.ready
 
@@ -33,6 +33,15 @@ test: setup
 test-slow: setup
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bucket]'
 	$(BIN)/python -m pytest -q -m slow
+
+coverage: setup
+	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[coverage]'
+	$(BIN)/python -m pytest -q -n auto --cov --cov-report= --cov-report=html:out/coverage --cov-report=json:out/coverage.json $(TESTS)
+	$(BIN)/python -m tests.coverage_by_folder out/coverage.json
+
+hooks: setup
+	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[hooks]'
+	$(BIN)/python -m pre_commit install
 
 fuzz: setup
 	$(BIN)/python -m pip install -q atheris

@@ -1,0 +1,33 @@
+"""What CONTRIBUTING.md and the checks before a commit name exists."""
+
+import re
+
+import yaml
+
+from tests.docs.told import ROOT
+
+PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+CODE = re.compile(r"`([^`\n]+)`|^ {4}(.*)$", re.MULTILINE)  # words in code, lines of blocks
+TARGETS = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+
+
+def code() -> list[str]:
+    return [word or line for word, line in CODE.findall(PAGE)]
+
+
+def test_every_target_of_make_that_is_named_exists():
+    named = {target for text in code() for target in re.findall(r"\bmake ([a-z][a-z-]+)", text)}
+    assert len(named) > 5 and named - TARGETS == set()
+
+
+def test_every_path_that_is_named_exists():
+    paths = [text.rstrip("/") for text in code() if re.fullmatch(r"(rig|vision|calib|synthetic|tests|docs|firmware|\.ci|\.github)/[\w./-]*", text)]
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
+def test_hooks_before_a_commit_use_the_environment_of_the_project():
+    config = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    hooks = {hook["id"]: hook for repo in config["repos"] for hook in repo["hooks"]}
+    assert set(hooks) == {"ruff-check", "ruff-format", "mypy", "import-linter"}
+    assert {repo["repo"] for repo in config["repos"]} == {"local"} and {hook["language"] for hook in hooks.values()} == {"system"}
+    assert all(hook["entry"].startswith(".venv/bin/") for hook in hooks.values())
