@@ -7,6 +7,7 @@ import pty
 import shutil
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ def test_a_word_that_is_right_or_like_nothing_has_no_other_meant():
 def test_version(capsys):
     with pytest.raises(SystemExit) as end:
         main(["--version"])
-    assert not end.value.code and capsys.readouterr().out == "rig 0.1.0\n"
+    assert not end.value.code and capsys.readouterr().out == f"rig {metadata.version('rig')}\n"
 
 
 def test_every_command_has_a_file_and_help():

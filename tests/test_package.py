@@ -4,6 +4,7 @@ import importlib.util
 import re
 import subprocess
 import sys
+import tomllib
 from importlib import metadata
 
 import pytest
@@ -94,6 +95,13 @@ def test_only_what_is_drawn_on_paper_needs_matplotlib():
         "calib/certificate/certificate_pdf.py",
         "rig/posture/force_polytope_figure.py",
     }
+
+
+def test_the_version_is_the_installed_one_and_the_newest_in_the_changes():
+    stated = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    released = re.findall(r"^## (\d+\.\d+\.\d+)(?: \(\d{4}-\d{2}-\d{2}\))?$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert metadata.version("rig") == stated == released[0], "make setup, after a change of the version"
+    assert released == sorted(released, key=lambda version: [int(part) for part in version.split(".")], reverse=True)
 
 
 def test_decisions_are_listed():
