@@ -1,13 +1,19 @@
-"""What a result was made by: the commit and the machine."""
+"""What a result was made by: the version, the commit and the machine."""
 
 import os
 import platform
 import subprocess
+import tomllib
 from importlib.metadata import version
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "numba")
+
+
+def release() -> str:
+    """The version that pyproject.toml states: the release to which a result belongs."""
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 
 
 def commit() -> str:

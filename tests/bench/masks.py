@@ -25,7 +25,7 @@ from calib.recording_calibration import diagnosed
 from docs.make.results import SCHEMA
 from rig.errors import RigError
 from rig.recording import frame_mask, recording_folder
-from tests.bench.made_by import commit, machine
+from tests.bench.made_by import commit, machine, release
 from tests.truth import FAULTS, PLANS, SIGHTS, Case, draw, record
 from tests.truth.draw_faults import fits
 from tests.truth.wild import spoilt
@@ -164,6 +164,7 @@ def _with(path: Path, line: dict[str, Any], seed: int) -> list[dict[str, Any]]:
         lines = [one for one in _known(path) if one["recording"] != line["recording"]] + [line]
         record = {"schema": SCHEMA, "name": "masks", "title": (__doc__ or "").splitlines()[0], "seed": seed,
                   "command": f"python -m tests.bench masks --recordings {len(lines)} --seed {seed}",
+                  "version": release(),
                   "commit": ", ".join(sorted({one["commit"] for one in lines})), "created": datetime.now(UTC).isoformat(timespec="seconds"),
                   "machine": machine(), "figures": [dict(zip(("figure", "reached", "wanted"), row)) for row in figures(lines)]}
         text = json.dumps(record, indent=1, ensure_ascii=False)[:-2]

@@ -5,18 +5,21 @@ import sys
 from datetime import UTC, datetime
 
 from docs.make import results
-from tests.bench.made_by import ROOT, commit, machine
+from tests.bench.made_by import ROOT, commit, machine, release
 from tests.bench.named import ALL, NAMED
 
 
 def keep(name: str) -> None:
-    """Run one benchmark and write docs/results/NAME.json."""
+    """Run one benchmark and write docs/results/VERSION/NAME.json."""
     module, before = NAMED[name], machine()
     rows = [{"figure": figure, "reached": reached, "wanted": wanted} for figure, reached, wanted in module.rows()]
     record = {"schema": results.SCHEMA, "name": name, "title": (module.__doc__ or "").splitlines()[0], "command": f"python -m tests.bench {name}",
-              "seed": getattr(module, "SEED", "in the benchmark"), "commit": commit(), "created": datetime.now(UTC).isoformat(timespec="seconds"),
+              "seed": getattr(module, "SEED", "in the benchmark"), "version": release(), "commit": commit(),
+              "created": datetime.now(UTC).isoformat(timespec="seconds"),
               "machine": before, "figures": rows}
-    (results.FOLDER / f"{name}.json").write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    path = results.FOLDER / record["version"] / f"{name}.json"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def main() -> None:

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from docs.make.results import SCHEMA
 from tests.bench.truth import main, trials
 from tests.bench.truth_summary import share, summary
 
@@ -27,7 +28,7 @@ def test_a_campaign_goes_on_where_it_stood(tmp_path, capsys):
     assert line["covered"] == (line["claim"][1] <= line["true"] <= line["claim"][2])
     assert summary(both["machines"])["all"]["n"] == 2
     assert both["command"] == "python -m tests.bench truth --machines 2 --seed 3 --ways planar2 --effects backlash --strengths weak --plans shuffled"
-    assert both["schema"] == "results/1" and " of 2, " in both["figures"][0]["reached"]
+    assert both["schema"] == SCHEMA and " of 2, " in both["figures"][0]["reached"]
 
 
 def test_unknown_names_are_refused(capsys):

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from docs.make.results import SCHEMA
-from tests.bench.made_by import machine
+from tests.bench.made_by import machine, release
 from tests.bench.truth_summary import figures_in_words
 from tests.bench.truth_trial import WAYS, Trial, tried
 from tests.truth import FAULTS, PLANS, SIGHTS, STRENGTHS
@@ -90,6 +90,7 @@ def _known(text: str, known: tuple[str, ...]) -> list[str]:
 def _write(path: Path, lines: list[dict[str, Any]], command: str, seed: int) -> None:
     """Write the campaign's file: a kept result like all others, with every machine besides, a line each."""
     record = {"schema": SCHEMA, "name": "truth", "title": (__doc__ or "").splitlines()[0], "command": command, "seed": seed,
+              "version": release(),
               "commit": ", ".join(sorted({line["commit"] for line in lines})), "created": datetime.now(UTC).isoformat(timespec="seconds"),
               "machine": machine(), "figures": [dict(zip(("figure", "reached", "wanted"), row)) for row in figures_in_words(lines)]}
     text = json.dumps(record, indent=1, ensure_ascii=False)[:-2]
