@@ -16,11 +16,13 @@ sys.path[:0] = [str(ROOT)]  # the pages are made from this tree
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the pages that are made from the code."""
-    from docs.make import api, commands, messages
+    """Add the pages and the diagrams that are made from the code."""
+    from docs.make import api, commands, dependency_diagram, messages
 
     for name, page in (("commands.md", commands.page), ("troubleshooting.md", messages.page), ("api.md", api.page)):
         files.append(File.generated(config, name, content=page()))
+    for name in dependency_diagram.DIAGRAMS:
+        files.append(File.generated(config, f"dependencies/{name}.svg", content=dependency_diagram.diagram(name)))
     return files
 
 
