@@ -1,0 +1,72 @@
+"""Every page's first use of a special word links to the glossary: python -m docs.make.glossary_links writes the links that are missing."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "glossary.md"
+GENERATED = ("rig-toml.md", "tables.md", "effects.md", "results.md")
+SPECIAL = {  # anchor in the glossary: the word as pages use it
+    "claim": "claims?",
+    "closure": "closures?",
+    "configuration": "configurations?",
+    "confound": "confounds?",
+    "covariate": "covariates?",
+    "extension": "extensions?",
+    "gdk": "GDK",
+    "held-out": "held[- ]out",
+    "ksf": "KSF",
+    "limb": "limbs?",
+    "nuisance": "nuisances?",
+    "promise": "promises?",
+    "remainder": "remainders?",
+    "secret": "secret",
+    "stage": "stages?",
+    "verdict": "verdicts?",
+    "wild": "wild",
+}
+HIDDEN = re.compile(r"^(?: {4}|#|```)[^\n]*$|`[^`\n]*`|\$\$.*?\$\$|\$[^$\n]+\$|!?\[[^\]]*\]\([^)]*\)|<[^>\n]+>", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+
+
+def pages() -> list[Path]:
+    """The written pages, without the glossary itself and those that are made from the code."""
+    found = sorted((ROOT / "docs").glob("*.md")) + sorted((ROOT / "docs" / "decisions").glob("*.md")) + [ROOT / "README.md"]
+    return [path for path in found if path != PAGE and path.name not in GENERATED]
+
+
+def prose(text: str) -> str:
+    """A page's text with all that is no prose, or a link already, blanked out: every character is where it was."""
+    for pattern in (FENCE, HIDDEN):
+        text = pattern.sub(lambda found: re.sub(r"[^\n]", "\0", found[0]), text)
+    return text
+
+
+def links(text: str) -> list[str]:
+    """The anchors of the glossary to which a page links, in order."""
+    return re.findall(r"\]\([\w./]*glossary\.md#([\w-]+)\)", text)
+
+
+def linked(text: str, glossary: str) -> str:
+    """A page with a link at the first use of each special word that it does not link yet. glossary : the path that links name"""
+    for anchor, word in SPECIAL.items():
+        found = re.search(rf"\b(?:{word})\b", prose(text), re.IGNORECASE if word.islower() else 0)
+        if found and anchor not in links(text):
+            text = f"{text[: found.start()]}[{text[found.start() : found.end()]}]({glossary}#{anchor}){text[found.end() :]}"
+    return text
+
+
+def path_of(page: Path) -> str:
+    """The glossary's path as a page names it."""
+    return "docs/glossary.md" if page.parent == ROOT else "../glossary.md" if page.parent.name == "decisions" else "glossary.md"
+
+
+def main() -> None:
+    """Write the links that are missing."""
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        page.write_text(linked(text, path_of(page)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
