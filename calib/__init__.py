@@ -1,8 +1,8 @@
 """Poses to a better rig: parameters, corrections, what is promised of them, and what physics was left out.
 
-`calibrated` takes a recording (rig.load) to its `Calibration`, `diagnosed` to the `Report` of what its model leaves out, `certified` a calibration
-and recordings that it was not made from to a `Certificate`, `commanded` a calibration and wanted poses to the commands that give them, all that is
-known undone. `load` and `save` are of calibration.json.
+`calibrated` takes a recording (rig.load) to its `Calibration`, `diagnosed` to the `Report` of what its model leaves
+out, `certified` a calibration and recordings that it was not made from to a `Certificate`, `commanded` a calibration
+and wanted poses to the commands that give them, all that is known undone. `load` and `save` are of calibration.json.
 """
 
 from typing import TYPE_CHECKING
@@ -21,7 +21,18 @@ if TYPE_CHECKING:
     from calib.recording_calibration import certified as certified
     from calib.recording_calibration import diagnosed as diagnosed
 
-__all__ = ["calibrated", "diagnosed", "certified", "commanded", "load", "save", "Calibration", "Commanded", "Report", "Certificate"]
+__all__ = [
+    "calibrated",
+    "diagnosed",
+    "certified",
+    "commanded",
+    "load",
+    "save",
+    "Calibration",
+    "Commanded",
+    "Report",
+    "Certificate",
+]
 __getattr__ = handed_on(
     __name__,
     {

@@ -28,32 +28,49 @@ from rig.recording.recording_folder import Recording
 
 
 def calibrated(recording: Recording, progress: Progress | None = None) -> Calibration:
-    """Calibration of a recording, as `rig calibrate` makes it: geometry fitted to its poses, what pays beyond it, what both are worth elsewhere.
+    """Calibration of a recording, as `rig calibrate` makes it: geometry fitted to its poses, what pays beyond it, what
+    both are worth elsewhere.
 
-    What it leaves out is looked for as `diagnosed` does, and stands in its claim. progress : called with (label, done, of), or None
+    What it leaves out is looked for as `diagnosed` does, and stands in its claim. progress : called with (label, done,
+    of), or None
     Raises RigError without commands, NotEnoughData without poses, NotConverged where no geometry agrees with them
     """
     rng = np.random.default_rng(SEED)
-    with threadpool_limits(1):  # sums of products are rounded by how many threads share them: the result is the same for any number
+    with threadpool_limits(
+        1
+    ):  # sums of products are rounded by how many threads share them: the result is the same for any number
         sampled = sample_recording(recording, progress=progress)
         if recording.design.mechanism.kind == "arm":
-            found = arm_certify.certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress)
-            made = calibration_with_provenance(recording, sampled, found, arm_certify.workspace_claim_of(sampled.samples, found, rng))
+            found = arm_certify.certify(
+                sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress
+            )
+            made = calibration_with_provenance(
+                recording, sampled, found, arm_certify.workspace_claim_of(sampled.samples, found, rng)
+            )
             return search_left_out_physics(made, recording, sampled, progress)
         if recording.design.mechanism.kind == "chain":
             together = chain_certify.certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
-            made = calibration_with_provenance(recording, sampled, together, chain_certify.workspace_claim_of(sampled.samples, together, rng))
+            made = calibration_with_provenance(
+                recording, sampled, together, chain_certify.workspace_claim_of(sampled.samples, together, rng)
+            )
             return search_left_out_physics(made, recording, sampled, progress)
         done = platform_certification.certify(sampled.samples, struts_of(recording.design.mechanism), rng, progress)
         return search_left_out_physics(
-            calibration_with_provenance(recording, sampled, done, platform_certification.workspace_claim_of(sampled.samples, done, rng)),
+            calibration_with_provenance(
+                recording, sampled, done, platform_certification.workspace_claim_of(sampled.samples, done, rng)
+            ),
             recording,
             sampled,
             progress,
         )
 
 
-def diagnosed(recording: Recording, only: Sequence[str] | None = None, without: Sequence[str] = (), progress: Progress | None = None) -> Report:
+def diagnosed(
+    recording: Recording,
+    only: Sequence[str] | None = None,
+    without: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> Report:
     """Report of what physics a recording's model leaves out, as `rig diagnose` finds it.
 
     only, without : names of effects (or "EFFECT PLACE") that alone are asked for, or left out
@@ -65,8 +82,14 @@ def diagnosed(recording: Recording, only: Sequence[str] | None = None, without: 
     return platform_report.platform_report(diagnose_platform(recording, asked, tuple(without), progress))
 
 
-def certified(calibration: Calibration, recordings: Sequence[Recording], asked: Asked | None = None, progress: Progress | None = None) -> Certificate:
-    """Certificate of a Calibration by recordings that it was not made from, as `rig certify` states it. asked : what of, 95 % with 95 % by default
+def certified(
+    calibration: Calibration,
+    recordings: Sequence[Recording],
+    asked: Asked | None = None,
+    progress: Progress | None = None,
+) -> Certificate:
+    """Certificate of a Calibration by recordings that it was not made from, as `rig certify` states it. asked : what
+    of, 95 % with 95 % by default
 
     Raises RigError for a recording that took part in fitting, NotEnoughData where these have too few configurations
     """
@@ -78,29 +101,44 @@ def certified(calibration: Calibration, recordings: Sequence[Recording], asked: 
         "seed": SEED,
         "recordings": [recording.name for recording in recordings],
     }
-    return statement.certificate_of(calibration, held, Asked() if asked is None else asked, source, np.random.default_rng(SEED))
+    return statement.certificate_of(
+        calibration, held, Asked() if asked is None else asked, source, np.random.default_rng(SEED)
+    )
 
 
-def held_out(calibration: Calibration, recordings: Sequence[Recording], progress: Progress | None = None,
-             named: str = "the calibration") -> list[tuple[Recording, Sampled]]:
-    """[(Recording, Sampled)], none of whose data took part in fitting a calibration or is there twice. named : the calibration, in words
+def held_out(
+    calibration: Calibration,
+    recordings: Sequence[Recording],
+    progress: Progress | None = None,
+    named: str = "the calibration",
+) -> list[tuple[Recording, Sampled]]:
+    """[(Recording, Sampled)], none of whose data took part in fitting a calibration or is there twice. named : the
+    calibration, in words
 
     Raises RigError naming what did
     """
     if not calibration.provenance.get("data"):
-        raise RigError(f"{named} does not say which data it was made from, so nothing can be shown to be held out; calibrate again")
+        raise RigError(
+            f"{named} does not say which data it was made from, so nothing can be shown to be held out; calibrate again"
+        )
     known: set[str] = set()
     for recording in recordings:
         path, frames = recording.folder, len(recording.exposures.times()[0])
         same = calibration_file.frames_used_in_calibration(calibration, recording)
         if same:
-            raise RigError(f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {named}, "
-                           "themselves or what was measured from them; a certificate takes poses that did not. Of a recording alone, --mask keeps "
-                           "some frames from rig calibrate, and then the others from rig certify")
+            raise RigError(
+                f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {named}, "
+                "themselves or what was measured from them; a certificate takes poses that did not. Of a "
+                "recording alone, --mask keeps "
+                "some frames from rig calibrate, and then the others from rig certify"
+            )
         calibration.refuse_kind(recording.design.mechanism.kind, str(path))
         of = content_marks(recording)
         twice = frames_with_known_data(of, known)
         if twice:
-            raise RigError(f"{path}: {len(twice)} of {frames} frames are in another of the recordings; the same pose does not count twice")
+            raise RigError(
+                f"{path}: {len(twice)} of {frames} frames are in another of the recordings; the same pose "
+                "does not count twice"
+            )
         known |= set(marks_of_frames(of))
     return [(recording, sample_recording(recording, progress=progress)) for recording in recordings]

@@ -1,6 +1,7 @@
 """The machine: what it is, how it moves, how it is commanded, how it misbehaves.
 
-`load` reads a recording; `load_design` reads a rig.toml alone. What they refuse is a `RigError` that names file, line and column.
+`load` reads a recording; `load_design` reads a rig.toml alone. What they refuse is a `RigError` that names file, line
+and column.
 """
 
 from typing import TYPE_CHECKING

@@ -34,7 +34,14 @@ class FileError(RigError):
     value : the offending text or number, or None
     """
 
-    def __init__(self, path: str | PathLike[str], message: str, line: int | None = None, column: int | None = None, value: Any = None) -> None:
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        message: str,
+        line: int | None = None,
+        column: int | None = None,
+        value: Any = None,
+    ) -> None:
         self.path, self.line, self.column, self.value = url(path), line, column, value
         place = ":".join(str(part) for part in (self.path, line, column) if part is not None)
         super().__init__(f"{place}: {message}")
@@ -91,7 +98,9 @@ class Stalled(MotionError):
 
 
 class PositionLost(MotionError):
-    """Axes that stand elsewhere than they were left, or a controller that started anew: only homing or the operator settles it."""
+    """Axes that stand elsewhere than they were left, or a controller that started anew: only homing or the operator
+    settles it.
+    """
 
 
 class Stopped(MotionError):

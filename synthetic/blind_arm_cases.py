@@ -1,4 +1,6 @@
-"""Blinded cases of arms: makes, instruments, protocols and left-out physics drawn at random; a third of them as hard as real recordings are."""
+"""Blinded cases of arms: makes, instruments, protocols and left-out physics drawn at random; a third of them as hard as
+real recordings are.
+"""
 
 import tempfile
 from collections.abc import Sequence
@@ -29,9 +31,15 @@ FRAMES = 220  # poses of a recording by default
 SIGMA, TURN = (1e-5, 6e-5), (3.0, 8.0)  # m, and rad/m, of an instrument's poses
 HARD = 3  # one case in so many is hard
 STUDENT, WILD, WILDER, FEWER, UNDERSTATED = 3.0, (0.01, 0.03), 10.0, 0.25, 10.0
-HARDSHIPS = {"positions": "no rotations are measured", "wild": "1 to 3 % of the rows are off by ten sigma", "tails": "Student's t noise",
-             "understated": "the stated sigma is too small by ten", "untimed": "the times are lost, the order is true",
-             "missing": "a quarter of the rows is missing", "level": "the hand stays level"}
+HARDSHIPS = {
+    "positions": "no rotations are measured",
+    "wild": "1 to 3 % of the rows are off by ten sigma",
+    "tails": "Student's t noise",
+    "understated": "the stated sigma is too small by ten",
+    "untimed": "the times are lost, the order is true",
+    "missing": "a quarter of the rows is missing",
+    "level": "the hand stays level",
+}
 UR10 = """schema = "rig/1"
 [environment]
 gravity = [0.0, 0.0, -9.80665]
@@ -45,7 +53,8 @@ limits = [[-3.0, 3.0], [-3.0, 0.0], [-2.5, 2.5], [-3.0, 3.0], [-2.5, 2.5], [-3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnArmCase:
-    """kind : of KINDS; make; simulation : Simulation with its noise-free poses; text : the owner's rig.toml; sigma : (2,) m, rad as it truly is
+    """kind : of KINDS; make; simulation : Simulation with its noise-free poses; text : the owner's rig.toml;
+    sigma : (2,) m, rad as it truly is
     hard : of HARDSHIPS; plan : in words; rng : what draws the noise"""
 
     kind: str
@@ -61,15 +70,25 @@ class DrawnArmCase:
 def arm_makes() -> dict[str, str]:
     """{make: the text of its rig.toml}: offset wrist, spherical wrist, seven joints."""
     shipped = files("rig") / "arms"
-    return {"ur10": UR10, **{name: (shipped / f"{name}.toml").read_text(encoding="utf-8") for name in ("puma560", "panda")}}
+    return {
+        "ur10": UR10,
+        **{name: (shipped / f"{name}.toml").read_text(encoding="utf-8") for name in ("puma560", "panda")},
+    }
 
 
-def draw_arm_case(seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()) -> DrawnArmCase:
-    """Case `index` of a campaign of arms. effects : names to which the catalogue is confined, all that an arm's poses can show by default.
+def draw_arm_case(
+    seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()
+) -> DrawnArmCase:
+    """Case `index` of a campaign of arms. effects : names to which the catalogue is confined, all that an arm's poses
+    can show by default.
 
     Raises RigError where nothing comes up in TRIES draws, or no effect of the catalogue is left
     """
-    catalogue = [e for e in ALL if (not effects or e.name in effects) and "axis" in e.places and e.stage in MOTION_STAGES and not e.moving]
+    catalogue = [
+        e
+        for e in ALL
+        if (not effects or e.name in effects) and "axis" in e.places and e.stage in MOTION_STAGES and not e.moving
+    ]
     if not catalogue:
         raise RigError(f"--effects: none of {', '.join(effects)} shows in poses of an arm at rest")
     kind, numbers, rng = schedule_effects(seed, index, kinds, len(catalogue))
@@ -93,7 +112,12 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
         write_text(Path(folder) / "rig.toml", text)
         design = design_file.load(Path(folder) / "rig.toml")
     if "level" in hard:
-        plan, route = "level", settled_plan(_level(design, frames, rng), mechanisms.kinematics_of(design.mechanism).home(design.mechanism), 0.5)
+        plan, route = (
+            "level",
+            settled_plan(
+                _level(design, frames, rng), mechanisms.kinematics_of(design.mechanism).home(design.mechanism), 0.5
+            ),
+        )
     else:
         ladder = 4 * len(_arm(design).joints)
         plan = f"sobol:{max(frames - ladder - 20, 20)},ladder:1,repeat:20"
@@ -101,7 +125,9 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
     effects = [_effect(e, design, route, rng) for e in hidden]
     if len({(e.name, e.place) for e in effects}) < len(effects):
         raise RigError("the same effect twice at one place")
-    done = simulation.simulate(secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng)
+    done = simulation.simulate(
+        secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng
+    )
     return DrawnArmCase(kind, make, done, text, sigma, hard, plan, rng)
 
 
@@ -117,14 +143,18 @@ def _hardships(make: str, rng: np.random.Generator) -> tuple[str, ...]:
 
 
 def _level(design: Design, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count, 6) rad of an arm with three parallel axes whose hand points down all the time and turns about the vertical alone."""
+    """(count, 6) rad of an arm with three parallel axes whose hand points down all the time and turns about the
+    vertical alone.
+    """
     q = low_discrepancy(_arm(design).limits, count, 0.8, seed=int(rng.integers(1 << 30)))
     q[:, 3], q[:, 4] = -np.pi / 2 - q[:, 1] - q[:, 2], -np.pi / 2
     return q[rng.permutation(count)]
 
 
 def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Generator) -> Effect:
-    """An effect at a random joint, its parameters over their usual ranges. Raises RigError where the arm lacks what it needs."""
+    """An effect at a random joint, its parameters over their usual ranges. Raises RigError where the arm lacks what it
+    needs.
+    """
     sensors, _ = secret_machine.draw_temperatures(float(route.t[-1]), np.random.default_rng(0), 0)
     motion = motion_simulation.motion_of_commands(design, route.commands, route.t, (), sensors)
     motion = replace(motion, T=mechanisms.kinematics_of(design.mechanism).forward(motion.lengths, design.mechanism))
@@ -149,8 +179,13 @@ def write_recording(case: DrawnArmCase, folder: Path) -> None:
     if "untimed" in case.hard:
         plan, log = _untimed(plan), Sensors(done.log.t, {})
     stated = replace(done.world.stated, instrument=_exact(done.world.stated))
-    shown = replace(done, plan=replace(plan, t=plan.t[seen]), log=log, run=replace(done.run, T_base_platform=T[seen]),
-                    world=replace(done.world, stated=stated))
+    shown = replace(
+        done,
+        plan=replace(plan, t=plan.t[seen]),
+        log=log,
+        run=replace(done.run, T_base_platform=T[seen]),
+        world=replace(done.world, stated=stated),
+    )
     simulation.write_recording(shown, folder, case.text, rng)
 
 
@@ -164,11 +199,24 @@ def _exact(design: Design) -> Instrument:
 def _untimed(plan: Plan) -> Plan:
     """The plan with a second from each row or exposure to the next."""
     t = np.union1d(plan.commands.t, plan.t)
-    return replace(plan, commands=Commands(np.searchsorted(t, plan.commands.t).astype(float), plan.commands.values),
-                   t=np.searchsorted(t, plan.t).astype(float), payload=np.array([(0.0, 0.0)]))
+    return replace(
+        plan,
+        commands=Commands(np.searchsorted(t, plan.commands.t).astype(float), plan.commands.values),
+        t=np.searchsorted(t, plan.t).astype(float),
+        payload=np.array([(0.0, 0.0)]),
+    )
 
 
 def write_truth(case: DrawnArmCase, path: Path, **more: object) -> None:
     """Write the truth of a case, with more besides, into a file."""
-    secret_machine.write_truth(path, case.simulation.world, case.simulation.run.T_base_platform, kind=case.kind, make=case.make,
-                      disturbance=" and ".join(case.hard) or None, sigma=case.sigma.tolist(), plan=case.plan, **more)
+    secret_machine.write_truth(
+        path,
+        case.simulation.world,
+        case.simulation.run.T_base_platform,
+        kind=case.kind,
+        make=case.make,
+        disturbance=" and ".join(case.hard) or None,
+        sigma=case.sigma.tolist(),
+        plan=case.plan,
+        **more,
+    )

@@ -1,4 +1,6 @@
-"""Blinded cases: rigs, protocols and left-out physics drawn at random, written as recordings whose truth stays apart."""
+"""Blinded cases: rigs, protocols and left-out physics drawn at random, written as recordings whose truth stays
+apart.
+"""
 
 import tempfile
 from collections.abc import Callable, Sequence
@@ -27,10 +29,20 @@ from synthetic import recording_simulation as simulation
 from synthetic.blind_image_settings import ImageSettings
 from vision import lens
 
-KINDS = ("nothing", "one", "two", "foreign", "noise")  # of what is hidden: nothing, effects of the catalogue, one out of the catalogue, a disturbance
+KINDS = (
+    "nothing",
+    "one",
+    "two",
+    "foreign",
+    "noise",
+)  # of what is hidden: nothing, effects of the catalogue, one out of the catalogue, a disturbance
 TIMES = {"nothing": 4, "one": 9, "two": 4, "foreign": 4, "noise": 2}  # a kind comes up in so many of 23 cases
-WITHHELD = {"temperature": "no temperature is logged", "payload": "no load is put on", "reversals": "every pose is approached from one side",
-              "motion": "no exposure while moving"}
+WITHHELD = {
+    "temperature": "no temperature is logged",
+    "payload": "no load is put on",
+    "reversals": "every pose is approached from one side",
+    "motion": "no exposure while moving",
+}
 FRAMES = 380  # of a recording by default
 TRIES = 20  # of drawing something that the rig survives
 NOISE = (0.02, 0.08)  # px
@@ -43,7 +55,8 @@ class DrawnCase:
 
     kind : of KINDS; simulation : Simulation with all hidden effects at work; text : the owner's rig.toml; noise : px
     disturbance : of out_of_catalogue.DISTURBANCES or None; plan : in words; rng : what draws the noise
-    hidden : the effects that a diagnosis should find; image_settings : ImageSettings that it is drawn into images for, or None for corners
+    hidden : the effects that a diagnosis should find; image_settings : ImageSettings that it is drawn into images for,
+        or None for corners
     """
 
     kind: str
@@ -57,8 +70,12 @@ class DrawnCase:
     image_settings: ImageSettings | None = None
 
 
-def schedule_effects(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)) -> tuple[str, list[int], np.random.Generator]:
-    """(kind, numbers of its effects in a catalogue of so many, rng) of case `index` of a campaign: each comes up as often as the others."""
+def schedule_effects(
+    seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)
+) -> tuple[str, list[int], np.random.Generator]:
+    """(kind, numbers of its effects in a catalogue of so many, rng) of case `index` of a campaign: each comes up as
+    often as the others.
+    """
     deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
     shuffled = np.random.default_rng([seed, 1]).permutation(deck)
     kind = KINDS[shuffled[index % len(deck)]]
@@ -70,15 +87,26 @@ def schedule_effects(seed: int, index: int, kinds: Sequence[str] = KINDS, catalo
     return kind, numbers, np.random.default_rng([seed, 3, index])
 
 
-def draw_case(seed: int, index: int, frames: int = FRAMES, withheld: Sequence[str] = (), kinds: Sequence[str] = KINDS,
-         effects: Sequence[str] = (), images: bool = False) -> DrawnCase:
-    """Case `index` of a campaign. effects : names to which the catalogue is confined, all by default; images : whether it is drawn into images,
-    with printing tolerances, and hides only what these can show
+def draw_case(
+    seed: int,
+    index: int,
+    frames: int = FRAMES,
+    withheld: Sequence[str] = (),
+    kinds: Sequence[str] = KINDS,
+    effects: Sequence[str] = (),
+    images: bool = False,
+) -> DrawnCase:
+    """Case `index` of a campaign. effects : names to which the catalogue is confined, all by default; images : whether
+    it is drawn into images, with printing tolerances, and hides only what these can show
 
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
     """
     catalogue = [e for e in ALL if e.name in effects] or list(ALL)
-    catalogue = (blind_image_settings.drawable_effects(catalogue) or blind_image_settings.drawable_effects(list(ALL))) if images else catalogue
+    catalogue = (
+        (blind_image_settings.drawable_effects(catalogue) or blind_image_settings.drawable_effects(list(ALL)))
+        if images
+        else catalogue
+    )
     kind, numbers, rng = schedule_effects(seed, index, kinds, len(catalogue))
     if len(numbers) == 2 and numbers[0] == numbers[1]:
         numbers[1] = (numbers[1] + 1) % len(catalogue)
@@ -88,8 +116,9 @@ def draw_case(seed: int, index: int, frames: int = FRAMES, withheld: Sequence[st
     return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, withheld, images)
 
 
-def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, withheld: Sequence[str],
-           images: bool) -> DrawnCase:
+def _drawn(
+    kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, withheld: Sequence[str], images: bool
+) -> DrawnCase:
     eyes = blind_image_settings.draw_image_settings(rng) if images else None
     text = _rig(rng) if eyes is None else eyes.seen_through(_rig(rng, eyes.width, eyes.height))
     with tempfile.TemporaryDirectory() as folder:
@@ -106,19 +135,31 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
     slight = [] if eyes is None else [blind_image_settings.draw_printing(design, rng)]
     secret = secret_machine.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
     done = simulation.simulate(secret, route, rng)
-    kept = {name: v for name, v in done.log.channels.items() if not ("temperature" in withheld and "temperature" in name)}
-    disturbance = unlisted_physics.DISTURBANCES[rng.integers(len(unlisted_physics.DISTURBANCES))] if kind == "noise" else None
+    kept = {
+        name: v for name, v in done.log.channels.items() if not ("temperature" in withheld and "temperature" in name)
+    }
+    disturbance = (
+        unlisted_physics.DISTURBANCES[rng.integers(len(unlisted_physics.DISTURBANCES))] if kind == "noise" else None
+    )
     noise = _log(rng, *NOISE) if eyes is None else eyes.noise
-    return DrawnCase(kind, replace(done, log=Sensors(done.log.t, kept)), text, noise, disturbance, plan, rng, tuple(effects), eyes)
+    return DrawnCase(
+        kind, replace(done, log=Sensors(done.log.t, kept)), text, noise, disturbance, plan, rng, tuple(effects), eyes
+    )
 
 
 def _rig(rng: np.random.Generator, width: int = 1280, height: int = 1024) -> str:
     """Text of the rig.toml of a random rig of a plausible size."""
     text = hexapod_layout.hexapod_layout(
-        _log(rng, 0.15, 0.6), cameras=int(rng.choice([2, 3, 3, 3, 4])), width=width, height=height, cubes=int(rng.integers(3, 6))
+        _log(rng, 0.15, 0.6),
+        cameras=int(rng.choice([2, 3, 3, 3, 4])),
+        width=width,
+        height=height,
+        cubes=int(rng.integers(3, 6)),
     )
     joints = rng.choice(["cardan-cardan", "cardan-cardan", "cardan-ball"])
-    return text.replace("screw_lead = 0.004", f"screw_lead = {rng.choice([0.002, 0.004, 0.005, 0.01])}").replace('"cardan-cardan"', f'"{joints}"')
+    return text.replace("screw_lead = 0.004", f"screw_lead = {rng.choice([0.002, 0.004, 0.005, 0.01])}").replace(
+        '"cardan-cardan"', f'"{joints}"'
+    )
 
 
 def _protocol(frames: int, rng: np.random.Generator, withheld: Sequence[str], again: bool = False) -> str:
@@ -145,9 +186,15 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
     camera = design.cameras[rng.integers(len(design.cameras))]
     target = design.targets[rng.integers(len(design.targets))]
     axes = mechanisms.axis_places(design.mechanism)
-    place = {"axis": axes[rng.integers(len(axes))], "camera": f"camera {camera.name}", "target": f"target {target.name}",
-             "marker": f"marker {target.ids[rng.integers(len(target.ids))]}"}.get(place, place)
-    sensors, _ = secret_machine.draw_temperatures(float(route.t[-1]), np.random.default_rng(0), secret_machine.strut_count(axes_of(design.mechanism)))
+    place = {
+        "axis": axes[rng.integers(len(axes))],
+        "camera": f"camera {camera.name}",
+        "target": f"target {target.name}",
+        "marker": f"marker {target.ids[rng.integers(len(target.ids))]}",
+    }.get(place, place)
+    sensors, _ = secret_machine.draw_temperatures(
+        float(route.t[-1]), np.random.default_rng(0), secret_machine.strut_count(axes_of(design.mechanism))
+    )
     motion = motion_simulation.motion_of_commands(design, route.commands, route.t, (), sensors)
     reason = kind(place).needs(motion) if kind.stage in MOTION_STAGES else None
     if reason:
@@ -157,11 +204,15 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
 
 def _displaced(effect: Effect, camera: Camera) -> float:
     """px RMS by which an effect of a camera moves corners all over its image."""
-    u, v = np.meshgrid(np.linspace(0.05, 0.95, WARP_POINTS) * camera.width, np.linspace(0.05, 0.95, WARP_POINTS) * camera.height)
+    u, v = np.meshgrid(
+        np.linspace(0.05, 0.95, WARP_POINTS) * camera.width, np.linspace(0.05, 0.95, WARP_POINTS) * camera.height
+    )
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
     points = np.column_stack([(uv - camera.matrix[:2, 2]) / camera.matrix[[0, 1], [0, 1]], np.ones(len(uv))])
     real = effect.camera(camera)
-    moved = effect.print_(camera, lens.project(points, real.matrix, real.distortion)) - lens.project(points, camera.matrix, camera.distortion)
+    moved = effect.print_(camera, lens.project(points, real.matrix, real.distortion)) - lens.project(
+        points, camera.matrix, camera.distortion
+    )
     return float(np.sqrt(np.mean(moved**2)))
 
 
@@ -169,8 +220,10 @@ def write_recording(case: DrawnCase, folder: Path) -> None:
     """Write the recording of a case into a folder."""
     spoil, disturbance = None, case.disturbance
     if disturbance is not None:
+
         def spoil(corners: Corners) -> Corners:
             return disturbance(corners, case.simulation.world.stated, case.noise, case.rng)
+
     images = None if case.image_settings is None else case.image_settings.images
     simulation.write_recording(case.simulation, folder, case.text, case.rng, case.noise, images, spoil=spoil)
 
@@ -184,8 +237,16 @@ def write_truth(case: DrawnCase, path: Path, **more: Any) -> None:
     """Write the truth of a case, with more besides, into a file."""
     disturbance = case.disturbance.__name__ if case.disturbance is not None else None
     hidden = replace(case.simulation.world, effects=case.hidden)
-    secret_machine.write_truth(path, hidden, case.simulation.run.T_base_platform, kind=case.kind, disturbance=disturbance,
-                      noise_px=case.noise, plan=case.plan, **more)
+    secret_machine.write_truth(
+        path,
+        hidden,
+        case.simulation.run.T_base_platform,
+        kind=case.kind,
+        disturbance=disturbance,
+        noise_px=case.noise,
+        plan=case.plan,
+        **more,
+    )
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:

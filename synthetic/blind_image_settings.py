@@ -9,12 +9,22 @@ from rig.model.design import Design, Sensor
 from synthetic.image_simulation import Images, is_drawable
 from synthetic.printing_errors import Printing, draw_printing_errors
 
-KINDS = ("nothing", "one", "two")  # of what is hidden: a disturbance of corners has no picture, an effect out of the catalogue seldom one
+KINDS = (
+    "nothing",
+    "one",
+    "two",
+)  # of what is hidden: a disturbance of corners has no picture, an effect out of the catalogue seldom one
 FRAMES = 40  # of a recording by default
 RESOLUTIONS = ((640, 512), (960, 768), (1280, 1024))  # px
-LENSES = ("[-0.1, 0.08, 0.0, 0.0, 0.0]", "[-0.25, 0.1, 0.0004, -0.0003, 0.0]")  # OpenCV k1 k2 p1 p2 k3; the first is the layout's
+LENSES = (
+    "[-0.1, 0.08, 0.0, 0.0, 0.0]",
+    "[-0.25, 0.1, 0.0004, -0.0003, 0.0]",
+)  # OpenCV k1 k2 p1 p2 k3; the first is the layout's
 BLUR, DEFOCUS, VIGNETTING, READ_NOISE = (0.4, 0.9), (0.0, 0.8), (0.0, 0.3), (0.5, 2.0)  # px, px, share, grey levels
-PLACE, SIDE = (1e-6, 5e-6), (2e-5, 1.2e-4)  # m of a marker's place, share of its side: standard deviations of how they are printed
+PLACE, SIDE = (
+    (1e-6, 5e-6),
+    (2e-5, 1.2e-4),
+)  # m of a marker's place, share of its side: standard deviations of how they are printed
 CONTRAST = 180.0  # grey levels between black and white, about
 SHARE = 25  # a marker's side is about so much of an image's width
 
@@ -39,7 +49,9 @@ class ImageSettings:
 
     @property
     def noise(self) -> float:
-        """px, what a corner is good for: the Cramer-Rao bound of two edges through blur and noise, and a quarter for the grey levels' rounding."""
+        """px, what a corner is good for: the Cramer-Rao bound of two edges through blur and noise, and a quarter for
+        the grey levels' rounding.
+        """
         s, blur = self.sensor, float(np.hypot(self.sensor.blur, self.sensor.defocus / 2))
         grey = np.hypot(s.read_noise, 1 / np.sqrt(12))
         return float(1.25 * 2 * grey / CONTRAST * np.sqrt(2 * np.sqrt(np.pi) * blur / (self.width / SHARE)))
@@ -48,8 +60,12 @@ class ImageSettings:
 def draw_image_settings(rng: np.random.Generator) -> ImageSettings:
     """Random ImageSettings."""
     width, height = RESOLUTIONS[rng.integers(len(RESOLUTIONS))]
-    sensor = Sensor(blur=float(rng.uniform(*BLUR)), defocus=float(rng.uniform(*DEFOCUS)), vignetting=float(rng.uniform(*VIGNETTING)),
-                    read_noise=float(rng.uniform(*READ_NOISE)))
+    sensor = Sensor(
+        blur=float(rng.uniform(*BLUR)),
+        defocus=float(rng.uniform(*DEFOCUS)),
+        vignetting=float(rng.uniform(*VIGNETTING)),
+        read_noise=float(rng.uniform(*READ_NOISE)),
+    )
     return ImageSettings(width, height, LENSES[rng.integers(len(LENSES))], sensor)
 
 

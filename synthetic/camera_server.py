@@ -1,4 +1,6 @@
-"""Eyes at a TCP port: requests of a line each, answered in the order in which they came; see rig/driving/cameras/emulated_camera.py for the words."""
+"""Eyes at a TCP port: requests of a line each, answered in the order in which they came; see
+rig/driving/cameras/emulated_camera.py for the words.
+"""
 
 import json
 import queue
@@ -17,8 +19,9 @@ LOOK = 0.2  # s between looks at whether to go on
 
 
 class EyesServer:
-    """Listens at an address (host, port; 0: any). Requests are taken, and the exposure's moment with them, while a picture is being drawn;
-    pictures are drawn one after the other in the thread that calls `serve`: OpenGL wants that."""
+    """Listens at an address (host, port; 0: any). Requests are taken, and the exposure's moment with them, while a
+    picture is being drawn; pictures are drawn one after the other in the thread that calls `serve`: OpenGL wants
+    that."""
 
     def __init__(self, eyes: Eyes, address: tuple[str, int], clock: Clock) -> None:
         self._eyes, self._clock = eyes, clock
@@ -81,5 +84,10 @@ class EyesServer:
             raise RigError(f"an exposure of {words[2]} s is none")
         image = self._eyes.image(words[1], t, exposure)
         eight = image.dtype == np.uint8
-        head = {"width": image.shape[1], "height": image.shape[0], "bits": 8 if eight else 12, "age": self._clock.now() - t}
+        head = {
+            "width": image.shape[1],
+            "height": image.shape[0],
+            "bits": 8 if eight else 12,
+            "age": self._clock.now() - t,
+        }
         return json.dumps(head).encode() + b"\n" + image.astype("u1" if eight else "<u2").tobytes()

@@ -1,4 +1,6 @@
-"""The page that says how cubes are folded and where they stand: each body from above, with names, +x, joints, and what to do in order."""
+"""The page that says how cubes are folded and where they stand: each body from above, with names, +x, joints, and what
+to do in order.
+"""
 
 import textwrap
 
@@ -12,15 +14,21 @@ from synthetic.sheet_rulers import MARGIN
 
 BODIES = ("base", "platform")
 STEPS = (
-    "1. Print all sheets at 100 %, without fitting to the page. Measure both rulers and some markers with a caliper, or photograph a sheet and "
+    "1. Print all sheets at 100 %, without fitting to the page. Measure both rulers and some markers with a "
+    "caliper, or photograph a sheet and "
     "run rig check-print; write the side that is true into rig.toml.",
-    "2. Cut along the full black lines, flaps (grey) included. Score the dashed lines with a blunt blade, and fold them back by "
+    "2. Cut along the full black lines, flaps (grey) included. Score the dashed lines with a blunt blade, "
+    "and fold them back by "
     "90 degrees, the print outside.",
-    "3. Glue flap by flap under the face that bears no flap at that edge; names on the faces meet as on this page. A cube on several sheets is "
-    "put together in the same way: its faces' names (+x, +y, -x, -y, then +z on top and -z below) say what comes beside what.",
-    "4. Better than paper alone: wrap the net around a solid body (rig print --stl writes one for each cube). Faces must be flat and "
+    "3. Glue flap by flap under the face that bears no flap at that edge; names on the faces meet as on this "
+    "page. A cube on several sheets is "
+    "put together in the same way: its faces' names (+x, +y, -x, -y, then +z on top and -z below) say what "
+    "comes beside what.",
+    "4. Better than paper alone: wrap the net around a solid body (rig print --stl writes one for each "
+    "cube). Faces must be flat and "
     "markers without bubbles.",
-    "5. Fix each cube where the views below have it: +x along its arrow, the face that is named up. Some millimetres do not matter: `rig measure` "
+    "5. Fix each cube where the views below have it: +x along its arrow, the face that is named up. Some "
+    "millimetres do not matter: `rig measure` "
     "finds the true places; a face turned or exchanged does matter.",
 )
 
@@ -51,11 +59,18 @@ def _body(axes: Axes, design: Design, body: str, frame: tuple[float, float, floa
     low, span = points.min(axis=0), np.maximum(np.ptp(points, axis=0), 1e-3)
     scale = min((width - 20) / span[0], (height - 22) / span[1])
     origin = np.array([left + width / 2, bottom + (height - 8) / 2]) - scale * (low + span / 2)
-    axes.text(left, bottom + height - 4, f"{body}, from above (+z of its frame towards you), 1 : {1e3 / scale:.2g}", fontsize=9)
+    axes.text(
+        left,
+        bottom + height - 4,
+        f"{body}, from above (+z of its frame towards you), 1 : {1e3 / scale:.2g}",
+        fontsize=9,
+    )
     for axis, name in enumerate("xy"):
         end = origin + 12 * np.eye(2)[axis]
         axes.annotate("", end, origin, arrowprops={"arrowstyle": "->", "color": "0.4", "lw": 0.8})
-        axes.text(end[0] + 2 * (axis == 0), end[1] + 2 * (axis == 1), name, fontsize=7, color="0.4", ha="center", va="center")
+        axes.text(
+            end[0] + 2 * (axis == 0), end[1] + 2 * (axis == 1), name, fontsize=7, color="0.4", ha="center", va="center"
+        )
     for number, joint in enumerate([] if joints is None else np.asarray(joints)[:, :2]):
         place = origin + scale * joint
         axes.plot(*place, "o", ms=3, mfc="none", mec="0.4", mew=0.6)
@@ -73,15 +88,33 @@ def _target(axes: Axes, target: Target, shape: np.ndarray) -> None:
         turn = target.pose.rotation.as_matrix()
         edge, along = np.linalg.norm(shape[1] - shape[0]), turn[:2, 0]
         if np.linalg.norm(along) > 0.1:
-            axes.annotate("+x", middle + 0.5 * edge * along, middle + (0.5 * edge + 9) * along, color="tab:red", fontsize=7, ha="center", va="center",
-                          arrowprops={"arrowstyle": "<-", "color": "tab:red", "lw": 0.8})
+            axes.annotate(
+                "+x",
+                middle + 0.5 * edge * along,
+                middle + (0.5 * edge + 9) * along,
+                color="tab:red",
+                fontsize=7,
+                ha="center",
+                va="center",
+                arrowprops={"arrowstyle": "<-", "color": "tab:red", "lw": 0.8},
+            )
         up = int(np.abs(turn[2]).argmax())
         text += f"\n{'+' if turn[2, up] > 0 else '-'}{'xyz'[up]} up\nz = {target.pose.translation[2] * 1e3:.0f} mm"
-    axes.text(middle[0], middle[1], text, fontsize=6.5, ha="center", va="center", bbox={"boxstyle": "square,pad=0", "fc": "white", "ec": "none"})
+    axes.text(
+        middle[0],
+        middle[1],
+        text,
+        fontsize=6.5,
+        ha="center",
+        va="center",
+        bbox={"boxstyle": "square,pad=0", "fc": "white", "ec": "none"},
+    )
 
 
 def target_outline(target: Target) -> np.ndarray:
-    """(n, 2) m, a target from above in its body's frame: the four corners of a cube's face that is most up, or of all its markers' box."""
+    """(n, 2) m, a target from above in its body's frame: the four corners of a cube's face that is most up, or of all
+    its markers' box.
+    """
     if target.edge is not None and target.pose is not None:
         turn = target.pose.rotation.as_matrix()
         up = int(np.abs(turn[2]).argmax())

@@ -1,4 +1,6 @@
-"""A cube's net in pieces that fit a sheet of paper: which faces hang together, where flaps to glue sit, how pieces lie on sheets."""
+"""A cube's net in pieces that fit a sheet of paper: which faces hang together, where flaps to glue sit, how pieces lie
+on sheets.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,15 +10,31 @@ import numpy as np
 
 from rig.errors import RigError
 
-# where each face lies in the net, in edges: the four sides from left to right with their tops (+z) up, +z above -y, whose right
+# where each face lies in the net, in edges: the four sides from left to right with their tops (+z) up, +z above -y,
+# whose right
 # is its right (+x), and -z below +y, whose right (-x) is its right
 NET = {"+x": (0, 1), "+y": (1, 1), "-x": (2, 1), "-y": (3, 1), "+z": (3, 2), "-z": (1, 0)}
 # outward normal, right and up of each face as it lies in the net
-FRAMES = {"+x": ("+x", "+y", "+z"), "+y": ("+y", "-x", "+z"), "-x": ("-x", "-y", "+z"), "-y": ("-y", "+x", "+z"),
-          "+z": ("+z", "+x", "+y"), "-z": ("-z", "-x", "+y")}
-PARTITIONS = ((("+x", "+y", "-x", "-y", "+z", "-z"),), (("+x", "+y", "-z"), ("-x", "-y", "+z")), (("+y", "-z"), ("-y", "+z"), ("+x",), ("-x",)),
-              (("+x",), ("+y",), ("-x",), ("-y",), ("+z",), ("-z",)))
-SIDES = {"l": (-1, 0), "t": (0, 1), "b": (0, -1), "r": (1, 0)}  # of a face in the net; flaps sit by preference on the first
+FRAMES = {
+    "+x": ("+x", "+y", "+z"),
+    "+y": ("+y", "-x", "+z"),
+    "-x": ("-x", "-y", "+z"),
+    "-y": ("-y", "+x", "+z"),
+    "+z": ("+z", "+x", "+y"),
+    "-z": ("-z", "-x", "+y"),
+}
+PARTITIONS = (
+    (("+x", "+y", "-x", "-y", "+z", "-z"),),
+    (("+x", "+y", "-z"), ("-x", "-y", "+z")),
+    (("+y", "-z"), ("-y", "+z"), ("+x",), ("-x",)),
+    (("+x",), ("+y",), ("-x",), ("-y",), ("+z",), ("-z",)),
+)
+SIDES = {
+    "l": (-1, 0),
+    "t": (0, 1),
+    "b": (0, -1),
+    "r": (1, 0),
+}  # of a face in the net; flaps sit by preference on the first
 TAB, WIDEST = 0.14, 12.0  # flaps: of the edge; mm
 GAP = 4.0  # mm between pieces
 
@@ -38,8 +56,15 @@ class Piece:
 
     def box(self, size: Size) -> tuple[float, float, float, float]:
         """(left, bottom, right, top) mm of what is cut out, in the net's own coordinates."""
-        ends = [size.edge * np.array(NET[face]) + size.edge * np.array(corner) for face in self.faces for corner in ((0, 0), (1, 1))]
-        ends += [size.edge * (np.array(NET[face]) + 0.5) + (size.edge / 2 + size.flap) * np.array(SIDES[side]) for face, side in self.flaps]
+        ends = [
+            size.edge * np.array(NET[face]) + size.edge * np.array(corner)
+            for face in self.faces
+            for corner in ((0, 0), (1, 1))
+        ]
+        ends += [
+            size.edge * (np.array(NET[face]) + 0.5) + (size.edge / 2 + size.flap) * np.array(SIDES[side])
+            for face, side in self.flaps
+        ]
         return (*np.min(ends, axis=0), *np.max(ends, axis=0))
 
 
@@ -59,7 +84,9 @@ class Sheet(NamedTuple):
 
 
 def net_pieces(groups: Sequence[Sequence[str]], flaps: bool = True) -> tuple[Piece, ...]:
-    """The net cut into groups of faces. Of two faces that meet at a cube's edge without hanging together one has a flap, unless there are none."""
+    """The net cut into groups of faces. Of two faces that meet at a cube's edge without hanging together one has a
+    flap, unless there are none.
+    """
     of = {face: k for k, group in enumerate(groups) for face in group}
     folds: list[list[tuple[str, str]]] = [[] for _ in groups]
     tabs: list[list[tuple[str, str]]] = [[] for _ in groups]
@@ -77,12 +104,15 @@ def net_pieces(groups: Sequence[Sequence[str]], flaps: bool = True) -> tuple[Pie
     return tuple(Piece(tuple(group), tuple(tabs[k]), tuple(folds[k])) for k, group in enumerate(groups))
 
 
-def arrange_net(edge: float, usable: tuple[float, float], turned: tuple[float, float]) -> tuple[Size, tuple[Sheet, ...]]:
+def arrange_net(
+    edge: float, usable: tuple[float, float], turned: tuple[float, float]
+) -> tuple[Size, tuple[Sheet, ...]]:
     """How a cube lies on the fewest sheets, in the fewest pieces. edge : mm
 
     usable, turned : (width, height) mm of a sheet that stands upright, and on its side
 
-    Faces too large for their flaps come without, to be glued on a body. Raises RigError for a face larger than the sheet
+    Faces too large for their flaps come without, to be glued on a body. Raises RigError for a face larger than the
+    sheet
     """
     best = None
     for flap in (min(TAB * edge, WIDEST), 0.0):
@@ -93,10 +123,14 @@ def arrange_net(edge: float, usable: tuple[float, float], turned: tuple[float, f
                 best = size, sheets
         if best is not None:
             return best
-    raise RigError(f"a face of {edge:.4g} mm is larger than the {usable[0]:.0f} x {usable[1]:.0f} mm that can be printed on")
+    raise RigError(
+        f"a face of {edge:.4g} mm is larger than the {usable[0]:.0f} x {usable[1]:.0f} mm that can be printed on"
+    )
 
 
-def _packed(found: Sequence[Piece], size: Size, rooms: tuple[tuple[float, float], tuple[float, float]]) -> tuple[Sheet, ...] | None:
+def _packed(
+    found: Sequence[Piece], size: Size, rooms: tuple[tuple[float, float], tuple[float, float]]
+) -> tuple[Sheet, ...] | None:
     """Sheets filled in turn, each lying as it takes more of what is left; None where a piece fits neither way."""
     left, sheets = list(found), []
     while left:

@@ -19,7 +19,9 @@ BINS = (0.0, 3.0, 7.0, 20.0, 100.0, np.inf)  # of strength
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """An effect that was at work. parameters : {name: number or list}; strength : signal-to-noise, freedoms projected out"""
+    """An effect that was at work. parameters : {name: number or list}; strength : signal-to-noise, freedoms projected
+    out
+    """
 
     effect: str
     place: str
@@ -29,7 +31,9 @@ class Hidden:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A finding. parameters : {name: (value, [low, high] or None)}; alternatives : [(effect, place)] that it cannot be told from"""
+    """A finding. parameters : {name: (value, [low, high] or None)}; alternatives : [(effect, place)] that it cannot be
+    told from
+    """
 
     effect: str
     place: str
@@ -43,8 +47,10 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One case, unblinded. index; kind; disturbance : name or None; hidden : [Hidden]; found : [Found]; unexplained : whether anything is
-    said to be left; ratio : held-out misfit over the noise floor; seconds : that the diagnosis took; failed : its error or None
+    """One case, unblinded. index; kind; disturbance : name or None; hidden : [Hidden]; found : [Found];
+    unexplained : whether anything is said to be left; ratio : held-out misfit over the noise floor; seconds : that the
+        diagnosis
+    took; failed : its error or None
     remarks : (Found, ..) of what is there and within tolerances"""
 
     index: int
@@ -65,14 +71,22 @@ class Case:
 
     @property
     def said(self) -> list[Found]:
-        """The same; where there is none, remarks on effects that were hidden, at their places: an effect within tolerances is rightly no finding."""
+        """The same; where there is none, remarks on effects that were hidden, at their places: an effect within
+        tolerances is rightly no finding.
+        """
         hidden = [(h.effect, h.place) for h in self.hidden]
         return self.named or [r for r in self.remarks if (r.effect, r.place) in hidden]
 
     def match(self, hidden: Hidden) -> Found | None:
-        """The finding that answers a hidden effect: same place if there is one, else the same name, else one that allows it, or None."""
-        for fits in (lambda f: (f.effect, f.place) == (hidden.effect, hidden.place), lambda f: f.effect == hidden.effect,
-                     lambda f: (hidden.effect, hidden.place) in f.alternatives, lambda f: hidden.effect in f.names()):
+        """The finding that answers a hidden effect: same place if there is one, else the same name, else one that
+        allows it, or None.
+        """
+        for fits in (
+            lambda f: (f.effect, f.place) == (hidden.effect, hidden.place),
+            lambda f: f.effect == hidden.effect,
+            lambda f: (hidden.effect, hidden.place) in f.alternatives,
+            lambda f: hidden.effect in f.names(),
+        ):
             for f in self.said:
                 if fits(f):
                     return f
@@ -84,7 +98,9 @@ class Case:
         return [f for f in self.named if not names & set(f.names())]
 
     def seen_as(self, hidden: Hidden) -> str:
-        """What a hidden effect was taken for: the name of its finding, else of one that answers no other, else unknown or nothing."""
+        """What a hidden effect was taken for: the name of its finding, else of one that answers no other, else unknown
+        or nothing.
+        """
         own = self.match(hidden)
         if own is not None:
             return own.effect
@@ -119,11 +135,15 @@ def clopper_pearson(hits: int, trials: int, level: float = 0.95) -> tuple[float,
     return low, high
 
 
-def score_case(index: int, truth: Path, diagnosis: Path | None, seconds: float = float("nan"), failed: str | None = None) -> Case:
+def score_case(
+    index: int, truth: Path, diagnosis: Path | None, seconds: float = float("nan"), failed: str | None = None
+) -> Case:
     """Case of a truth file and a diagnosis.json (None where it failed). Raises FileError for a file that is neither."""
     tree = json_file.load(truth, "truth of a case")
     effects = tree.tables("effects")
-    hidden = [_hidden(table, strength) for table, strength in zip(effects, tree.array("strengths", (len(effects),)).tolist())]
+    hidden = [
+        _hidden(table, strength) for table, strength in zip(effects, tree.array("strengths", (len(effects),)).tolist())
+    ]
     kind, disturbance = tree.text("kind"), tree.text("disturbance") if tree.get("disturbance") is not None else None
     if diagnosis is None:
         return Case(index, kind, disturbance, hidden, [], False, float("nan"), seconds, failed)
@@ -132,7 +152,17 @@ def score_case(index: int, truth: Path, diagnosis: Path | None, seconds: float =
     after, floor = (fit.number(key, nulls=True) for key in ("heldout_after", "noise_floor"))
     unexplained = tree.get("unexplained") is not None or any(f.effect == "unknown" for f in found)
     remarks = tuple(_found(table) for table in tree.tables("remarks")) if "remarks" in tree.tree else ()
-    return Case(index, kind, disturbance, hidden, found, unexplained, after / floor if floor else float("nan"), seconds, remarks=remarks)
+    return Case(
+        index,
+        kind,
+        disturbance,
+        hidden,
+        found,
+        unexplained,
+        after / floor if floor else float("nan"),
+        seconds,
+        remarks=remarks,
+    )
 
 
 def _hidden(table: Entries, strength: float) -> Hidden:
@@ -157,7 +187,11 @@ def _found(table: Entries) -> Found:
             if interval is not None:
                 p.numbers(interval, (2, *shape), "ci95", (), nulls=True)
         parameters[name] = (value, interval)
-    alternatives = [(r.text("effect"), r.text("place")) for r in table.tables("cannot_be_told_from")] if "cannot_be_told_from" in table.tree else []
+    alternatives = (
+        [(r.text("effect"), r.text("place")) for r in table.tables("cannot_be_told_from")]
+        if "cannot_be_told_from" in table.tree
+        else []
+    )
     return Found(effect, _place(table, effect, parameters.get("other", (-1,))[0]), parameters, alternatives)
 
 
@@ -173,7 +207,9 @@ def _place(table: Entries, effect: str, other: float) -> str:
 
 
 def interval_coverage(hidden: Hidden, found: Found | None) -> list[bool]:
-    """[bool] for every number of a finding that has an interval: whether the truth lies in it. Moments and choices are not counted."""
+    """[bool] for every number of a finding that has an interval: whether the truth lies in it. Moments and choices are
+    not counted.
+    """
     out: list[bool] = []
     if found is None or (found.effect, found.place) != (hidden.effect, hidden.place):
         return out
@@ -204,13 +240,21 @@ def campaign_figures(cases: list[Case]) -> list[Figure]:
         share_figure("diagnosed without an error", [c.failed is None for c in cases], 1.0),
         share_figure("nothing hidden: no finding", [not c.found and not c.unexplained for c in still], 148 / 150),
         share_figure("one effect: detected", [bool(c.found or c.said) or c.unexplained for c in one], 0.97),
-        share_figure("one effect: named first", [bool(c.said) and c.said[0].effect == c.hidden[0].effect for c in one], 0.92),
+        share_figure(
+            "one effect: named first", [bool(c.said) and c.said[0].effect == c.hidden[0].effect for c in one], 0.92
+        ),
         share_figure("one effect: truth in the set", [c.match(c.hidden[0]) is not None for c in one], 0.97),
         share_figure(
-            "one effect: at its place", [any((f.effect, f.place) == (h.effect, h.place) for f in c.said) for c in one for h in c.hidden], 0.9
+            "one effect: at its place",
+            [any((f.effect, f.place) == (h.effect, h.place) for f in c.said) for c in one for h in c.hidden],
+            0.9,
         ),
         share_figure("one effect: nothing else named", [not c.wrong() and len(c.named) <= 1 for c in one]),
-        share_figure("two effects: both named", [all(any(f.effect == h.effect for f in c.named) for h in c.hidden) for c in two], 0.75),
+        share_figure(
+            "two effects: both named",
+            [all(any(f.effect == h.effect for f in c.named) for h in c.hidden) for c in two],
+            0.75,
+        ),
         share_figure("two effects: no wrong name", [not c.wrong() for c in two]),
         share_figure("outside the catalogue: called unknown", [c.unexplained and not c.named for c in foreign], 0.8),
         share_figure("outside the catalogue: no name given", [not c.named for c in foreign]),
@@ -225,18 +269,23 @@ def campaign_medians(cases: list[Case]) -> dict[str, float]:
     done = [c for c in cases if c.failed is None]
     one = [c.match(c.hidden[0]) for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
     columns: dict[str, list[float]] = {
-        "effects in a set": [len(set(f.names())) for f in one if f is not None], "held-out misfit / noise floor": [c.ratio for c in done],
-        "seconds a diagnosis": [c.seconds for c in cases]}
+        "effects in a set": [len(set(f.names())) for f in one if f is not None],
+        "held-out misfit / noise floor": [c.ratio for c in done],
+        "seconds a diagnosis": [c.seconds for c in cases],
+    }
     return {name: float(np.nanmedian(v)) if np.isfinite(v).any() else float("nan") for name, v in columns.items()}
 
 
 def figures_by_effect(cases: list[Case]) -> list[Group]:
-    """[(effect, [Figure detected, named, placed, covered], {taken for: times})] of strong effects in all cases that hide them."""
+    """[(effect, [Figure detected, named, placed, covered], {taken for: times})] of strong effects in all cases that
+    hide them.
+    """
     return _grouped(cases, lambda h: h.effect if h.strength >= STRONG else None)
 
 
 def figures_by_strength(cases: list[Case]) -> list[Group]:
     """The same by strength, of effects of the catalogue."""
+
     def group(h: Hidden) -> str | None:
         k = int(np.searchsorted(BINS, h.strength, side="right"))
         return f"{BINS[k - 1]:g} to {BINS[k]:g}" if h.effect in BY_NAME else None
@@ -252,15 +301,30 @@ def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[G
             name = group(h)
             if name is not None:
                 rows.setdefault(name, []).append((c, h, c.match(h)))
-    return [(name, [share_figure("detected", [c.seen_as(h) != "nothing" for c, h, _ in rows[name]]),
-                    share_figure("named", [f is not None and f.effect == h.effect for _, h, f in rows[name]]),
-                    share_figure("placed", [f is not None and (f.effect, f.place) == (h.effect, h.place) for _, h, f in rows[name]]),
-                    share_figure("covered", [flag for _, h, f in rows[name] if h.effect in BY_NAME for flag in interval_coverage(h, f)])],
-             _count(c.seen_as(h) for c, h, _ in rows[name])) for name in sorted(rows)]
+    return [
+        (
+            name,
+            [
+                share_figure("detected", [c.seen_as(h) != "nothing" for c, h, _ in rows[name]]),
+                share_figure("named", [f is not None and f.effect == h.effect for _, h, f in rows[name]]),
+                share_figure(
+                    "placed", [f is not None and (f.effect, f.place) == (h.effect, h.place) for _, h, f in rows[name]]
+                ),
+                share_figure(
+                    "covered",
+                    [flag for _, h, f in rows[name] if h.effect in BY_NAME for flag in interval_coverage(h, f)],
+                ),
+            ],
+            _count(c.seen_as(h) for c, h, _ in rows[name]),
+        )
+        for name in sorted(rows)
+    ]
 
 
 def confusion_table(cases: list[Case]) -> dict[str, dict[str, int]]:
-    """{hidden: {taken for: times}} of strong effects; "nothing" and each disturbance stand for cases that hide no effect."""
+    """{hidden: {taken for: times}} of strong effects; "nothing" and each disturbance stand for cases that hide no
+    effect.
+    """
     out = {name: counts for name, _, counts in figures_by_effect(cases)}
     for c in cases:
         if c.failed is None and not c.hidden:

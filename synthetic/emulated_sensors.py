@@ -1,4 +1,6 @@
-"""The cameras and sensors of an emulated rig: drawn, and read, at the pose that its struts truly give it at the moment of asking."""
+"""The cameras and sensors of an emulated rig: drawn, and read, at the pose that its struts truly give it at the moment
+of asking.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,7 +22,10 @@ from synthetic.remounted_cubes import remount_cubes
 from synthetic.secret_machine import World
 
 LONGEST = 24 * 3600.0  # s that the temperatures lasts; beyond it stays as it was
-SOON, LATE = 0.02, 20.0  # s between looks at the history for what the struts did up to a moment, and until that is given up
+SOON, LATE = (
+    0.02,
+    20.0,
+)  # s between looks at the history for what the struts did up to a moment, and until that is given up
 Told = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
@@ -34,16 +39,20 @@ class Temperatures:
 
 class Eyes:
     """What cameras and sensors of a world show. images : Images; seed : of temperatures and noise
-    told : the struts' history so far, (k,) s and (k, n) m, straight between; it is waited for until it reaches the moment of asking."""
+    told : the struts' history so far, (k,) s and (k, n) m, straight between; it is waited for until it reaches the
+        moment of asking."""
 
     def __init__(self, world: World, images: Images, seed: int, told: Told, clock: Clock) -> None:
         self._clock = clock
         self.world, self._images, self._seed, self._told, self._count = remount_cubes(world, {}), images, seed, told, 0
-        self._temperatures = Temperatures(*worlds.draw_temperatures(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes)))
+        self._temperatures = Temperatures(
+            *worlds.draw_temperatures(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes))
+        )
         self._start: float | None = None
 
     def image(self, name: str, t: float, exposure: float) -> np.ndarray:
-        """The image of a camera exposed at t (s, the history's clock) for so long (s; USUAL gives the stated brightness).
+        """The image of a camera exposed at t (s, the history's clock) for so long (s; USUAL gives the stated
+        brightness).
 
         Raises RigError for a camera that there is not, and where nobody says where the struts stood.
         """
@@ -52,7 +61,9 @@ class Eyes:
             raise RigError(f"no camera {name!r}; there are {', '.join(names)}")
         sensor = replace(self._images.sensor, gain=self._images.sensor.gain * exposure / USUAL)
         self._count += 1
-        return render_image(self._now(t), 0, names.index(name), replace(self._images, sensor=sensor), self._seed + self._count)
+        return render_image(
+            self._now(t), 0, names.index(name), replace(self._images, sensor=sensor), self._seed + self._count
+        )
 
     def pose(self, t: float) -> np.ndarray:
         """(4, 4) T_base_platform as it truly is at t (s)."""
@@ -61,7 +72,10 @@ class Eyes:
     def sensors(self, t: float) -> dict[str, float]:
         """{channel: value} as thermometers and measuring limbs read at t (s)."""
         now = self._now(t)
-        log = {name: float(np.interp(now.plan.t[0], self._temperatures.log.t, values)) for name, values in self._temperatures.log.channels.items()}
+        log = {
+            name: float(np.interp(now.plan.t[0], self._temperatures.log.t, values))
+            for name, values in self._temperatures.log.channels.items()
+        }
         limbs = self.world.true.insitu
         if limbs is None:
             return log
@@ -76,7 +90,10 @@ class Eyes:
         times, lengths = self._told()
         while times[-1] < t:  # where they stand at t is not known before
             if self._clock.now() > t + LATE:
-                raise RigError(f"what the struts did is told up to {t - times[-1]:.1f} s before the exposure, and no further for {LATE:g} s")
+                raise RigError(
+                    f"what the struts did is told up to {t - times[-1]:.1f} s before the exposure, and no "
+                    f"further for {LATE:g} s"
+                )
             self._clock.sleep(SOON)
             times, lengths = self._told()
         self._start = float(times[0]) if self._start is None else self._start
@@ -98,7 +115,9 @@ class Eyes:
 
 
 class ToldByFile:
-    """The history that an emulator writes as it happens (rig.driving.emulators.History), read on from where it was left."""
+    """The history that an emulator writes as it happens (rig.driving.emulators.History), read on from where it was
+    left.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path, self._at, self._rest = Path(path), 0, ""

@@ -12,11 +12,14 @@ BLACK = 4.0  # grey level of no light, so that noise is not cut off
 
 
 def expose_image(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator, samples: int = 1) -> np.ndarray:
-    """(height, width) uint8 (8 bit) or uint16 (12 bit) image of a radiance (samples height, samples width) float32 0..1.
+    """(height, width) uint8 (8 bit) or uint16 (12 bit) image of a radiance (samples height, samples width) float32
+    0..1.
 
-    sensor : rig.model.design.Sensor; rng : numpy Generator; samples : of the radiance to the pixel each way. Optics act on the finer picture,
-    before pixels take their means: a blur that steps from pixel to pixel has corners of its own. The variance of a pixel is
-    read_noise^2 + light / electrons, in grey levels of 255, before it is rounded (EMVA Standard 1288, the linear camera model).
+    sensor : rig.model.design.Sensor; rng : numpy Generator; samples : of the radiance to the pixel each way. Optics act
+    on the finer picture, before pixels take their means: a blur that steps from pixel to pixel has corners of its own.
+        The variance of a
+    pixel is read_noise^2 + light / electrons, in grey levels of 255, before it is rounded (EMVA Standard 1288, the
+    linear camera model).
     """
     if sensor.defocus:
         radiance = cv2.filter2D(radiance, cv2.CV_32F, _disc(sensor.defocus * samples), borderType=cv2.BORDER_REPLICATE)
@@ -41,7 +44,9 @@ def expose_image(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator,
 
 @lru_cache(KEPT)
 def _disc(radius: float) -> np.ndarray:
-    """A uniform disc of a radius (px), each pixel weighted by the part of it that the disc covers: one pixel alone where it is a point."""
+    """A uniform disc of a radius (px), each pixel weighted by the part of it that the disc covers: one pixel alone
+    where it is a point.
+    """
     reach, fine = int(np.ceil(radius + 0.5)), 17  # odd, so that the middle is looked at: the smallest disc covers that
     at = (np.arange((2 * reach + 1) * fine) + 0.5) / fine - reach - 0.5
     inside = (at[:, None] ** 2 + at**2 <= radius**2).astype(np.float32)
@@ -51,6 +56,8 @@ def _disc(radius: float) -> np.ndarray:
 
 @lru_cache(KEPT)
 def _falloff(shape: tuple[int, ...], lost: float) -> np.ndarray:
-    """(height, width) share of the light that arrives: 1 in the middle, 1 - lost in the corners, with the square of the radius."""
+    """(height, width) share of the light that arrives: 1 in the middle, 1 - lost in the corners, with the square of the
+    radius.
+    """
     v, u = (np.linspace(-1, 1, n, dtype=np.float32) for n in shape)
     return 1 - np.float32(lost / 2) * (v[:, None] ** 2 + u**2)

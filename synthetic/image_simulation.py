@@ -1,4 +1,6 @@
-"""A simulation -> its images: exposures in time, rows of a rolling shutter at their own times, several processes at once."""
+"""A simulation -> its images: exposures in time, rows of a rolling shutter at their own times, several processes at
+once.
+"""
 
 import os
 import threading
@@ -26,13 +28,17 @@ from synthetic.renderer import SAMPLES, Renderer, import_pyrender
 from vision.predict import State, facing, predict_sightings
 from vision.targets import marker_map
 
-BLEND = 0.25  # px; pictures of a rolling shutter lie no farther apart than this, and rows are blended between two of them
+BLEND = (
+    0.25  # px; pictures of a rolling shutter lie no farther apart than this, and rows are blended between two of them
+)
 MOST = 33  # pictures for one exposure of a rolling shutter
 
 
 @dataclass(frozen=True, slots=True)
 class Images:
-    """sensor : Sensor; background : "plain" or "cluttered"; compression : of the PNG, 0..9; processes : 0 for one per core."""
+    """sensor : Sensor; background : "plain" or "cluttered"; compression : of the PNG, 0..9; processes : 0 for one per
+    core.
+    """
 
     sensor: Sensor
     background: str = "plain"
@@ -40,7 +46,9 @@ class Images:
     processes: int = 0
 
 
-def render_images(simulation: Simulation, out: Path, images: Images, seed: int, progress: Callable[[int, int], None] | None = None) -> None:
+def render_images(
+    simulation: Simulation, out: Path, images: Images, seed: int, progress: Callable[[int, int], None] | None = None
+) -> None:
     """Draw every image of a simulation into out/images. seed : of the noise, the same for any number of processes.
 
     Raises MissingLibrary where there is no OpenGL, RigError for an effect that the renderer cannot draw
@@ -96,7 +104,10 @@ def _start(simulation: Simulation, out: Path | None, images: Images, seed: int) 
 
 
 def _draw_there(simulation: Simulation, out: Path, images: Images, seed: int, item: tuple[int, int]) -> None:
-    """`_draw` by a worker of a cluster, whatever that has drawn before. OpenGL belongs to the thread that began it, so that one draws all."""
+    """`_draw` by a worker of a cluster, whatever that has drawn before. OpenGL belongs to the thread that began it, so
+    that one draws all.
+    """
+
     def draw() -> None:
         if _state.get("out") != out:
             if "renderer" in _state:
@@ -112,7 +123,9 @@ def _draw_there(simulation: Simulation, out: Path, images: Images, seed: int, it
 
 
 def _prepare() -> None:
-    """Make this process's scene, renderer and poses; here and not at its start, so that what fails is told to the caller."""
+    """Make this process's scene, renderer and poses; here and not at its start, so that what fails is told to the
+    caller.
+    """
     simulation, images, seed = _state["simulation"], _state["images"], _state["seed"]
     design = simulation.world.true
     for effect in simulation.world.effects:
@@ -140,13 +153,16 @@ def _exposed(f: int, i: int, sensor: Sensor) -> np.ndarray:
     """The image of (frame, camera index) by a sensor."""
     seed, exposures = _state["seed"], _state["exposures"]
     rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
-    pictures = [_picture(_state["design"].cameras[i], i, f, shift, [T[f] for T in stages]) for shift, stages in exposures]
+    pictures = [
+        _picture(_state["design"].cameras[i], i, f, shift, [T[f] for T in stages]) for shift, stages in exposures
+    ]
     radiance = sum(pictures[1:], pictures[0]) / np.float32(len(exposures))
     return expose_image(radiance, sensor, rng, SAMPLES)
 
 
 def render_image(simulation: Simulation, f: int, i: int, images: Images, seed: int) -> np.ndarray:
-    """The image, uint8 or uint16 (12 bits), of frame f by camera i, drawn in this process, whose scene is made once for a world.
+    """The image, uint8 or uint16 (12 bits), of frame f by camera i, drawn in this process, whose scene is made once for
+    a world.
 
     simulation : Simulation, possibly another of the same world each time; images : Images; seed : of the noise
     Raises what `render_images` raises
@@ -163,9 +179,14 @@ def render_image(simulation: Simulation, f: int, i: int, images: Images, seed: i
 
 
 def _exposures() -> list[tuple[float, list[RigidTransform]]]:
-    """[(s before or after the middle of the exposure, where what moves stands at all frames)] of the pictures that make an image."""
+    """[(s before or after the middle of the exposure, where what moves stands at all frames)] of the pictures that make
+    an image.
+    """
     simulation, shifts = _state["simulation"], _sub_exposures(_state["images"].sensor)
-    return [(shift, stage_poses_of_run(simulation.run) if shift == 0 else simulation.at_times(simulation.plan.t + shift)) for shift in shifts]
+    return [
+        (shift, stage_poses_of_run(simulation.run) if shift == 0 else simulation.at_times(simulation.plan.t + shift))
+        for shift in shifts
+    ]
 
 
 def _sub_exposures(sensor: Sensor) -> list[float]:
@@ -176,7 +197,9 @@ def _sub_exposures(sensor: Sensor) -> list[float]:
 
 
 def _picture(camera: Camera, i: int, f: int, shift: float, stages: list[RigidTransform]) -> np.ndarray:
-    """Radiance seen by a camera, the exposure shifted (s), what moves at stages; rows of a rolling shutter at their own times."""
+    """Radiance seen by a camera, the exposure shifted (s), what moves at stages; rows of a rolling shutter at their own
+    times.
+    """
     s = _state["simulation"]
     t = s.plan.t[f] + shift
     row_time = _row_time(camera, s.world.effects)

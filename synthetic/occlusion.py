@@ -1,18 +1,32 @@
-"""What stands between a camera and a marker: struts, plates and cubes, worked out from the same solids that the scene draws."""
+"""What stands between a camera and a marker: struts, plates and cubes, worked out from the same solids that the scene
+draws.
+"""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import Design, Hexapod
-from synthetic.rig_meshes import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, body_matrices, plate_radius, strut_ends, strut_stages
+from synthetic.rig_meshes import (
+    PLATE,
+    ROD_RADIUS,
+    SHARE,
+    STRUT_RADIUS,
+    body_matrices,
+    plate_radius,
+    strut_ends,
+    strut_stages,
+)
 
 OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itself
 
 
-def is_occluded(design: Design, stages: list[RigidTransform], frame: np.ndarray, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
+def is_occluded(
+    design: Design, stages: list[RigidTransform], frame: np.ndarray, eye: np.ndarray, points: np.ndarray
+) -> np.ndarray:
     """(k,) bool, whether the straight line from an eye to a point is blocked.
 
-    design : Design as it really is; stages : where each stage's platform stands, RigidTransform (F,), the last alone but of a chain
+    design : Design as it really is; stages : where each stage's platform stands, RigidTransform (F,), the last alone
+        but of a chain
     frame : (k,) index
     eye, points : (k, 3) m, base frame
     """
@@ -27,21 +41,30 @@ def is_occluded(design: Design, stages: list[RigidTransform], frame: np.ndarray,
 
     for stands in strut_stages(design.mechanism):
         a, b = within(stands.base)
-        low, high = strut_ends(stands.stage, RigidTransform.from_matrix(np.linalg.inv(poses[stands.base])) * stages[stands.number])
+        low, high = strut_ends(
+            stands.stage, RigidTransform.from_matrix(np.linalg.inv(poses[stands.base])) * stages[stands.number]
+        )
         radius = np.linalg.norm(stands.stage.base_joints, axis=1).mean() / 2
         for i in range(len(stands.stage.axes)):
             middle = low[:, i] + SHARE * (high[:, i] - low[:, i])
             blocked |= _through_rod(a, b, low[frame, i], middle[frame], STRUT_RADIUS * radius)
             blocked |= _through_rod(a, b, middle[frame], high[frame, i], ROD_RADIUS * radius)
         if isinstance(stands.stage, Hexapod):
-            for body, joints in ((stands.base, stands.stage.base_joints), (stands.platform, stands.stage.platform_joints)):
-                blocked |= _through_disc(*within(body), joints[:, 2].mean() - 0.002, plate_radius(body, joints, design), PLATE)
+            for body, joints in (
+                (stands.base, stands.stage.base_joints),
+                (stands.platform, stands.stage.platform_joints),
+            ):
+                blocked |= _through_disc(
+                    *within(body), joints[:, 2].mean() - 0.002, plate_radius(body, joints, design), PLATE
+                )
     for target in design.targets:
         if target.edge is None or target.pose is None:
             continue
         pose = target.pose.inv().as_matrix()
         a, b = within(target.body)
-        blocked |= _through_box(a @ pose[:3, :3].T + pose[:3, 3], b @ pose[:3, :3].T + pose[:3, 3], target.edge / 2 - 1e-6)
+        blocked |= _through_box(
+            a @ pose[:3, :3].T + pose[:3, 3], b @ pose[:3, :3].T + pose[:3, 3], target.edge / 2 - 1e-6
+        )
     return blocked
 
 
@@ -51,7 +74,9 @@ def _into(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _through_rod(p: np.ndarray, q: np.ndarray, a: np.ndarray, b: np.ndarray, radius: float | np.ndarray) -> np.ndarray:
-    """(k,) bool, whether segments p-q come within a radius of segments a-b. Source: Ericson, Real-Time Collision Detection, 5.1.9"""
+    """(k,) bool, whether segments p-q come within a radius of segments a-b. Source: Ericson, Real-Time Collision
+    Detection, 5.1.9
+    """
     d1, d2, r = q - p, b - a, p - a
     A, E, F = (np.einsum("ki,ki->k", x, y) for x, y in ((d1, d1), (d2, d2), (d2, r)))
     C, B = np.einsum("ki,ki->k", d1, r), np.einsum("ki,ki->k", d1, d2)

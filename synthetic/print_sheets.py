@@ -1,4 +1,6 @@
-"""Cube nets and loose markers as sheets to print, true to scale, with rulers and a legend on each (PDF by matplotlib)."""
+"""Cube nets and loose markers as sheets to print, true to scale, with rulers and a legend on each (PDF by
+matplotlib).
+"""
 
 import io
 from collections.abc import Iterator
@@ -16,15 +18,32 @@ from rig.formats.output_files import write_bytes
 from rig.model.design import Design, Target
 from synthetic.cube_assembly_page import draw_assembly_page
 from synthetic.cube_nets import NET, SIDES, Piece, Placed, Size, arrange_net
-from synthetic.sheet_rulers import FOOT, LEFT, MARGIN, cut_line_style, draw_rulers_and_legend, fold_line_style, usable_area
+from synthetic.sheet_rulers import (
+    FOOT,
+    LEFT,
+    MARGIN,
+    cut_line_style,
+    draw_rulers_and_legend,
+    fold_line_style,
+    usable_area,
+)
 from vision.targets import marker_cells
 
-PAPER = {"A4": (210.0, 297.0), "Letter": (215.9, 279.4), "A3": (297.0, 420.0), "Tabloid": (279.4, 431.8), "A2": (420.0, 594.0), "A1": (594.0, 841.0),
-         "A0": (841.0, 1189.0)}  # mm
+PAPER = {
+    "A4": (210.0, 297.0),
+    "Letter": (215.9, 279.4),
+    "A3": (297.0, 420.0),
+    "Tabloid": (279.4, 431.8),
+    "A2": (420.0, 594.0),
+    "A1": (594.0, 841.0),
+    "A0": (841.0, 1189.0),
+}  # mm
 
 
 class Loose(NamedTuple):
-    """A marker by itself, its lower left corner at x, y mm. side, size : mm, of the black square and of what is cut out"""
+    """A marker by itself, its lower left corner at x, y mm. side, size : mm, of the black square and of what is cut
+    out
+    """
 
     number: int
     side: float
@@ -34,7 +53,9 @@ class Loose(NamedTuple):
 
 
 class Page(NamedTuple):
-    """One sheet of a target. label : what stands on it; paper : (width, height) mm as it lies; size : of a net's faces, None for loose markers"""
+    """One sheet of a target. label : what stands on it; paper : (width, height) mm as it lies; size : of a net's faces,
+    None for loose markers
+    """
 
     target: Target
     label: str
@@ -45,7 +66,8 @@ class Page(NamedTuple):
 
 
 def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> list[str]:
-    """Write a PDF with the sheets of all targets and a page that says how they are folded and where they stand; returns a line of text for each.
+    """Write a PDF with the sheets of all targets and a page that says how they are folded and where they stand; returns
+    a line of text for each.
 
     Raises RigError for an unknown paper, a face or a marker too large for it, or a design without targets
     """
@@ -69,7 +91,9 @@ def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> list[st
 
 
 def sheets_of_target(target: Target, paper: str) -> list[Page]:
-    """The sheets of a target on paper of one size. Raises RigError for a face or a marker that is too large, with the paper that would do"""
+    """The sheets of a target on paper of one size. Raises RigError for a face or a marker that is too large, with the
+    paper that would do
+    """
     return [*_of_net(target, paper), *_of_loose(target, paper)]
 
 
@@ -103,7 +127,10 @@ def _of_net(target: Target, paper: str) -> Iterator[Page]:
     except RigError as error:
         raise RigError(f"target {target.name}: {error}{_larger(edge, paper)}") from None
     for k, sheet in enumerate(found):
-        label = f"target {target.name}: cube of edge {edge:g} mm, markers {side:g} mm, {target.dictionary}, sheet {k + 1} of {len(found)}"
+        label = (
+            f"target {target.name}: cube of edge {edge:g} mm, markers {side:g} mm, {target.dictionary}, sheet "
+            f"{k + 1} of {len(found)}"
+        )
         loose = "" if size.flap else "; no flaps: glue the faces on a body"
         yield Page(target, label + loose, PAPER[paper][::-1] if sheet.turned else PAPER[paper], size, sheet.placed, ())
 
@@ -112,10 +139,20 @@ def _of_loose(target: Target, paper: str) -> Iterator[Page]:
     for marker in target.listed:
         size, room = (marker.side + 2 * marker.margin) * 1e3, usable_area(PAPER[paper])
         if size > min(room):
-            raise RigError(f"target {target.name}: marker {marker.id} is {size:.4g} mm with its white margin, larger than the {room[0]:.0f} x "
-                           f"{room[1]:.0f} mm that can be printed on{_larger(size, paper)}")
+            raise RigError(
+                f"target {target.name}: marker {marker.id} is {size:.4g} mm with its white margin, larger "
+                f"than the {room[0]:.0f} x "
+                f"{room[1]:.0f} mm that can be printed on{_larger(size, paper)}"
+            )
         label = f"target {target.name}: marker {marker.id}, {marker.side * 1e3:g} mm, {target.dictionary}"
-        yield Page(target, label, PAPER[paper], None, (), (Loose(marker.id, marker.side * 1e3, size, (room[0] - size) / 2, (room[1] - size) / 2),))
+        yield Page(
+            target,
+            label,
+            PAPER[paper],
+            None,
+            (),
+            (Loose(marker.id, marker.side * 1e3, size, (room[0] - size) / 2, (room[1] - size) / 2),),
+        )
 
 
 def _larger(size: float, paper: str) -> str:
@@ -131,8 +168,14 @@ def _piece(axes: Axes, origin: np.ndarray, target: Target, piece: Piece, size: S
         corner = origin + edge * np.array(NET[face])
         if face in ids and target.marker is not None:
             _marker(axes, corner + edge / 2, target.marker * 1e3, target.dictionary, ids[face])
-        axes.text(corner[0] + 0.03 * edge, corner[1] + 0.02 * edge, f"{target.name} {face}" + (f" id {ids[face]}" if face in ids else ""),
-                  fontsize=max(3, min(7, edge / 9)), color="0.55", va="bottom")
+        axes.text(
+            corner[0] + 0.03 * edge,
+            corner[1] + 0.02 * edge,
+            f"{target.name} {face}" + (f" id {ids[face]}" if face in ids else ""),
+            fontsize=max(3, min(7, edge / 9)),
+            color="0.55",
+            va="bottom",
+        )
         for side in SIDES:
             a, b = _side(corner, edge, side)
             if (face, side) in piece.flaps:
@@ -159,7 +202,9 @@ def _flap(axes: Axes, a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
 
 
 def _marker(axes: Axes, middle: np.ndarray, side: float, dictionary: str, number: int) -> None:
-    """Black square with its white cells, as vector shapes: one black square, so that no hairlines show between cells."""
+    """Black square with its white cells, as vector shapes: one black square, so that no hairlines show between
+    cells.
+    """
     cells = marker_cells(dictionary, number)[1:-1, 1:-1]
     n = len(cells)
     step = side / n
@@ -172,5 +217,7 @@ def _marker(axes: Axes, middle: np.ndarray, side: float, dictionary: str, number
             while column + run < n and cells[row, column + run] > 0.5:
                 run += 1
             if run:
-                axes.add_patch(Rectangle((left + column * step, top - (row + 1) * step), run * step, step, fc="white", ec="none"))
+                axes.add_patch(
+                    Rectangle((left + column * step, top - (row + 1) * step), run * step, step, fc="white", ec="none")
+                )
             column += run + 1

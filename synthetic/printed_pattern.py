@@ -1,9 +1,9 @@
 """The printed pattern of a marker in a picture: each picture element's exact share of white, by area.
 
-An element's square is carried to the marker's cells by the lens and the homography; over one element both are as good as affine, so
-what it sees there is a parallelogram, and what part of that lies on white cells is an area. Where one line between cells crosses it the
-area has a closed form, elsewhere polygons are clipped (Sutherland and Hodgman, Communications of the ACM 17, 1974). No texture and no
-sampling: an edge lies where geometry puts it, whatever the grid.
+An element's square is carried to the marker's cells by the lens and the homography; over one element both are as good
+as affine, so what it sees there is a parallelogram, and what part of that lies on white cells is an area. Where one
+line between cells crosses it the area has a closed form, elsewhere polygons are clipped (Sutherland and Hodgman,
+Communications of the ACM 17, 1974). No texture and no sampling: an edge lies where geometry puts it, whatever the grid.
 """
 
 import math
@@ -15,7 +15,9 @@ from rig.compute.numba_kernels import njit
 
 
 class Footprint(NamedTuple):
-    """What an element of the picture sees, in cells: the parallelogram about (X, Y) with the sides (Xu, Yu) and (Xv, Yv)."""
+    """What an element of the picture sees, in cells: the parallelogram about (X, Y) with the sides (Xu, Yu) and (Xv,
+    Yv).
+    """
 
     X: float
     Y: float
@@ -31,7 +33,9 @@ def bilinear_value(picture, x, y, channel) -> float:
     x0, y0 = int(x), int(y)
     fx, fy = x - x0, y - y0
     top = picture[y0, x0, channel] + fx * (np.float32(picture[y0, x0 + 1, channel]) - picture[y0, x0, channel])
-    bottom = picture[y0 + 1, x0, channel] + fx * (np.float32(picture[y0 + 1, x0 + 1, channel]) - picture[y0 + 1, x0, channel])
+    bottom = picture[y0 + 1, x0, channel] + fx * (
+        np.float32(picture[y0 + 1, x0 + 1, channel]) - picture[y0 + 1, x0, channel]
+    )
     return top + fy * (bottom - top)
 
 
@@ -40,7 +44,8 @@ def draw_marker_pattern(picture, places, box, ideal, H, cells, number, out) -> N
     """Lay a marker's pattern into a picture whose elements show its white paper.
 
     picture : (h, w, 3) uint8 pinhole picture: grey with white paper, grey with black paper, number of the marker's part
-    places : (k, l, 2) where in it each element of the finer picture looks; box : x0, y0, x1, y1 of the elements about the marker
+    places : (k, l, 2) where in it each element of the finer picture looks; box : x0, y0, x1, y1 of the elements about
+        the marker
     ideal : (2, y1 - y0 + 2, x1 - x0 + 2) x / z, y / z of the box's elements, widened by one on every side
     H : (3, 3) ideal coordinates to cells; cells : (n, n) 1 white, 0 black; number : of the part
     out : (k, l) float32 grey 0..255 of the finer picture, changed in place
@@ -58,7 +63,12 @@ def draw_marker_pattern(picture, places, box, ideal, H, cells, number, out) -> N
             bu, bv = 0.5 * (ideal[1, j, i + 1] - ideal[1, j, i - 1]), 0.5 * (ideal[1, j + 1, i] - ideal[1, j - 1, i])
             w = 1.0 / (H[2, 0] * a + H[2, 1] * b + H[2, 2])
             X, Y = (H[0, 0] * a + H[0, 1] * b + H[0, 2]) * w, (H[1, 0] * a + H[1, 1] * b + H[1, 2]) * w
-            Xa, Xb, Ya, Yb = (H[0, 0] - X * H[2, 0]) * w, (H[0, 1] - X * H[2, 1]) * w, (H[1, 0] - Y * H[2, 0]) * w, (H[1, 1] - Y * H[2, 1]) * w
+            Xa, Xb, Ya, Yb = (
+                (H[0, 0] - X * H[2, 0]) * w,
+                (H[0, 1] - X * H[2, 1]) * w,
+                (H[1, 0] - Y * H[2, 0]) * w,
+                (H[1, 1] - Y * H[2, 1]) * w,
+            )
             seen = Footprint(X, Y, Xa * au + Xb * bu, Xa * av + Xb * bv, Ya * au + Yb * bu, Ya * av + Yb * bv)
             share = white_share(cells, seen, work)
             if share < 1:
@@ -103,7 +113,9 @@ def _white(cells, i, j) -> float:
 
 @njit(cache=True, nogil=True)
 def _beyond(distance, a, b) -> float:
-    """Share of a parallelogram beyond a line: what a sum of two uniform variables of widths a, b about `distance` has above zero."""
+    """Share of a parallelogram beyond a line: what a sum of two uniform variables of widths a, b about `distance` has
+    above zero.
+    """
     wide, narrow = max(a, b), min(a, b)
     at = abs(distance)
     if at >= 0.5 * (wide + narrow):
@@ -137,7 +149,9 @@ def _black_area(cells, seen, span, work) -> float:
 
 @njit(cache=True, nogil=True)
 def _clipped(points, count, axis, limit, sign, out) -> int:
-    """Part of a convex polygon points (count, 2) whose coordinate `axis` is above a limit (sign 1) or below (-1), in out; its count."""
+    """Part of a convex polygon points (count, 2) whose coordinate `axis` is above a limit (sign 1) or below (-1), in
+    out; its count.
+    """
     kept = 0
     for k in range(count):
         a, b = points[k], points[(k + 1) % count]

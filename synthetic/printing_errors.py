@@ -26,12 +26,16 @@ class Printing(Effect):
     def attach(self, markers: MarkerMap) -> MarkerMap:
         tangent = np.zeros((len(markers.id), 6))
         tangent[:, :2] = np.reshape(self.offsets, (-1, 2))
-        return replace(markers, T_body_marker=markers.T_body_marker * exp(tangent), side=markers.side * (1 + np.asarray(self.scales)))
+        return replace(
+            markers,
+            T_body_marker=markers.T_body_marker * exp(tangent),
+            side=markers.side * (1 + np.asarray(self.scales)),
+        )
 
 
 def draw_printing_errors(design: Design, rng: np.random.Generator, place: float, side: float) -> Printing:
-    """Printing of a design's markers. place : m, standard deviation of each shift; side : of the share by which all sides are off, and each
-    besides."""
+    """Printing of a design's markers. place : m, standard deviation of each shift; side : of the share by which all
+    sides are off, and each besides."""
     count = len(marker_map(design).id)
     scales = side * (rng.normal() + rng.normal(size=count))
     return Printing("markers", tuple((place * rng.normal(size=2 * count)).tolist()), tuple(scales.tolist()))

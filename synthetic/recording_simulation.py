@@ -1,4 +1,6 @@
-"""A world under a plan -> a recording folder, with images, corners or an instrument's poses; the truth goes elsewhere."""
+"""A world under a plan -> a recording folder, with images, corners or an instrument's poses; the truth goes
+elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,8 @@ STEEPEST = np.cos(np.radians(70))  # corners are written of markers seen no more
 class Simulation:
     """A recording before it is written.
 
-    world : World; plan : Plan; sensors : Sensors as they truly were; log : Sensors as logged; run : machine.Run at the exposures
+    world : World; plan : Plan; sensors : Sensors as they truly were; log : Sensors as logged; run : machine.Run at the
+        exposures
     """
 
     world: worlds.World
@@ -47,10 +50,12 @@ class Simulation:
     run: motion_simulation.Run
 
     def at_times(self, t: np.ndarray) -> list[RigidTransform]:
-        """[T_base_stage : RigidTransform (n,)] of what the simulated machine moves at other times t (n,) s, as the cameras log them: the platform
-        last, alone but of a chain."""
+        """[T_base_stage : RigidTransform (n,)] of what the simulated machine moves at other times t (n,) s, as the
+        cameras log them: the platform last, alone but of a chain."""
         order = np.argsort(t, kind="stable")
-        run = motion_simulation.run_machine(self.world.true, self.plan.commands, np.asarray(t)[order], self.world.effects, self.sensors)
+        run = motion_simulation.run_machine(
+            self.world.true, self.plan.commands, np.asarray(t)[order], self.world.effects, self.sensors
+        )
         back = np.argsort(order)
         return [T[back] for T in stage_poses_of_run(run)]
 
@@ -61,25 +66,36 @@ def stage_poses_of_run(run: motion_simulation.Run) -> list[RigidTransform]:
 
 
 def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: Sensors | None = None) -> Simulation:
-    """Simulation of a world under a plan: cubes put back, temperatures drawn, the machine run. Raises what `machine.run` raises.
+    """Simulation of a world under a plan: cubes put back, temperatures drawn, the machine run. Raises what
+    `machine.run` raises.
 
-    given : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's payload, or None
+    given : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's payload, or
+        None
     """
     world = remount_cubes(world, dict(plan.turned))
     if given is None:
-        true, log = worlds.draw_temperatures(plan.commands.t[-1], rng, worlds.strut_count(axes_of(world.true.mechanism)))
+        true, log = worlds.draw_temperatures(
+            plan.commands.t[-1], rng, worlds.strut_count(axes_of(world.true.mechanism))
+        )
         sensors, log = add_payload_channel(plan, true), add_payload_channel(plan, log)
     else:
         sensors = log = given
     run = motion_simulation.run_machine(
-        world.true, plan.commands, plan.t, world.effects, sensors, rates=motion_simulation.has_rolling_shutter(world.true, world.effects)
+        world.true,
+        plan.commands,
+        plan.t,
+        world.effects,
+        sensors,
+        rates=motion_simulation.has_rolling_shutter(world.true, world.effects),
     )
     if world.true.insitu is not None:
         log = _with_limbs(log, plan.t, run.T_base_platform, world.true.insitu, rng)
     return Simulation(world, plan, sensors, log, run)
 
 
-def _with_limbs(log: Sensors, t: np.ndarray, T: RigidTransform, limbs: MeasuringLimbs, rng: np.random.Generator) -> Sensors:
+def _with_limbs(
+    log: Sensors, t: np.ndarray, T: RigidTransform, limbs: MeasuringLimbs, rng: np.random.Generator
+) -> Sensors:
     """The log with the measuring limbs' readings at exposures t (n,) s, a row for each."""
     legs = transform_points(T, limbs.platform_joints) - limbs.base_joints
     read = np.linalg.norm(legs, axis=-1) - limbs.zeros + limbs.length_sigma * rng.normal(size=legs.shape[:2])
@@ -89,7 +105,9 @@ def _with_limbs(log: Sensors, t: np.ndarray, T: RigidTransform, limbs: Measuring
 
 
 def visible_markers(simulation: Simulation, steepest: float = STEEPEST) -> tuple[Sightings, np.ndarray]:
-    """(Sightings, corners (k, 4, 2) px) of every marker seen whole: facing a camera, inside its image, nothing in the way."""
+    """(Sightings, corners (k, 4, 2) px) of every marker seen whole: facing a camera, inside its image, nothing in the
+    way.
+    """
     world = simulation.world
     stated = real = marker_map(world.true)
     for effect in world.effects:
@@ -99,11 +117,17 @@ def visible_markers(simulation: Simulation, steepest: float = STEEPEST) -> tuple
     return found, np.concatenate([uv for _, uv in parts])
 
 
-def _sight_of(simulation: Simulation, stage: int, stated: MarkerMap, real: MarkerMap, steepest: float) -> tuple[Sightings, np.ndarray]:
-    """The same of the base's and the platform's markers (stage 0) or of those on a stage of a chain below the last (its number)."""
+def _sight_of(
+    simulation: Simulation, stage: int, stated: MarkerMap, real: MarkerMap, steepest: float
+) -> tuple[Sightings, np.ndarray]:
+    """The same of the base's and the platform's markers (stage 0) or of those on a stage of a chain below the last (its
+    number).
+    """
     world, run = simulation.world, simulation.run
     body = _body(simulation, stage)
-    state = State(world.true.cameras, body.T_base_platform, carried_camera_poses(world.true.cameras, run.T_base_platform))
+    state = State(
+        world.true.cameras, body.T_base_platform, carried_camera_poses(world.true.cameras, run.T_base_platform)
+    )
     found = facing(state, real, steepest)
     found = found.take(real.stage[found.marker] == stage)
     uv = predict_sightings(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, body)
@@ -114,14 +138,18 @@ def _sight_of(simulation: Simulation, stage: int, stated: MarkerMap, real: Marke
 
 
 def _body(simulation: Simulation, stage: int) -> motion_simulation.Run:
-    """The Run as markers on a stage of a chain have it: that stage's platform in the place of the last; the Run itself for stage 0."""
+    """The Run as markers on a stage of a chain have it: that stage's platform in the place of the last; the Run itself
+    for stage 0.
+    """
     run, t = simulation.run, simulation.plan.t
     if not stage:
         return run
     T = run.stages[stage - 1]
     if run.rate is None:
         return replace(run, T_base_platform=T)
-    before, after = (simulation.at_times(t + step)[stage - 1] for step in (-motion_simulation.ABOUT, motion_simulation.ABOUT))
+    before, after = (
+        simulation.at_times(t + step)[stage - 1] for step in (-motion_simulation.ABOUT, motion_simulation.ABOUT)
+    )
     rate, curvature = motion_simulation.pose_rates(T, before, after)
     return replace(run, T_base_platform=T, rate=rate, curvature=curvature)
 
@@ -131,11 +159,15 @@ def carried_camera_poses(cameras: tuple[Camera, ...], T_base_platform: RigidTran
     return {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
 
 
-def _covered(design: Design, stages: list[RigidTransform], T: RigidTransform, markers: MarkerMap, found: Sightings) -> np.ndarray:
-    """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden. stages : of `stage_poses_of_run`; T : (F,) of what carries
-    them"""
+def _covered(
+    design: Design, stages: list[RigidTransform], T: RigidTransform, markers: MarkerMap, found: Sightings
+) -> np.ndarray:
+    """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden. stages : of
+    `stage_poses_of_run`; T : (F,) of what carries them"""
     square = markers.corners[found.marker]
-    points = np.concatenate([square, (square + np.roll(square, -1, axis=1)) / 2, square.mean(axis=1, keepdims=True)], axis=1)
+    points = np.concatenate(
+        [square, (square + np.roll(square, -1, axis=1)) / 2, square.mean(axis=1, keepdims=True)], axis=1
+    )
     matrix = T.as_matrix()[found.frame]
     on = markers.on_platform[found.marker]
     base = np.where(on[:, None, None], points @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3], points)
@@ -145,7 +177,9 @@ def _covered(design: Design, stages: list[RigidTransform], T: RigidTransform, ma
         rows = found.camera == i
         eyes[rows] = moving[i].translation[found.frame[rows]] if i in moving else camera.pose.translation
     count = points.shape[1]
-    blocked = is_occluded(design, stages, np.repeat(found.frame, count), np.repeat(eyes, count, axis=0), base.reshape(-1, 3))
+    blocked = is_occluded(
+        design, stages, np.repeat(found.frame, count), np.repeat(eyes, count, axis=0), base.reshape(-1, 3)
+    )
     return np.any(blocked.reshape(-1, count), axis=1)
 
 
@@ -156,32 +190,68 @@ def noisy_corners(simulation: Simulation, noise: float, rng: np.random.Generator
     order = np.lexsort((found.marker, found.camera, found.frame))
     found, uv = found.take(order), uv[order].reshape(-1, 2)
     ids = marker_map(simulation.world.stated).id
-    return Corners(np.repeat(found.frame, 4), [names[i] for i in np.repeat(found.camera, 4)], np.repeat(ids[found.marker], 4),
-                   np.tile(np.arange(4), len(found.frame)), uv + noise * rng.normal(size=uv.shape), None)
+    return Corners(
+        np.repeat(found.frame, 4),
+        [names[i] for i in np.repeat(found.camera, 4)],
+        np.repeat(ids[found.marker], 4),
+        np.tile(np.arange(4), len(found.frame)),
+        uv + noise * rng.normal(size=uv.shape),
+        None,
+    )
 
 
-def write_recording(simulation: Simulation, out: Path, text: str, rng: np.random.Generator, noise: float = 0.0, images: Images | None = None,
-          progress: Callable[[int, int], None] | None = None, spoil: Callable[[Corners], Corners] | None = None) -> None:
+def write_recording(
+    simulation: Simulation,
+    out: Path,
+    text: str,
+    rng: np.random.Generator,
+    noise: float = 0.0,
+    images: Images | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    spoil: Callable[[Corners], Corners] | None = None,
+) -> None:
     """Write a recording folder as its owner would have it.
 
     out : folder; text : the owner's rig.toml; noise : px, to write corners; or images : Images, to render
-    progress : called with (done, of) pictures, or None; spoil : what happens to Corners (-> Corners) before they are written, or None
+    progress : called with (done, of) pictures, or None; spoil : what happens to Corners (-> Corners) before they are
+        written, or None
     """
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     plan, cameras, axes = simulation.plan, simulation.world.true.cameras, simulation.world.stated.mechanism.axes
-    shown = {t: plan.origin.text(round(t, 6)) for t in {*plan.commands.t.tolist(), *plan.t.tolist(), *simulation.log.t.tolist()}}
+    shown = {
+        t: plan.origin.text(round(t, 6))
+        for t in {*plan.commands.t.tolist(), *plan.t.tolist(), *simulation.log.t.tolist()}
+    }
     write_text(out / "rig.toml", rig_toml_with_turns(text, quarter_turns(simulation.world.stated)))
-    write_table(out / "commands.csv", ("t", *axes), [f"{shown[t]}," + ",".join(f"{v:.7f}" for v in values)
-                                                      for t, values in zip(plan.commands.t, plan.commands.values)])
-    write_table(out / "frames.csv", ("frame", "t", "camera", "image"),
-                 [f"{f},{shown[t]},{name}," + (f"images/{name}/{f:05d}.png" if images else "") for f, t in enumerate(plan.t)
-                  for name in ([c.name for c in cameras] or [""])])
+    write_table(
+        out / "commands.csv",
+        ("t", *axes),
+        [
+            f"{shown[t]}," + ",".join(f"{v:.7f}" for v in values)
+            for t, values in zip(plan.commands.t, plan.commands.values)
+        ],
+    )
+    write_table(
+        out / "frames.csv",
+        ("frame", "t", "camera", "image"),
+        [
+            f"{f},{shown[t]},{name}," + (f"images/{name}/{f:05d}.png" if images else "")
+            for f, t in enumerate(plan.t)
+            for name in ([c.name for c in cameras] or [""])
+        ],
+    )
     log = simulation.log
     if log.channels:
         digits = {name: 8 if LIMB.fullmatch(name) else 3 for name in log.channels}
-        write_table(out / "sensors.csv", ("t", *log.channels), [f"{shown[t]}," + ",".join(
-            f"{values[i]:.{digits[name]}f}" for name, values in log.channels.items()) for i, t in enumerate(log.t)])
+        write_table(
+            out / "sensors.csv",
+            ("t", *log.channels),
+            [
+                f"{shown[t]}," + ",".join(f"{values[i]:.{digits[name]}f}" for name, values in log.channels.items())
+                for i, t in enumerate(log.t)
+            ],
+        )
     instrument, looks = simulation.world.stated.instrument, bool(cameras and simulation.world.stated.targets)
     if instrument is not None or not looks:
         write_measured(out / "poses.csv", simulation.run.T_base_platform, instrument or EXACT, rng)
@@ -196,22 +266,34 @@ def write_recording(simulation: Simulation, out: Path, text: str, rng: np.random
         render_images(simulation, out, images, int(rng.integers(1 << 62)), progress)
 
 
-def write_measured(path: Path, T_base_platform: RigidTransform, instrument: Instrument, rng: np.random.Generator) -> None:
-    """Write poses.csv as an Instrument sees poses (n,), with its noise: whole, or positions, orientations or a wire's lengths alone."""
+def write_measured(
+    path: Path, T_base_platform: RigidTransform, instrument: Instrument, rng: np.random.Generator
+) -> None:
+    """Write poses.csv as an Instrument sees poses (n,), with its noise: whole, or positions, orientations or a wire's
+    lengths alone.
+    """
     if instrument.kind == "distance":
-        lengths = np.linalg.norm(T_base_platform.translation, axis=1) + instrument.position_sigma * rng.normal(size=len(T_base_platform))
+        lengths = np.linalg.norm(T_base_platform.translation, axis=1) + instrument.position_sigma * rng.normal(
+            size=len(T_base_platform)
+        )
         columns: tuple[str, ...] = (DISTANCE,)
         rows = lengths[:, None]
     else:
-        seen = np.repeat([instrument.position_sigma if instrument.kind == "pose" else 0.0, instrument.rotation_sigma or 0.0], 3)
+        seen = np.repeat(
+            [instrument.position_sigma if instrument.kind == "pose" else 0.0, instrument.rotation_sigma or 0.0], 3
+        )
         rows = pose_to_vector(T_base_platform * exp(seen * rng.normal(size=(len(T_base_platform), 6))))
         first, last = (3, 6) if instrument.kind == "orientation" else (0, 3 if instrument.rotation_sigma is None else 6)
         columns, rows = tuple(POSE_COLUMNS[first:last]), rows[:, first:last]
-    write_table(path, ("frame", *columns), [",".join([str(f), *(f"{x:.10f}" for x in row)]) for f, row in enumerate(rows)])
+    write_table(
+        path, ("frame", *columns), [",".join([str(f), *(f"{x:.10f}" for x in row)]) for f, row in enumerate(rows)]
+    )
 
 
 def truth_corners(simulation: Simulation) -> list[list]:
     """Rows [frame, camera, marker, corner, u, v] of every marker seen whole, for a truth file."""
     c = noisy_corners(simulation, 0.0, np.random.default_rng(0))
-    return [[int(f), name, int(m), int(k), round(float(u), 5), round(float(v), 5)]
-            for f, name, m, k, (u, v) in zip(c.frame, c.camera, c.marker, c.corner, c.uv)]
+    return [
+        [int(f), name, int(m), int(k), round(float(u), 5), round(float(v), 5)]
+        for f, name, m, k, (u, v) in zip(c.frame, c.camera, c.marker, c.corner, c.uv)
+    ]

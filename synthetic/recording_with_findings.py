@@ -1,4 +1,6 @@
-"""A diagnosed recording drawn anew: the same commands and exposures, the machine as it was found, with and without what was found."""
+"""A diagnosed recording drawn anew: the same commands and exposures, the machine as it was found, with and without what
+was found.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +21,8 @@ KINDS = ("with", "without")
 
 
 def replay_diagnosis(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulation]:
-    """{"with": Simulation, "without": Simulation} of a folder that `rig diagnose` wrote: with the effects found, and with none.
+    """{"with": Simulation, "without": Simulation} of a folder that `rig diagnose` wrote: with the effects found, and
+    with none.
 
     kinds : effects that there are
 
@@ -27,7 +30,9 @@ def replay_diagnosis(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulati
     """
     path = folder / "machine.json"
     if not path.exists():
-        raise FileError(path, "no such file; --from takes a folder that `rig diagnose` wrote from a commanded recording")
+        raise FileError(
+            path, "no such file; --from takes a folder that `rig diagnose` wrote from a commanded recording"
+        )
     found = recording_folder.load(folder)
     if found.commands is None:
         raise RigError(f"{folder}: nothing was commanded, so there is no motion to simulate")
@@ -39,7 +44,12 @@ def replay_diagnosis(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulati
     for kind in KINDS:
         part = secret if kind == "with" else replace(secret, effects=())
         run = motion_simulation.run_machine(
-            part.true, plan.commands, t, part.effects, sensors, rates=motion_simulation.has_rolling_shutter(part.true, part.effects)
+            part.true,
+            plan.commands,
+            t,
+            part.effects,
+            sensors,
+            rates=motion_simulation.has_rolling_shutter(part.true, part.effects),
         )
         out[kind] = Simulation(part, plan, sensors, sensors, run)
     return out

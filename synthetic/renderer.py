@@ -1,11 +1,12 @@
 """Scene -> ideal image (pyrender, off screen through EGL): the only file that knows OpenGL's axes and pixel centres.
 
-The scene is drawn as an oversized pinhole picture, finer than the camera's, and bent through the lens by sampling it bilinearly at
-SAMPLES x SAMPLES places of each pixel; the sensor blurs that finer picture before it takes the pixels' means, as optics do. Markers are
-white paper to OpenGL: it tells which paper is seen where, with white and with black light, and the ink is laid exactly between the two
-(synthetic/printed_pattern.py), because a texture's filters move edges by some thousandths of a pixel, the same in every picture of one pose.
-(cv2.remap would round the places to 1/32 px, which shows.) A pixel centre is at a whole number for OpenCV and half a pixel further for
-OpenGL.
+The scene is drawn as an oversized pinhole picture, finer than the camera's, and bent through the lens by sampling it
+bilinearly at SAMPLES x SAMPLES places of each pixel; the sensor blurs that finer picture before it takes the pixels'
+means, as optics do. Markers are white paper to OpenGL: it tells which paper is seen where, with white and with black
+light, and the ink is laid exactly between the two (synthetic/printed_pattern.py), because a texture's filters move
+edges by some thousandths of a pixel, the same in every picture of one pose.
+(cv2.remap would round the places to 1/32 px, which shows.) A pixel centre is at a whole number for OpenCV and half a
+pixel further for OpenGL.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ def import_pyrender() -> Any:
         import OpenGL.GL  # noqa: F401  (fails first, and plainly, where the library is missing)
         import pyrender
     except (ImportError, OSError, AttributeError) as error:
-        raise MissingLibrary(f"rendering needs OpenGL through EGL, which cannot be loaded here; as root: apt-get install -y {PACKAGES}") from error
+        raise MissingLibrary(
+            f"rendering needs OpenGL through EGL, which cannot be loaded here; as root: apt-get install -y {PACKAGES}"
+        ) from error
     return pyrender
 
 
@@ -61,7 +64,9 @@ class Renderer:
     def __init__(self, parts: list[Part], design: Design) -> None:
         self.pyrender = import_pyrender()
         self.parts, self.mechanism = parts, design.mechanism
-        self.numbers = {id(part): 1 + k % NUMBERS for k, part in enumerate(part for part in parts if part.ink is not None)}
+        self.numbers = {
+            id(part): 1 + k % NUMBERS for k, part in enumerate(part for part in parts if part.ink is not None)
+        }
         self.cameras = {camera.name: _Pinhole(camera) for camera in design.cameras}
         self.scene = self.pyrender.Scene(bg_color=[0, 0, 0, 0], ambient_light=[1, 1, 1])
         self.nodes = [self.scene.add(self._mesh(part)) for part in parts]
@@ -70,21 +75,32 @@ class Renderer:
         try:
             self.renderer = self.pyrender.OffscreenRenderer(int(width), int(height))
         except Exception as error:  # pyrender passes on whatever EGL raises
-            raise MissingLibrary(f"no off-screen OpenGL context could be made ({error}); as root: apt-get install -y {PACKAGES}") from None
+            raise MissingLibrary(
+                f"no off-screen OpenGL context could be made ({error}); as root: apt-get install -y {PACKAGES}"
+            ) from None
         self._without_multisampling()
-        # pyrender draws in a set's order, by where nodes lie in memory; where faces meet, the first drawn is what is seen
+        # pyrender draws in a set's order, by where nodes lie in memory; where faces meet, the first drawn is what is
+        # seen
         self.renderer._renderer._sorted_mesh_nodes = lambda _: self.nodes
 
     def close(self) -> None:
         """Give the OpenGL context back."""
         self.renderer.delete()
 
-    def draw(self, camera_name: str, T_base_platform: RigidTransform, mount: np.ndarray | None = None, focal: float = 1.0,
-             below: Sequence[RigidTransform] = ()) -> np.ndarray:
-        """(SAMPLES height, SAMPLES width) float32 radiance 0..1 seen by a camera at a pose of the platform, SAMPLES to the pixel each way.
+    def draw(
+        self,
+        camera_name: str,
+        T_base_platform: RigidTransform,
+        mount: np.ndarray | None = None,
+        focal: float = 1.0,
+        below: Sequence[RigidTransform] = (),
+    ) -> np.ndarray:
+        """(SAMPLES height, SAMPLES width) float32 radiance 0..1 seen by a camera at a pose of the platform, SAMPLES to
+        the pixel each way.
 
         below : of a chain, where the platforms of the stages below the last stand, one pose each
-        mount : (6,) tangent by which the camera's own pose has moved, on the right, or None; focal : factor on its focal length
+        mount : (6,) tangent by which the camera's own pose has moved, on the right, or None; focal : factor on its
+            focal length
         """
         pinhole = self.cameras[camera_name]
         poses = body_poses(self.mechanism, [*below, T_base_platform])
@@ -118,22 +134,42 @@ class Renderer:
             return [grey, grey, 0.0, 1.0]
         return [grey, grey * BLACK / WHITE, self.numbers[id(part)] / 255, 1.0]
 
-    def _lay(self, part: Part, ink: Ink, from_cells: np.ndarray, pinhole: _Pinhole, picture: np.ndarray, out: np.ndarray) -> None:
+    def _lay(
+        self, part: Part, ink: Ink, from_cells: np.ndarray, pinhole: _Pinhole, picture: np.ndarray, out: np.ndarray
+    ) -> None:
         """Lay a part's ink. from_cells : (4, 3) cells (X, Y, 1) to the camera's frame"""
         G, n = from_cells[:3], len(ink.cells)
         if not G[:, 2] @ np.cross(G[:, 0], G[:, 1]) > 0:
             return  # seen from behind
-        around = np.concatenate([n * np.stack([OUTLINE, 0 * OUTLINE]), n * np.stack([1 + 0 * OUTLINE, OUTLINE]),
-                                 n * np.stack([1 - OUTLINE, 1 + 0 * OUTLINE]), n * np.stack([0 * OUTLINE, 1 - OUTLINE])], axis=1)
+        around = np.concatenate(
+            [
+                n * np.stack([OUTLINE, 0 * OUTLINE]),
+                n * np.stack([1 + 0 * OUTLINE, OUTLINE]),
+                n * np.stack([1 - OUTLINE, 1 + 0 * OUTLINE]),
+                n * np.stack([0 * OUTLINE, 1 - OUTLINE]),
+            ],
+            axis=1,
+        )
         outline = G @ np.concatenate([around, np.ones((1, around.shape[1]))])
         if outline[2].min() <= NEAR_PLANE:
             return
         box = pinhole.box(outline.T)
         if box is not None:
-            draw_marker_pattern(picture, pinhole.places, box, pinhole.ideal(box), np.linalg.inv(G), ink.cells, self.numbers[id(part)], out)
+            draw_marker_pattern(
+                picture,
+                pinhole.places,
+                box,
+                pinhole.ideal(box),
+                np.linalg.inv(G),
+                ink.cells,
+                self.numbers[id(part)],
+                out,
+            )
 
     def _without_multisampling(self) -> None:
-        """Make pyrender draw without multisampling, which would mix the parts' numbers, and hand out what it drew as it is."""
+        """Make pyrender draw without multisampling, which would mix the parts' numbers, and hand out what it drew as it
+        is.
+        """
         from OpenGL import GL
 
         inner = self.renderer._renderer
@@ -147,7 +183,9 @@ class Renderer:
             width, height = inner._main_fb_dims
             GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, inner._main_fb)
             GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
-            return np.frombuffer(GL.glReadPixels(0, 0, width, height, GL.GL_RGB, GL.GL_UNSIGNED_BYTE), np.uint8).reshape(height, width, 3)
+            return np.frombuffer(
+                GL.glReadPixels(0, 0, width, height, GL.GL_RGB, GL.GL_UNSIGNED_BYTE), np.uint8
+            ).reshape(height, width, 3)
 
         inner._configure_main_framebuffer, inner._read_main_framebuffer = single, read
 
@@ -159,8 +197,13 @@ class Renderer:
             grey = np.clip(np.round(part.texture * 255), 0, 255).astype(np.uint8)
             material.baseColorTexture = _texture(pyrender, np.repeat(grey[..., None], 3, axis=2))
             uv = part.uv
-        primitive = pyrender.Primitive(positions=np.asarray(part.mesh.vertices, np.float32), indices=np.asarray(part.mesh.faces),
-                                       texcoord_0=None if uv is None else np.asarray(uv, np.float32), material=material, mode=4)
+        primitive = pyrender.Primitive(
+            positions=np.asarray(part.mesh.vertices, np.float32),
+            indices=np.asarray(part.mesh.faces),
+            texcoord_0=None if uv is None else np.asarray(uv, np.float32),
+            material=material,
+            mode=4,
+        )
         return pyrender.Mesh([primitive])
 
 
@@ -168,8 +211,12 @@ def _texture(pyrender: Any, picture: np.ndarray) -> Any:
     """A texture with trilinear mipmaps."""
     from OpenGL import GL
 
-    sampler = pyrender.Sampler(magFilter=GL.GL_LINEAR, minFilter=GL.GL_LINEAR_MIPMAP_LINEAR, wrapS=GL.GL_CLAMP_TO_EDGE,
-                               wrapT=GL.GL_CLAMP_TO_EDGE)
+    sampler = pyrender.Sampler(
+        magFilter=GL.GL_LINEAR,
+        minFilter=GL.GL_LINEAR_MIPMAP_LINEAR,
+        wrapS=GL.GL_CLAMP_TO_EDGE,
+        wrapT=GL.GL_CLAMP_TO_EDGE,
+    )
     return pyrender.Texture(source=picture, source_channels="RGB", sampler=sampler)
 
 
@@ -184,7 +231,10 @@ class _Pinhole:
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
-        nodes_u, nodes_v = np.arange(-GRID, camera.width + 2 * GRID, GRID), np.arange(-GRID, camera.height + 2 * GRID, GRID)
+        nodes_u, nodes_v = (
+            np.arange(-GRID, camera.width + 2 * GRID, GRID),
+            np.arange(-GRID, camera.height + 2 * GRID, GRID),
+        )
         grid = np.stack(np.meshgrid(nodes_u, nodes_v), axis=-1).astype(float)
         ideal = lens.undistort(grid, camera.matrix, camera.distortion)
         if not np.isfinite(ideal).all():
@@ -195,26 +245,36 @@ class _Pinhole:
         self.intrinsics = (*focal, *(margin - low))
         self.size = tuple(int(n) for n in np.ceil(high - low + 2 * margin))
         self.splines = [scipy.interpolate.RectBivariateSpline(nodes_v, nodes_u, ideal[..., k]) for k in range(2)]
-        x, y = (spline(_fine(0, camera.height * SAMPLES), _fine(0, camera.width * SAMPLES)) * focal[k] + margin - low[k]
-                for k, spline in enumerate(self.splines))
+        x, y = (
+            spline(_fine(0, camera.height * SAMPLES), _fine(0, camera.width * SAMPLES)) * focal[k] + margin - low[k]
+            for k, spline in enumerate(self.splines)
+        )
         self.places = np.stack([x, self.size[1] - 1 - y], axis=-1).astype(np.float32)
 
     def bend(self, picture: np.ndarray) -> np.ndarray:
-        """(SAMPLES height, SAMPLES width) float32 0..255 of the first channel of a pinhole picture (uint8, last row first)."""
+        """(SAMPLES height, SAMPLES width) float32 0..255 of the first channel of a pinhole picture (uint8, last row
+        first).
+        """
         out = np.empty(self.places.shape[:2], np.float32)
         _bend(picture, self.places, out)
         return out
 
     def ideal(self, box: tuple[int, int, int, int]) -> np.ndarray:
-        """(2, rows + 2, columns + 2) x / z, y / z of the finer picture's elements of a box x0, y0, x1, y1, one more on every side."""
+        """(2, rows + 2, columns + 2) x / z, y / z of the finer picture's elements of a box x0, y0, x1, y1, one more on
+        every side.
+        """
         x0, y0, x1, y1 = box
         return np.stack([spline(_fine(y0 - 1, y1 + 1), _fine(x0 - 1, x1 + 1)) for spline in self.splines])
 
     def box(self, points: np.ndarray) -> tuple[int, int, int, int] | None:
-        """x0, y0, x1, y1 of the finer picture's elements about points (n, 3) of the camera's frame, or None where none is in the picture."""
+        """x0, y0, x1, y1 of the finer picture's elements about points (n, 3) of the camera's frame, or None where none
+        is in the picture.
+        """
         uv = (lens.project(points, self.camera.matrix, self.camera.distortion) + 0.5) * SAMPLES
         low = np.maximum(np.floor(uv.min(axis=0)).astype(int) - PAD, 0)
-        high = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + PAD, np.array([self.camera.width, self.camera.height]) * SAMPLES)
+        high = np.minimum(
+            np.ceil(uv.max(axis=0)).astype(int) + PAD, np.array([self.camera.width, self.camera.height]) * SAMPLES
+        )
         return (*low.tolist(), *high.tolist()) if (low < high).all() else None
 
 

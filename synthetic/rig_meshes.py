@@ -1,7 +1,8 @@
 """The rig as meshes (trimesh): plates, struts, cubes and sheets with their markers, and something to stand in front of.
 
-Every part is a flat grey, a sheet of paper with a marker's ink on it, or a textured face; brightness comes from the lamps by Lambert's
-law, face by face, so that the renderer need only multiply. Ink is no texture: it is laid exactly, see synthetic/printed_pattern.py.
+Every part is a flat grey, a sheet of paper with a marker's ink on it, or a textured face; brightness comes from the
+lamps by Lambert's law, face by face, so that the renderer need only multiply. Ink is no texture: it is laid exactly,
+see synthetic/printed_pattern.py.
 """
 
 from dataclasses import dataclass
@@ -35,10 +36,12 @@ class Ink:
 class Part:
     """One mesh of one grey.
 
-    body : "base", "platform", "strut 1 lower" .. "strut 6 upper", of a chain "stage 1", "stage 2 strut 1 lower" .., or "world"
+    body : "base", "platform", "strut 1 lower" .. "strut 6 upper", of a chain "stage 1", "stage 2 strut 1 lower" .., or
+        "world"
     mesh : trimesh in the body's frame, m
     normal : (3,) of a flat part, for its lighting, or None for a round one; centre : (3,) m; albedo : 0..1
-    texture : (h, w) float 0..1 that multiplies the albedo, or None; uv : (vertices, 2) texture coordinates; ink : Ink, or None
+    texture : (h, w) float 0..1 that multiplies the albedo, or None; uv : (vertices, 2) texture coordinates; ink : Ink,
+        or None
     """
 
     body: str
@@ -53,7 +56,9 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Lamp:
-    """A point lamp at position (3,) m in the base frame; intensity : what a white face square to it at 1 m shines with."""
+    """A point lamp at position (3,) m in the base frame; intensity : what a white face square to it at 1 m shines
+    with.
+    """
 
     position: tuple[float, float, float]
     intensity: float
@@ -63,7 +68,9 @@ LAMPS = (Lamp((0.6, 0.4, 1.6), 1.3), Lamp((-0.9, -0.3, 1.3), 0.6))
 AMBIENT = 0.25
 
 
-def rig_parts(design: Design, background: str = "plain", rng: np.random.Generator | None = None, markers: MarkerMap | None = None) -> list[Part]:
+def rig_parts(
+    design: Design, background: str = "plain", rng: np.random.Generator | None = None, markers: MarkerMap | None = None
+) -> list[Part]:
     """All Parts of a rig. background : "plain" or "cluttered"; rng : numpy Generator, for the clutter.
 
     markers : MarkerMap of where and how large the markers really are, by default as the design has them
@@ -71,21 +78,32 @@ def rig_parts(design: Design, background: str = "plain", rng: np.random.Generato
     found = []
     for stands in strut_stages(design.mechanism):
         if isinstance(stands.stage, Hexapod):
-            found += _plate(stands.base, stands.stage.base_joints, design) + _plate(stands.platform, stands.stage.platform_joints, design)
+            found += _plate(stands.base, stands.stage.base_joints, design) + _plate(
+                stands.platform, stands.stage.platform_joints, design
+            )
         found += _struts(stands)
     placed = markers if markers is not None else marker_map(design)
     carriers = {target.name: target.body for target in design.targets}
     for target in design.targets:
         found += _blank_faces(target)
     for k in range(len(placed.id)):
-        found.append(marker_face(carriers[placed.target[k]], placed.dictionary[k], int(placed.id[k]),
-                                 placed.T_body_marker[k], placed.side[k], placed.side[k] + 2 * placed.margin[k]))
+        found.append(
+            marker_face(
+                carriers[placed.target[k]],
+                placed.dictionary[k],
+                int(placed.id[k]),
+                placed.T_body_marker[k],
+                placed.side[k],
+                placed.side[k] + 2 * placed.margin[k],
+            )
+        )
     return found + _surroundings(design, background, rng)
 
 
 class Standing(NamedTuple):
-    """What stands on struts, by itself or as a chain's stage. stage; prefix : of its struts' names; base, platform : names of the bodies between
-    which they stand; number : of what moves, as `body_poses` is told where that is."""
+    """What stands on struts, by itself or as a chain's stage. stage; prefix : of its struts' names; base,
+    platform : names of the bodies between which they stand; number : of what moves, as `body_poses` is told where that
+        is."""
 
     stage: Struts
     prefix: str
@@ -98,19 +116,28 @@ def strut_stages(mechanism: Mechanism) -> list[Standing]:
     """What of a mechanism stands on struts, from the base up; an arm's links are not drawn."""
     stages = mechanism.stages if isinstance(mechanism, Chain) else (mechanism,)
     names = ["base", *(f"stage {k + 1}" for k in range(len(stages) - 1)), "platform"]
-    return [Standing(stage, f"stage {k + 1} " if isinstance(mechanism, Chain) else "", names[k], names[k + 1], k)
-            for k, stage in enumerate(stages) if isinstance(stage, Hexapod | Planar2)]
+    return [
+        Standing(stage, f"stage {k + 1} " if isinstance(mechanism, Chain) else "", names[k], names[k + 1], k)
+        for k, stage in enumerate(stages)
+        if isinstance(stage, Hexapod | Planar2)
+    ]
 
 
 def body_matrices(stages: list[RigidTransform]) -> dict[str, np.ndarray]:
-    """{body: (..., 4, 4) matrix to the base} of those between which struts stand. stages : where each stage's platform stands, RigidTransform
-    (...), the last alone but of a chain"""
+    """{body: (..., 4, 4) matrix to the base} of those between which struts stand. stages : where each stage's platform
+    stands, RigidTransform (...), the last alone but of a chain"""
     *below, platform = (T.as_matrix() for T in stages)
-    return {"base": np.broadcast_to(np.eye(4), platform.shape), "platform": platform, **{f"stage {k + 1}": T for k, T in enumerate(below)}}
+    return {
+        "base": np.broadcast_to(np.eye(4), platform.shape),
+        "platform": platform,
+        **{f"stage {k + 1}": T for k, T in enumerate(below)},
+    }
 
 
 def body_poses(mechanism: Mechanism, stages: list[RigidTransform]) -> dict[str, np.ndarray]:
-    """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks. stages : see `body_matrices`, one pose each"""
+    """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks. stages : see `body_matrices`, one
+    pose each
+    """
     poses = {"world": np.eye(4), **body_matrices(stages)}
     for stands in strut_stages(mechanism):
         T_below = RigidTransform.from_matrix(poses[stands.base])
@@ -145,8 +172,11 @@ def part_brightness(part: Part, matrix: np.ndarray) -> float:
 
 def plate_radius(body: str, joints: np.ndarray, design: Design) -> float:
     """m, of the disc that carries a body's joints (6, 3) m and its cubes."""
-    cubes = [float(np.linalg.norm(target.pose.translation[:2])) + 0.8 * target.edge for target in design.targets
-             if target.body == body and target.edge and target.pose is not None]
+    cubes = [
+        float(np.linalg.norm(target.pose.translation[:2])) + 0.8 * target.edge
+        for target in design.targets
+        if target.body == body and target.edge and target.pose is not None
+    ]
     return max([1.12 * float(np.linalg.norm(joints[:, :2], axis=1).max()), *cubes])
 
 
@@ -182,20 +212,36 @@ def _struts(stands: Standing) -> list[Part]:
 def _blank_faces(target: Target) -> list[Part]:
     """The faces of a cube that carry no marker."""
     taken = dict(target.faces)
-    return [_quad(target.body, target.seat * face_pose(face, target.edge), target.edge / 2, WHITE)
-            for face in FACES if target.edge is not None and face not in taken]
+    return [
+        _quad(target.body, target.seat * face_pose(face, target.edge), target.edge / 2, WHITE)
+        for face in FACES
+        if target.edge is not None and face not in taken
+    ]
 
 
-def marker_face(body: str, dictionary: str, number: int, T_body_marker: RigidTransform, side: float, size: float) -> Part:
-    """Part of a square white sheet of a size (m) with a marker of a side (m) in its middle; posed x right, y up, z out."""
+def marker_face(
+    body: str, dictionary: str, number: int, T_body_marker: RigidTransform, side: float, size: float
+) -> Part:
+    """Part of a square white sheet of a size (m) with a marker of a side (m) in its middle; posed x right, y up, z
+    out.
+    """
     cells = marker_cells(dictionary, number)[1:-1, 1:-1]
     cell = side / len(cells)
     on_sheet = np.array([[cell, 0, -side / 2], [0, -cell, side / 2], [0, 0, 0], [0, 0, 1]])
-    return _quad(body, T_body_marker, size / 2, WHITE, ink=Ink(np.ascontiguousarray(cells), T_body_marker.as_matrix() @ on_sheet))
+    return _quad(
+        body, T_body_marker, size / 2, WHITE, ink=Ink(np.ascontiguousarray(cells), T_body_marker.as_matrix() @ on_sheet)
+    )
 
 
-def _quad(body: str, T: RigidTransform, half: float, albedo: float, texture: np.ndarray | None = None, uv: np.ndarray | None = None,
-          ink: Ink | None = None) -> Part:
+def _quad(
+    body: str,
+    T: RigidTransform,
+    half: float,
+    albedo: float,
+    texture: np.ndarray | None = None,
+    uv: np.ndarray | None = None,
+    ink: Ink | None = None,
+) -> Part:
     corners = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     mesh = trimesh.Trimesh(T.apply(corners), [[0, 3, 2], [0, 2, 1]], process=False)
     return Part(body, mesh, T.rotation.as_matrix()[:, 2], T.translation, albedo, texture, uv, ink)
@@ -220,7 +266,9 @@ def _surroundings(design: Design, background: str, rng: np.random.Generator | No
 
 
 def clutter_texture(rng: np.random.Generator, size: int = 1024) -> np.ndarray:
-    """(size, size) 0..1 picture of blobs, bars and squares, dark squares on white among them, that a detector must not believe."""
+    """(size, size) 0..1 picture of blobs, bars and squares, dark squares on white among them, that a detector must not
+    believe.
+    """
     picture = cv2.GaussianBlur(rng.random((size, size)).astype(np.float32), (0, 0), 30)
     picture = (picture - picture.min()) / np.ptp(picture) * 0.6
     for _ in range(160):

@@ -18,19 +18,28 @@ AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on t
 
 
 def draw_geometry(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm | Chain:
-    """The mechanism of a stated design as it really is. size : multiplies every deviation. Raises RigError for what cannot be simulated."""
+    """The mechanism of a stated design as it really is. size : multiplies every deviation. Raises RigError for what
+    cannot be simulated.
+    """
     m = stated.mechanism
     if m.kind == "hexapod":
-        return replace(m, base_joints=m.base_joints + size * JOINT * rng.normal(size=(6, 3)),
-                       platform_joints=m.platform_joints + size * JOINT * rng.normal(size=(6, 3)),
-                       strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=6))
+        return replace(
+            m,
+            base_joints=m.base_joints + size * JOINT * rng.normal(size=(6, 3)),
+            platform_joints=m.platform_joints + size * JOINT * rng.normal(size=(6, 3)),
+            strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=6),
+        )
     if m.kind == "planar2":
-        return replace(m, base_joints=m.base_joints + size * JOINT * rng.normal(size=(2, 2)),
-                       strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=2))
+        return replace(
+            m,
+            base_joints=m.base_joints + size * JOINT * rng.normal(size=(2, 2)),
+            strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=2),
+        )
     if m.kind == "arm":
         return _arm(m, stated, rng, size)
     if isinstance(m, Chain):
-        return replace(m, stages=tuple(draw_geometry(replace(stated, mechanism=stage, cameras=()), rng, size) for stage in m.stages))  # type: ignore[misc]
+        stages = tuple(draw_geometry(replace(stated, mechanism=stage, cameras=()), rng, size) for stage in m.stages)
+        return replace(m, stages=stages)  # type: ignore[arg-type]
     raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; {', '.join(GEOMETRY)} can")
 
 
@@ -39,7 +48,9 @@ def _arm(m: Arm, stated: Design, rng: np.random.Generator, size: float) -> Arm:
     flat = np.abs(np.cos(m.rows[:, 3])) > 0.999
     rows[flat, 3:] = m.rows[flat, 3:] + size * ASKEW * rng.uniform(-1, 1, (flat.sum(), 2))
     ends, instrument = [m.base, m.tool], stated.instrument
-    if instrument is None and stated.cameras and stated.targets:  # where it stands among the cubes, and how its hand holds them
+    if (
+        instrument is None and stated.cameras and stated.targets
+    ):  # where it stands among the cubes, and how its hand holds them
         ends = [end * exp(size * np.repeat(STOOD, 3) * rng.normal(size=6)) for end in ends]
     for k, (place, far) in enumerate(zip(PLACES, (AWAY, HAND))):
         if instrument is not None and getattr(instrument, place) == "free":

@@ -38,15 +38,24 @@ class World:
 
 
 def draw_machine(stated: Design, rng: np.random.Generator, size: float = 1.0, effects: Iterable[Effect] = ()) -> World:
-    """World around a stated design. rng : numpy Generator; size : multiplies every deviation; effects : Effects at work."""
+    """World around a stated design. rng : numpy Generator; size : multiplies every deviation; effects : Effects at
+    work.
+    """
     m = secret_geometry.draw_geometry(stated, rng, size)
     true = replace(stated, mechanism=m, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras))
     limbs = stated.insitu
     if limbs is not None:
         n = len(limbs.channels)
         off = np.split(size * LIMB * rng.normal(size=7 * n), [3 * n, 6 * n])
-        true = replace(true, insitu=replace(limbs, base_joints=limbs.base_joints + off[0].reshape(n, 3),
-                                            platform_joints=limbs.platform_joints + off[1].reshape(n, 3), zeros=limbs.zeros + off[2]))
+        true = replace(
+            true,
+            insitu=replace(
+                limbs,
+                base_joints=limbs.base_joints + off[0].reshape(n, 3),
+                platform_joints=limbs.platform_joints + off[1].reshape(n, 3),
+                zeros=limbs.zeros + off[2],
+            ),
+        )
     return World(stated, true, tuple(effects))
 
 
@@ -66,12 +75,18 @@ def strut_count(mechanism: Hexapod | Planar2 | Arm | Chain) -> int:
 
 
 def draw_temperatures(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple[Sensors, Sensors]:
-    """(true Sensors, logged Sensors) over a duration (s): the room drifts by a kelvin or two, struts warm up by as much again.
+    """(true Sensors, logged Sensors) over a duration (s): the room drifts by a kelvin or two, struts warm up by as much
+    again.
 
-    Channels ambient_temperature_C and, for so many struts, strut1_temperature_C ..; the log is the truth every LOG_EVERY s, with noise.
+    Channels ambient_temperature_C and, for so many struts, strut1_temperature_C ..; the log is the truth every
+    LOG_EVERY s, with noise.
     """
     t = np.arange(0.0, duration + LOG_EVERY, LOG_EVERY)
-    room = 20 + rng.uniform(-1, 1) + rng.uniform(0.3, 1.2) * np.sin(2 * np.pi * t / rng.uniform(3000, 9000) + rng.uniform(0, 6.28))
+    room = (
+        20
+        + rng.uniform(-1, 1)
+        + rng.uniform(0.3, 1.2) * np.sin(2 * np.pi * t / rng.uniform(3000, 9000) + rng.uniform(0, 6.28))
+    )
     true = {"ambient_temperature_C": room}
     for i in range(struts):
         true[f"strut{i + 1}_temperature_C"] = room + rng.uniform(1, 3) * (1 - np.exp(-t / rng.uniform(600, 2400)))
@@ -86,5 +101,7 @@ def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **mor
 
 
 def world_from_truth(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> World:
-    """World of a truth file: the same machine and cameras again. kinds : effects that there are. Raises FileError for a file that is none."""
+    """World of a truth file: the same machine and cameras again. kinds : effects that there are. Raises FileError for a
+    file that is none.
+    """
     return World(stated, *machine_json.load_machine(path, stated, kinds))

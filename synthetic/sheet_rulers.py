@@ -5,7 +5,11 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
-MARGIN, LEFT, FOOT = 10.0, 17.0, 20.0  # mm: at the edges; at the left, with its ruler; above the lower margin, for ruler, legend and label
+MARGIN, LEFT, FOOT = (
+    10.0,
+    17.0,
+    20.0,
+)  # mm: at the edges; at the left, with its ruler; above the lower margin, for ruler, legend and label
 RULER = 100  # mm, of each ruler
 
 
@@ -37,8 +41,13 @@ def draw_rulers_and_legend(axes: Axes, paper: tuple[float, float], label: str) -
     axes.add_patch(Rectangle((x, y - 1.5), 8, 3, fc="0.93", ec="none"))
     axes.text(x + 9.5, y, "glue", fontsize=7, va="center")
     axes.text(LEFT, MARGIN + 13.5, label, fontsize=7)
-    axes.text(LEFT, MARGIN + 9.5, f"Both rulers are {RULER} mm long when printed at 100 %; if not, the markers are off by as much: "
-              "measure them, or rig check-print.", fontsize=6)
+    axes.text(
+        LEFT,
+        MARGIN + 9.5,
+        f"Both rulers are {RULER} mm long when printed at 100 %; if not, the markers are off by as much: "
+        "measure them, or rig check-print.",
+        fontsize=6,
+    )
 
 
 def _ruler(axes: Axes, start: tuple[float, float], along: int) -> None:

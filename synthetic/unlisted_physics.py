@@ -1,7 +1,8 @@
-"""Physics that the catalogue does not hold, and noise that is not what it should be: what a blind case may hide as well.
+"""Physics that the catalogue does not hold, and noise that is not what it should be: what a blind case may hide as
+well.
 
-An effect out of the catalogue is one like any other, only that no diagnosis knows it; `draw_unlisted_effect` makes one of a plausible size. A
-disturbance
+An effect out of the catalogue is one like any other, only that no diagnosis knows it; `draw_unlisted_effect` makes one
+of a plausible size. A disturbance
 changes nothing but the noise of corners: there, too, nothing may be named.
 """
 
@@ -25,8 +26,8 @@ WAVES = 4  # sinusoids of a smooth random course
 
 @dataclass(frozen=True, slots=True)
 class CablePull(Effect):
-    """A cable from an anchor (3) m of the base frame pulls with tension N and spring N/m once it is tauter than slack m; the platform
-    gives way by softness m/N and, about its origin, by softness / arm^2 rad/(N m)."""
+    """A cable from an anchor (3) m of the base frame pulls with tension N and spring N/m once it is tauter than slack
+    m; the platform gives way by softness m/N and, about its origin, by softness / arm^2 rad/(N m)."""
 
     place: str
     anchor: tuple[float, ...]
@@ -52,8 +53,8 @@ class CablePull(Effect):
 
 @dataclass(frozen=True, slots=True)
 class BendingStrut(Effect):
-    """A strut sags sideways under its own weight and is the shorter, chord to arc, the flatter and the longer it is: by size m when
-    level at its home length."""
+    """A strut sags sideways under its own weight and is the shorter, chord to arc, the flatter and the longer it is: by
+    size m when level at its home length."""
 
     place: str
     size: float
@@ -72,8 +73,8 @@ class BendingStrut(Effect):
 
 @dataclass(frozen=True, slots=True)
 class WanderingBase(Effect):
-    """The frame with the base joints wanders against the cubes on the base: course (WAVES * 8): amplitudes (6) m, rad, frequency Hz
-    and phase of each wave."""
+    """The frame with the base joints wanders against the cubes on the base: course (WAVES * 8): amplitudes (6) m, rad,
+    frequency Hz and phase of each wave."""
 
     place: str
     course: tuple[float, ...]
@@ -91,7 +92,9 @@ class WanderingBase(Effect):
 
 @dataclass(frozen=True, slots=True)
 class Crosstalk(Effect):
-    """A strut takes a share of another's stroke, the more the farther out: its square over its reach m, with the sign of the stroke."""
+    """A strut takes a share of another's stroke, the more the farther out: its square over its reach m, with the sign
+    of the stroke.
+    """
 
     place: str
     other: int
@@ -137,7 +140,9 @@ class Drag(Effect):
 
 @dataclass(frozen=True, slots=True)
 class BreathingLens(Effect):
-    """A focal length comes and goes with no temperature: course (WAVES * 3): share, frequency Hz and phase of each wave."""
+    """A focal length comes and goes with no temperature: course (WAVES * 3): share, frequency Hz and phase of each
+    wave.
+    """
 
     place: str
     course: tuple[float, ...]
@@ -161,7 +166,9 @@ class SwayingTripod(Effect):
     places: ClassVar = ("camera",)
 
     def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
-        return np.sin(2 * np.pi * self.frequency * t)[:, None] * np.asarray(self.motion) * self.at(f"camera {camera.name}")
+        return (
+            np.sin(2 * np.pi * self.frequency * t)[:, None] * np.asarray(self.motion) * self.at(f"camera {camera.name}")
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +194,8 @@ def _course(course: tuple[float, ...], t: np.ndarray, size: int) -> np.ndarray:
 
 
 def draw_unlisted_effect(design: Design, duration: float, rng: np.random.Generator) -> Effect:
-    """One effect out of the catalogue, of a plausible size. design : Design; duration : s of the recording; rng : numpy Generator.
+    """One effect out of the catalogue, of a plausible size. design : Design; duration : s of the recording; rng : numpy
+    Generator.
 
     Raises RigError for a rig that lacks what it needs.
     """
@@ -197,21 +205,35 @@ def draw_unlisted_effect(design: Design, duration: float, rng: np.random.Generat
     camera = f"camera {design.cameras[rng.integers(len(design.cameras))].name}"
 
     def waves(size: int, scale: float) -> tuple[float, ...]:
-        rows = [np.r_[scale / np.sqrt(WAVES) * rng.normal(size=size), rng.uniform(1.5, 8) / duration, rng.uniform(0, 6.28)] for _ in range(WAVES)]
+        rows = [
+            np.r_[scale / np.sqrt(WAVES) * rng.normal(size=size), rng.uniform(1.5, 8) / duration, rng.uniform(0, 6.28)]
+            for _ in range(WAVES)
+        ]
         return tuple(np.concatenate(rows).tolist())
 
     name = OUT_OF_CATALOGUE[rng.integers(len(OUT_OF_CATALOGUE))]
     if name is CablePull:
         anchor = radius * np.array([rng.uniform(-1.5, 1.5), rng.uniform(-1.5, 1.5), rng.uniform(2.5, 4)])
         length = float(np.linalg.norm(anchor - m.home.translation))
-        return CablePull("rig", tuple(anchor.tolist()), length * rng.uniform(0.9, 1.0), _log(rng, 2e-5, 5e-4) / (0.1 * length) / 1e-6, 1e-6,
-                         radius * 0.5)
+        return CablePull(
+            "rig",
+            tuple(anchor.tolist()),
+            length * rng.uniform(0.9, 1.0),
+            _log(rng, 2e-5, 5e-4) / (0.1 * length) / 1e-6,
+            1e-6,
+            radius * 0.5,
+        )
     if name is BendingStrut:
         return BendingStrut(strut, _log(rng, 1e-4, 2e-3))
     if name is WanderingBase:
         return WanderingBase("rig", waves(6, _log(rng, 5e-6, 1e-4)))
     if name is Crosstalk:
-        return Crosstalk(strut, int((int(strut[-1]) + rng.integers(1, 6) - 1) % 6 + 1), rng.choice([-1, 1]) * _log(rng, 2e-4, 4e-3), 0.5 * stroke)
+        return Crosstalk(
+            strut,
+            int((int(strut[-1]) + rng.integers(1, 6) - 1) % 6 + 1),
+            rng.choice([-1, 1]) * _log(rng, 2e-4, 4e-3),
+            0.5 * stroke,
+        )
     if name is SlippingClutch:
         return SlippingClutch(strut, _log(rng, 2e-5, 3e-4) / (100 * stroke))
     if name is Drag:
@@ -223,21 +245,37 @@ def draw_unlisted_effect(design: Design, duration: float, rng: np.random.Generat
     if name is SwayingTripod:
         motion = rng.normal(size=6) * _log(rng, 2e-5, 5e-4)
         return SwayingTripod(camera, tuple(motion.tolist()), 1 / rng.uniform(30, 300))
-    return UnevenPrint("markers", tuple((_log(rng, 3e-4, 5e-3) * rng.normal(size=sum(len(t.ids) for t in design.targets))).tolist()))
+    return UnevenPrint(
+        "markers", tuple((_log(rng, 3e-4, 5e-3) * rng.normal(size=sum(len(t.ids) for t in design.targets))).tolist())
+    )
 
 
-OUT_OF_CATALOGUE = (CablePull, BendingStrut, WanderingBase, Crosstalk, SlippingClutch, Drag, BreathingLens, SwayingTripod, UnevenPrint)
+OUT_OF_CATALOGUE = (
+    CablePull,
+    BendingStrut,
+    WanderingBase,
+    Crosstalk,
+    SlippingClutch,
+    Drag,
+    BreathingLens,
+    SwayingTripod,
+    UnevenPrint,
+)
 
 
 def add_air_shimmer(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
-    """Every picture is warped a little by the air, smoothly over the image and anew from frame to frame: 1 to 4 times the noise."""
+    """Every picture is warped a little by the air, smoothly over the image and anew from frame to frame: 1 to 4 times
+    the noise.
+    """
     size = noise * rng.uniform(1, 4)
     uv = corners.uv.copy()
     camera = np.array(corners.camera)
     for c in design.cameras:
         rows = np.flatnonzero(camera == c.name)
         x = (uv[rows] - [c.width / 2, c.height / 2]) / (c.width / 2)
-        basis = np.stack([np.cos(i * x[:, 0] + 1.7 * i) * np.cos(j * x[:, 1] + 0.9 * j) for i in range(3) for j in range(3)], axis=1)
+        basis = np.stack(
+            [np.cos(i * x[:, 0] + 1.7 * i) * np.cos(j * x[:, 1] + 0.9 * j) for i in range(3) for j in range(3)], axis=1
+        )
         warps = size / 3 * rng.normal(size=(corners.frame.max() + 1, 9, 2))
         uv[rows] += np.einsum("nk,nkc->nc", basis, warps[corners.frame[rows]])
     return replace(corners, uv=uv)
@@ -248,7 +286,9 @@ def add_outliers(corners: Corners, design: Design, noise: float, rng: np.random.
     wrong = rng.random(len(corners.uv)) < rng.uniform(0.005, 0.03)
     direction = rng.normal(size=corners.uv.shape)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    return replace(corners, uv=corners.uv + wrong[:, None] * direction * np.exp(rng.uniform(0, np.log(30), (len(wrong), 1))))
+    return replace(
+        corners, uv=corners.uv + wrong[:, None] * direction * np.exp(rng.uniform(0, np.log(30), (len(wrong), 1)))
+    )
 
 
 def add_uneven_noise(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
@@ -267,7 +307,9 @@ def add_heavy_tailed_noise(corners: Corners, design: Design, noise: float, rng: 
 def add_shaken_frames(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """One frame in fifteen was shaken: all its corners are five times as noisy."""
     shaken = rng.random(corners.frame.max() + 1) < 1 / 15
-    return replace(corners, uv=corners.uv + 5 * noise * shaken[corners.frame][:, None] * rng.normal(size=corners.uv.shape))
+    return replace(
+        corners, uv=corners.uv + 5 * noise * shaken[corners.frame][:, None] * rng.normal(size=corners.uv.shape)
+    )
 
 
 DISTURBANCES = (add_air_shimmer, add_outliers, add_uneven_noise, add_heavy_tailed_noise, add_shaken_frames)

@@ -23,12 +23,26 @@ INSTRUMENT = '[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nr
 def carriage_cubes(edge=0.07, radius=0.3):
     """Text of three cubes on the carriage, between those on the base."""
     angles = 0.9 + np.pi / 4 + np.array([0, 2, 4]) * np.pi / 3
-    return "".join("\n".join(cube_lines(f"C{k + 1}", "stage 1", "DICT_4X4_100", 6 * (k + 8), edge,
-                                        (radius * np.cos(a), radius * np.sin(a), edge / 2 + 0.005), (0, 0, a))) + "\n" for k, a in enumerate(angles))
+    return "".join(
+        "\n".join(
+            cube_lines(
+                f"C{k + 1}",
+                "stage 1",
+                "DICT_4X4_100",
+                6 * (k + 8),
+                edge,
+                (radius * np.cos(a), radius * np.sin(a), edge / 2 + 0.005),
+                (0, 0, a),
+            )
+        )
+        + "\n"
+        for k, a in enumerate(angles)
+    )
 
 
 def written(folder, seen=False, cameras=3, size=(1280, 1024), carriage=False):
-    """Design of the rig.toml, written into a folder, of a hexapod on a gantry, seen by cameras or measured by an instrument.
+    """Design of the rig.toml, written into a folder, of a hexapod on a gantry, seen by cameras or measured by an
+    instrument.
 
     carriage : whether the gantry's carriage has cubes of its own
     """

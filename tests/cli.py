@@ -18,7 +18,10 @@ def run(*arguments, ok=True):
 
 
 def command(capsys, *first):
-    """A command of `rig` in this process, its words after the first ones: what it prints, or where it must fail what it complains of."""
+    """A command of `rig` in this process, its words after the first ones: what it prints, or where it must fail what it
+    complains of.
+    """
+
     def given(*arguments, ok=True):
         capsys.readouterr()
         status = main([str(argument) for argument in (*first, *arguments)])

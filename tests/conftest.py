@@ -3,7 +3,9 @@
 import os
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as rig.cli.command_line.run_script has it; read when NumPy is loaded
+os.environ.setdefault(
+    "OPENBLAS_NUM_THREADS", "1"
+)  # as rig.cli.command_line.run_script has it; read when NumPy is loaded
 
 import numpy as np
 import pytest
@@ -56,7 +58,9 @@ def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.
     rng = np.random.default_rng(seed)
     secret = secret_machine.draw_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
-    route = plan.settled_plan(plan.low_discrepancy(strokes, count, seed=seed), strokes.mean(axis=1), plan.plan_speed(design))
+    route = plan.settled_plan(
+        plan.low_discrepancy(strokes, count, seed=seed), strokes.mean(axis=1), plan.plan_speed(design)
+    )
     done = recording_simulation.simulate(secret, route, rng)
     recording_simulation.write_recording(done, folder, rig_text, rng, noise)
     return secret, done.run.T_base_platform
@@ -72,8 +76,8 @@ def recording_folder(tmp_path, design, rig_text):
 
 @pytest.fixture(scope="session")
 def limbed(tmp_path_factory):
-    """(Design, Recording, its Simulation) of a rig with measuring limbs that went along and about every axis; the folder holds a second
-    recording of the same machine, "again", another day."""
+    """(Design, Recording, its Simulation) of a rig with measuring limbs that went along and about every axis; the
+    folder holds a second recording of the same machine, "again", another day."""
     folder = tmp_path_factory.mktemp("limbs")
     text = hexapod_layout.hexapod_layout(0.3, limbs=6)
     (folder / "rig.toml").write_text(text)
@@ -83,6 +87,10 @@ def limbed(tmp_path_factory):
     done = recording_simulation.simulate(machine, plan.build_plan(design, "axes:5,sobol:50"), rng)
     recording_simulation.write_recording(done, folder / "rec", text, rng, noise=0.04)
     recording_simulation.write_recording(
-        recording_simulation.simulate(machine, plan.build_plan(design, "sobol:40", seed=1), rng), folder / "again", text, rng, noise=0.04
+        recording_simulation.simulate(machine, plan.build_plan(design, "sobol:40", seed=1), rng),
+        folder / "again",
+        text,
+        rng,
+        noise=0.04,
     )
     return design, recording.load(folder / "rec"), done

@@ -1,4 +1,6 @@
-"""Which share of its statements the tests ran, by package and folder: python -m tests.coverage_by_folder out/coverage.json."""
+"""Which share of its statements the tests ran, by package and folder: python -m tests.coverage_by_folder
+out/coverage.json.
+"""
 
 import json
 import sys
@@ -10,7 +12,9 @@ DEPTH = 2  # parts of a path that name a line: rig/effects, but not rig/effects/
 
 
 def shares(report: dict[str, Any]) -> dict[str, tuple[int, int]]:
-    """{folder: (statements run, statements)} of a report of coverage.py as JSON: packages, and their folders by name."""
+    """{folder: (statements run, statements)} of a report of coverage.py as JSON: packages, and their folders by
+    name.
+    """
     run, there = Counter[str](), Counter[str]()
     for name, file in report["files"].items():
         folders = PurePath(name).parent.parts[:DEPTH]
@@ -25,7 +29,10 @@ def table(found: dict[str, tuple[int, int]]) -> str:
     """A line a folder: its share in percent, statements run, statements; folders of a package are indented below it."""
     packages = [pair for folder, pair in found.items() if "/" not in folder]
     rows = [*found.items(), ("all", (sum(run for run, _ in packages), sum(there for _, there in packages)))]
-    return "\n".join(f"{'  ' * folder.count('/') + folder:30} {_percent(*pair):>7} {pair[0]:>7} of {pair[1]:>6}" for folder, pair in rows)
+    return "\n".join(
+        f"{'  ' * folder.count('/') + folder:30} {_percent(*pair):>7} {pair[0]:>7} of {pair[1]:>6}"
+        for folder, pair in rows
+    )
 
 
 def _percent(run: int, there: int) -> str:

@@ -1,4 +1,6 @@
-"""Commands that are killed, or whose disk is full, in a folder with what they had made before: what is left of it, and whether they work again."""
+"""Commands that are killed, or whose disk is full, in a folder with what they had made before: what is left of it, and
+whether they work again.
+"""
 
 import os
 import re
@@ -18,32 +20,53 @@ from rig.formats.output_files import require_complete
 from tests.conftest import ROOT
 
 RECORD = "simulate rig.toml --plan sobol:24 --out {} --seed {}"
-PREPARED = ("design --radius 0.3 --out rig.toml", "design --radius 0.3 --size 320x256 --cubes 3 --out small.toml", RECORD.format("rec", 1),
-            RECORD.format("rec2", 2), "calibrate rec --out cal.json")
+PREPARED = (
+    "design --radius 0.3 --out rig.toml",
+    "design --radius 0.3 --size 320x256 --cubes 3 --out small.toml",
+    RECORD.format("rec", 1),
+    RECORD.format("rec2", 2),
+    "calibrate rec --out cal.json",
+)
 COMMANDS = {  # what a command did before, and what it is doing when it is stopped
     "design": ("design --radius 0.3 --out made.toml", "design --radius 0.31 --out made.toml"),
     "print": ("print rig.toml --out s.pdf", "print rig.toml --out s.pdf --paper A3"),
-    "simulate": ("simulate rig.toml --plan sobol:9 --out sim --truth t.json", "simulate rig.toml --plan sobol:6 --seed 2 --out sim --truth t.json"),
-    "images": ("simulate small.toml --plan sobol:3 --images --out pics", "simulate small.toml --plan sobol:2 --seed 2 --images --out pics"),
+    "simulate": (
+        "simulate rig.toml --plan sobol:9 --out sim --truth t.json",
+        "simulate rig.toml --plan sobol:6 --seed 2 --out sim --truth t.json",
+    ),
+    "images": (
+        "simulate small.toml --plan sobol:3 --images --out pics",
+        "simulate small.toml --plan sobol:2 --seed 2 --images --out pics",
+    ),
     "measure": ("measure rec --out measured", "measure rec2 --out measured"),
     "calibrate": ("calibrate rec --out c.json", "calibrate rec2 --out c.json"),
     "correct": ("correct cal.json --poses w1.csv --out cmd.csv", "correct cal.json --poses w2.csv --out cmd.csv"),
     "export": ("export cal.json --format json --out e.txt", "export cal.json --format csv --out e.txt"),
-    "plan": ("plan rig.toml --for parameters --count 8 --out p.csv", "plan rig.toml --for parameters --count 9 --out p.csv"),
+    "plan": (
+        "plan rig.toml --for parameters --count 8 --out p.csv",
+        "plan rig.toml --for parameters --count 9 --out p.csv",
+    ),
     "view": ("view rec --frame 1 --out v.png", "view rec --frame 2 --out v.png"),
     "online": ("online rec --state s.json", "online rec2 --state s.json"),
     "diagnose": ("diagnose rec --only backlash --out diag", "diagnose rec2 --only backlash --out diag"),
-    "blind": ("blind --season 2 --frames 40 --hide nothing --out campaign --cases 1",
-              "blind --season 2 --frames 40 --hide nothing --out campaign --cases 1-2"),
+    "blind": (
+        "blind --season 2 --frames 40 --hide nothing --out campaign --cases 1",
+        "blind --season 2 --frames 40 --hide nothing --out campaign --cases 1-2",
+    ),
 }
 QUICK = ("design", "print", "simulate", "export")
 POSES = "frame,x,y,z,rx,ry,rz\n0,0,0,0.45,0,0,0\n1,{},0,0.45,0,0,0.02\n"
-CHANGES = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00|CreationDate \(D:[^)]*\)|\"seconds\": [\d.]+|[\d.]+ s each|median seconds[^\n]*")
+CHANGES = re.compile(
+    rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00|CreationDate \(D:[^)]*\)|\"seconds\": [\d.]+|[\d.]+ s "
+    rb"each|median seconds[^\n]*"
+)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What one command may do: folder : as it was before; old, new : its files before and after it has run; seconds : that that took."""
+    """What one command may do: folder : as it was before; old, new : its files before and after it has run;
+    seconds : that that took.
+    """
 
     name: str
     folder: Path
@@ -58,10 +81,13 @@ class Scene:
 
 
 class Command:
-    """`rig` with some words in a folder, as a process of its own that is forked from this one, so that importing takes no time."""
+    """`rig` with some words in a folder, as a process of its own that is forked from this one, so that importing takes
+    no time.
+    """
 
     def __init__(self, folder: Path, words: list[str]) -> None:
-        self._said, self.error = tempfile.TemporaryFile(), ""  # noqa: SIM115  (what it says on the error output, once it has ended)
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115
+        self.error = ""  # what it printed on the error output, once it has ended
         self.pid = os.fork()
         if not self.pid:
             status = 99
@@ -81,7 +107,9 @@ class Command:
                 os._exit(status)
 
     def ended(self, seconds: float | None = None) -> int | None:
-        """Its exit status (less than 0: the signal that ended it), or None where it runs still after so many seconds."""
+        """Its exit status (less than 0: the signal that ended it), or None where it runs still after so many
+        seconds.
+        """
         end = None if seconds is None else time.monotonic() + seconds
         while True:
             pid, status = os.waitpid(self.pid, 0 if end is None else os.WNOHANG)
@@ -118,9 +146,14 @@ def run(folder: Path, words: list[str]) -> None:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Content of all files but temporaries, without what differs from run to run (a campaign's score counts its seconds)."""
-    return {str(path.relative_to(folder)): CHANGES.sub(b"", path.read_bytes()) for path in sorted(folder.rglob("*"))
-            if path.is_file() and ".rig-" not in str(path.relative_to(folder)) and not path.match("campaign/score.*")}
+    """Content of all files but temporaries, without what differs from run to run (a campaign's score counts its
+    seconds).
+    """
+    return {
+        str(path.relative_to(folder)): CHANGES.sub(b"", path.read_bytes())
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and ".rig-" not in str(path.relative_to(folder)) and not path.match("campaign/score.*")
+    }
 
 
 def prepared(base: Path, names: tuple[str, ...]) -> list[Scene]:
@@ -145,7 +178,9 @@ def prepared(base: Path, names: tuple[str, ...]) -> list[Scene]:
 
 
 def killed(scene: Scene, work: Path, share: float, number: int = signal.SIGKILL) -> str:
-    """What is wrong after a command was killed a share of its time after its beginning; an empty text where nothing is."""
+    """What is wrong after a command was killed a share of its time after its beginning; an empty text where nothing
+    is.
+    """
     shutil.copytree(scene.folder, work)
     command = Command(work, scene.words)
     if command.ended(share * scene.seconds) is None:
@@ -157,7 +192,9 @@ def killed(scene: Scene, work: Path, share: float, number: int = signal.SIGKILL)
 
 
 def starved(scene: Scene, disk: Path, room: int) -> str:
-    """What is wrong after a command's disk was full once it had written so much (bytes); disk : a folder to mount one on."""
+    """What is wrong after a command's disk was full once it had written so much (bytes); disk : a folder to mount one
+    on.
+    """
     size = sum(-(-path.stat().st_size // 4096) * 4096 + 4096 for path in scene.folder.rglob("*")) + 65536
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size + room}", "tmpfs", str(disk)], check=True)
     try:
@@ -176,13 +213,18 @@ def starved(scene: Scene, disk: Path, room: int) -> str:
 
 
 def _damage(scene: Scene, work: Path) -> str:
-    """A file that is neither as it was nor as it was to be, one that is gone, or a folder that is a mixture, where the folder is not marked."""
+    """A file that is neither as it was nor as it was to be, one that is gone, or a folder that is a mixture, where the
+    folder is not marked.
+    """
     left, marked = files(work), _marked(work)
     for name, content in left.items():
         if content not in (scene.old.get(name), scene.new.get(name)):
             return f"{scene.name}: {name} is neither as it was nor as it was to be"
     for top in sorted({name.split("/")[0] for name in (*left, *scene.old)} - marked):
-        kept, old, new = ({name: content for name, content in tree.items() if name.split("/")[0] == top} for tree in (left, scene.old, scene.new))
+        kept, old, new = (
+            {name: content for name, content in tree.items() if name.split("/")[0] == top}
+            for tree in (left, scene.old, scene.new)
+        )
         if kept not in (old, new):
             return f"{scene.name}: {top} is a mixture and not marked"
     return ""
@@ -218,5 +260,9 @@ def _done(work: Path) -> str:
 
 def can_mount() -> bool:
     """Whether a disk of a size of one's own can be had here."""
-    return os.geteuid() == 0 and sys.platform == "linux" and shutil.which("mount") is not None and not subprocess.run(
-        ["unshare", "--mount", "true"], capture_output=True).returncode
+    return (
+        os.geteuid() == 0
+        and sys.platform == "linux"
+        and shutil.which("mount") is not None
+        and not subprocess.run(["unshare", "--mount", "true"], capture_output=True).returncode
+    )

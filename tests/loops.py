@@ -23,14 +23,28 @@ def calibrated(folder, capfd, *words):
 def verified(folder, capfd, poses, drive=(), calibrate=(), taken="wanted.csv"):
     """What `rig verify --json` says of wanted poses, driven and measured.
 
-    folder : with rig.toml, the recording rec and its truth.json; poses : lines of wanted poses; drive : options of the simulated drive
+    folder : with rig.toml, the recording rec and its truth.json; poses : lines of wanted poses; drive : options of the
+        simulated drive
     taken : what the drive is judged against, of an arm of few joints the poses that it takes instead
     """
     (folder / "wanted.csv").write_text("frame,x,y,z,rx,ry,rz\n" + "\n".join(poses) + "\n")
     calibrated(folder, capfd, *calibrate)
     rig("correct", folder / "calibration.json", "--poses", folder / "wanted.csv", "--out", folder / "commands.csv")
-    rig("simulate", folder / "rig.toml", "--machine", folder / "truth.json", "--plan", f"commands:{folder / 'commands.csv'}", "--seed", "99",
-        *drive, "--out", folder / "drive", "--truth", folder / "drive.json")
+    rig(
+        "simulate",
+        folder / "rig.toml",
+        "--machine",
+        folder / "truth.json",
+        "--plan",
+        f"commands:{folder / 'commands.csv'}",
+        "--seed",
+        "99",
+        *drive,
+        "--out",
+        folder / "drive",
+        "--truth",
+        folder / "drive.json",
+    )
     capfd.readouterr()
     rig("verify", folder / "calibration.json", folder / "drive", "--wanted", folder / taken, "--json")
     return json.loads(capfd.readouterr().out)

@@ -1,4 +1,6 @@
-"""A rig that is run in tests: an emulated controller at a pseudo-terminal, cameras that answer at once, and runners that can be killed."""
+"""A rig that is run in tests: an emulated controller at a pseudo-terminal, cameras that answer at once, and runners
+that can be killed.
+"""
 
 import json
 import multiprocessing
@@ -46,11 +48,15 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
     threading.Thread(target=cameras, args=(listening,), daemon=True).start()
     link = Path(folder) / "port"
     text = hexapod_layout.hexapod_layout(0.3, cameras=1, width=WIDTH, height=HEIGHT).replace(
-        'shutter = "global"', f'shutter = "global"\nsource = "emulator:127.0.0.1:{listening.getsockname()[1]}"')
+        'shutter = "global"', f'shutter = "global"\nsource = "emulator:127.0.0.1:{listening.getsockname()[1]}"'
+    )
     (Path(folder) / "rig.toml").write_text(text + CONTROLLER.format(protocol=protocol, port=link))
     clock = SystemClock()
-    made = emulators.emulator_of_design(design_file.load(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock)
-    wire, told = terminal_and_tcp_server.Terminal(link), open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
+    made = emulators.emulator_of_design(
+        design_file.load(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock
+    )
+    wire = terminal_and_tcp_server.Terminal(link)
+    told = open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
     count = 0
 
     def record() -> None:
@@ -65,7 +71,9 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
 
 
 class EmulatedRig:
-    """An emulator in a process of its own, in a folder with rig.toml, port and told.csv (the goals of all moves that it carried out)."""
+    """An emulator in a process of its own, in a folder with rig.toml, port and told.csv (the goals of all moves that it
+    carried out).
+    """
 
     def __init__(self, folder: Path, protocol: str = "grblhal") -> None:
         self.folder = folder

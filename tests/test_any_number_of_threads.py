@@ -1,4 +1,6 @@
-"""The same recording gives the same calibration.json, to the last byte, for any number of threads and processes at work."""
+"""The same recording gives the same calibration.json, to the last byte, for any number of threads and processes at
+work.
+"""
 
 import os
 import re
@@ -19,8 +21,12 @@ COUNTS = ("1", "2")
 def calibration(recording, threads, *words):
     """The bytes of a calibration made by a process that so many threads are given to, but for when it was made."""
     env = {**os.environ, "PYTHONHASHSEED": threads}
-    env |= {name: threads for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
-    done = subprocess.run([*RIG, "calibrate", str(recording), *words, "--out", "-"], capture_output=True, env=env, timeout=900)
+    env |= {
+        name: threads for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    }
+    done = subprocess.run(
+        [*RIG, "calibrate", str(recording), *words, "--out", "-"], capture_output=True, env=env, timeout=900
+    )
     assert done.returncode == 0, done.stderr.decode()
     assert len(WHEN.findall(done.stdout)) == 1
     return WHEN.sub(b"", done.stdout)

@@ -1,4 +1,6 @@
-"""Mechanisms one upon the other: a hexapod on a gantry, moved, calibrated stage by stage from one recording, corrected, driven and verified."""
+"""Mechanisms one upon the other: a hexapod on a gantry, moved, calibrated stage by stage from one recording, corrected,
+driven and verified.
+"""
 
 import json
 from dataclasses import replace
@@ -50,7 +52,9 @@ def test_a_chain_is_its_stages_one_upon_the_other(gantry):
 def test_the_jacobians_are_the_differences(gantry):
     x = low_discrepancy(chain.travel(gantry), 1, 0.5)[0]
     at = chain.forward(x, gantry)
-    np.testing.assert_allclose(chain.jacobian(x, gantry), differences(lambda v: log(at.inv() * chain.forward(v, gantry)), x), atol=1e-8)
+    np.testing.assert_allclose(
+        chain.jacobian(x, gantry), differences(lambda v: log(at.inv() * chain.forward(v, gantry)), x), atol=1e-8
+    )
     still = np.zeros(len(error_model.names(gantry)))
     of = differences(lambda p: log(at.inv() * chain.forward(x, error_model.moved(gantry, p))), still)
     np.testing.assert_allclose(error_model.parameter_jacobian(x[None], gantry)[0], of, atol=1e-7)
@@ -60,29 +64,66 @@ def test_the_inverse_reaches_poses_within_the_travels_and_says_which_it_does_not
     x = low_discrepancy(chain.travel(gantry), 12, 0.5, 3)
     wanted = chain.forward(x, gantry)
     found = chain.inverse(wanted, gantry)
-    assert np.abs(pose_difference(chain.forward(found, gantry), wanted)).max() < 1e-10 and not chain.limits(found, gantry).any()
+    assert (
+        np.abs(pose_difference(chain.forward(found, gantry), wanted)).max() < 1e-10
+        and not chain.limits(found, gantry).any()
+    )
     middle, span = chain.travel(gantry).mean(axis=1), np.ptp(chain.travel(gantry), axis=1)
-    assert (np.linalg.norm((found - middle) / span, axis=1) < np.linalg.norm((x - middle) / span, axis=1) + 1e-6).all()  # nearest the middle
+    assert (
+        np.linalg.norm((found - middle) / span, axis=1) < np.linalg.norm((x - middle) / span, axis=1) + 1e-6
+    ).all()  # nearest the middle
     with pytest.raises(Unreachable, match="1 of 2 poses") as error:
         chain.inverse(RigidTransform.concatenate([wanted[0], pose([0, 0, 0.4], [3.0, 0, 0])]), gantry)
     assert error.value.index.tolist() == [1]
 
 
 def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path):
-    """z-scores of every parameter of every stage; the six figures of where the hexapod stands on the carriage have no information."""
+    """z-scores of every parameter of every stage; the six figures of where the hexapod stands on the carriage have no
+    information.
+    """
     design = written(tmp_path)
-    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:60", "--seed", "2", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:60",
+        "--seed",
+        "2",
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     true, _ = machine_json.load_machine(tmp_path / "truth.json", design)
     samples = sample_recording(recording_folder.load(tmp_path / "rec")).samples
     found = identify(samples, design.mechanism)
-    # the true machine in the parameters that are freedoms of their own: what poses without noise say of it, to the last digit
-    exact = identify(replace(samples, T_base_platform=chain.forward(samples.commanded, true.mechanism), covariance=samples.covariance * 1e-8),
-                     design.mechanism)
-    assert np.abs(pose_difference(chain.forward(samples.commanded, exact.chain), chain.forward(samples.commanded, true.mechanism))).max() < 1e-7
+    # the true machine in the parameters that are freedoms of their own: what poses without noise say of it, to the last
+    # digit
+    exact = identify(
+        replace(
+            samples,
+            T_base_platform=chain.forward(samples.commanded, true.mechanism),
+            covariance=samples.covariance * 1e-8,
+        ),
+        design.mechanism,
+    )
+    assert (
+        np.abs(
+            pose_difference(
+                chain.forward(samples.commanded, exact.chain), chain.forward(samples.commanded, true.mechanism)
+            )
+        ).max()
+        < 1e-7
+    )
     free = np.diag(found.covariance) > 0
     off, covariance = (found.step - exact.step)[free], found.covariance[np.ix_(free, free)]
     for part in error_model.parts(design.mechanism):  # stage by stage
-        assert np.abs((found.step - exact.step)[part][free[part]] / np.sqrt(np.diag(found.covariance)[part][free[part]])).max() < 3
+        assert (
+            np.abs(
+                (found.step - exact.step)[part][free[part]] / np.sqrt(np.diag(found.covariance)[part][free[part]])
+            ).max()
+            < 3
+        )
     told = np.linalg.eigh(covariance)
     sharp = told.eigenvalues < (2e-4) ** 2  # combinations told better than machines are off
     z = told.eigenvectors[:, sharp].T @ off / np.sqrt(told.eigenvalues[sharp])
@@ -96,7 +137,14 @@ def test_of_a_machine_as_stated_nothing_is_off(gantry):
     """A machine as stated: nothing is found to be off, and what is named as untold is told by parameters of its own."""
     x = low_discrepancy(chain.travel(gantry), 40, 0.9)
     T = chain.forward(x, gantry) * exp(np.zeros(6))
-    samples = Samples(np.arange(40), np.arange(40.0), x, T, np.tile(np.diag([1e-10] * 3 + [1e-9] * 3), (40, 1, 1)), np.zeros((40, 6, 0)))
+    samples = Samples(
+        np.arange(40),
+        np.arange(40.0),
+        x,
+        T,
+        np.tile(np.diag([1e-10] * 3 + [1e-9] * 3), (40, 1, 1)),
+        np.zeros((40, 6, 0)),
+    )
     found = identify(samples, gantry)
     assert np.abs(found.step).max() < 1e-6 and found.inliers.all()
     for one in found.undetermined:
@@ -108,13 +156,26 @@ def test_of_a_machine_as_stated_nothing_is_off(gantry):
 
 def test_a_loop_closes_under_an_instrument(tmp_path, capfd):
     design = written(tmp_path)
-    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:60", "--seed", "2", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:60",
+        "--seed",
+        "2",
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     m = design.mechanism
     found = verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 8, 0.5, 5), m)))
     holds(found)
     assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]
     kept = calibration_file.load(tmp_path / "calibration.json").correction
-    assert [stage.kind for stage in kept.fitted.stages] == ["arm", "hexapod"] and json.loads((tmp_path / "calibration.json").read_text())["claim"]
+    assert [stage.kind for stage in kept.fitted.stages] == ["arm", "hexapod"] and json.loads(
+        (tmp_path / "calibration.json").read_text()
+    )["claim"]
 
 
 def test_an_instrument_that_sees_positions_alone_says_so_of_a_carriage_too(design, tmp_path, capfd):
@@ -132,9 +193,14 @@ def test_an_instrument_that_sees_positions_alone_says_so_of_a_carriage_too(desig
     assert "positions alone calibrate arms, not a mechanism of kind 'chain'" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("change, says", [
-    (('kind = "chain"', 'kind = "chian"'), "must be one of"), (('kind = "arm"', 'kind = "chain"'), "must be one of"),
-    (("[[mechanism.stage]]   # a gantry", "[[mechanism.spare]]   # a gantry"), "two stages or more")])
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        (('kind = "chain"', 'kind = "chian"'), "must be one of"),
+        (('kind = "arm"', 'kind = "chain"'), "must be one of"),
+        (("[[mechanism.stage]]   # a gantry", "[[mechanism.spare]]   # a gantry"), "two stages or more"),
+    ],
+)
 def test_what_is_no_chain_is_told_by_line(tmp_path, change, says):
     written(tmp_path)
     text = (tmp_path / "rig.toml").read_text()
@@ -144,20 +210,31 @@ def test_what_is_no_chain_is_told_by_line(tmp_path, change, says):
     assert error.value.line is not None
 
 
-@pytest.mark.parametrize("text, place", [("backlash:stage2strut3:gap=1e-4", "stage 2 strut 3"),
-                                         ("backlash:stage 1 joint 2:gap=1e-4", "stage 1 slide 2")])
+@pytest.mark.parametrize(
+    "text, place",
+    [("backlash:stage2strut3:gap=1e-4", "stage 2 strut 3"), ("backlash:stage 1 joint 2:gap=1e-4", "stage 1 slide 2")],
+)
 def test_effects_sit_at_the_axes_of_stages(design, gantry, text, place):
     effect = require_place(parse_effect(text), design)
     assert effect.place == place
     t = np.array([0.0, 1.0, 2.0, 3.0])
     home, far = chain.home(gantry), chain.travel(gantry)[:, 0]
-    still, held = (run_machine(design, Commands(t, np.array([home, far, home, home])), t[2:], effects).deviation for effects in ((), (effect,)))
+    still, held = (
+        run_machine(design, Commands(t, np.array([home, far, home, home])), t[2:], effects).deviation
+        for effects in ((), (effect,))
+    )
     at = chain_places(gantry).index(place)
     assert np.abs(held[:, at] - still[:, at]).min() > 4e-5 and not np.delete(held - still, at, axis=1).any()
 
 
-@pytest.mark.parametrize("text, says", [("backlash:stage 3 strut 1:gap=1e-4", "no such axis; is 'stage 2 strut 1' meant"),
-                                        ("backlash:stage 1 strut 2:gap=1e-4", "no such axis"), ("backlash:s1q1:gap=1e-4", "cannot sit at")])
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        ("backlash:stage 3 strut 1:gap=1e-4", "no such axis; is 'stage 2 strut 1' meant"),
+        ("backlash:stage 1 strut 2:gap=1e-4", "no such axis"),
+        ("backlash:s1q1:gap=1e-4", "cannot sit at"),
+    ],
+)
 def test_places_that_a_chain_does_not_have_are_refused(design, text, says):
     with pytest.raises(RigError, match=says):
         require_place(parse_effect(text), design)
@@ -177,14 +254,33 @@ def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
 
 @pytest.mark.slow
 def test_effects_are_found_at_their_stages(tmp_path, capfd):
-    """Of the whole catalogue, at both stages, the two that are there are found, as large as they are; the page draws both stages."""
+    """Of the whole catalogue, at both stages, the two that are there are found, as large as they are; the page draws
+    both stages.
+    """
     written(tmp_path)
-    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:120,ladder:2", "--seed", "3", "--effect", "backlash:stage 1 slide 2:gap=1e-4",
-        "--effect", "cyclic_error:stage 2 strut 3:amplitude=4e-5", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:120,ladder:2",
+        "--seed",
+        "3",
+        "--effect",
+        "backlash:stage 1 slide 2:gap=1e-4",
+        "--effect",
+        "cyclic_error:stage 2 strut 3:amplitude=4e-5",
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     rig("diagnose", tmp_path / "rec", "--out", tmp_path / "found")
     assert "backlash at stage 1 slide 2: gap" in capfd.readouterr().out
     found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())["findings"]
-    assert [(f["effect"], f["place"]) for f in found] == [("backlash", "stage 1 slide 2"), ("cyclic_error", "stage 2 strut 3")]
+    assert [(f["effect"], f["place"]) for f in found] == [
+        ("backlash", "stage 1 slide 2"),
+        ("cyclic_error", "stage 2 strut 3"),
+    ]
     for one, name, true in zip(found, ("gap", "amplitude"), (1e-4, 4e-5)):
         low, high = one["parameters"][name]["ci95"]
         assert low < true < high and one["parameters"][name]["unit"] == "m"
@@ -196,7 +292,14 @@ def test_effects_are_found_at_their_stages(tmp_path, capfd):
 @pytest.mark.slow
 def test_moves_that_tell_effects_of_two_stages_apart(tmp_path, capfd):
     written(tmp_path)
-    rig("plan", tmp_path / "rig.toml", "--separate", "backlash:stage1slide1:gap=1e-4", "backlash:stage2strut1:gap=1e-4", "--out",
-        tmp_path / "plan.csv")
+    rig(
+        "plan",
+        tmp_path / "rig.toml",
+        "--separate",
+        "backlash:stage1slide1:gap=1e-4",
+        "backlash:stage2strut1:gap=1e-4",
+        "--out",
+        tmp_path / "plan.csv",
+    )
     said = capfd.readouterr().out
     assert float(said.splitlines()[1].split()[0]) > 5 and "best: " in said

@@ -1,4 +1,6 @@
-"""Chains that cameras see: cubes on the carriage tell stages apart, are drawn and measured, and loops close from corners and images."""
+"""Chains that cameras see: cubes on the carriage tell stages apart, are drawn and measured, and loops close from
+corners and images.
+"""
 
 from dataclasses import replace
 
@@ -23,13 +25,26 @@ from tests.loops import holds, lines, rig, verified
 
 
 def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
-    """Where the hexapod stands on the carriage is told by what the carriage shows: each figure within 3.5 sigma, none untold; without, six are."""
+    """Where the hexapod stands on the carriage is told by what the carriage shows: each figure within 3.5 sigma, none
+    untold; without, six are.
+    """
     design = written(tmp_path, seen=True, carriage=True)
-    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:30", "--seed", "4", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:30",
+        "--seed",
+        "4",
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     true, _ = machine_json.load_machine(tmp_path / "truth.json", design)
     read = recording_folder.load(tmp_path / "rec")
     samples = sample_recording(read).samples
-    stage, = samples.below
+    (stage,) = samples.below
     stands = chain.stage_poses(samples.commanded, true.mechanism)[0]
     whole = stage.covariance + stage.common @ np.swapaxes(stage.common, 1, 2)
     off = pose_difference(stands, stage.T_base_stage)
@@ -41,13 +56,23 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
         and {one.base_stages for one in alone.undetermined} >= {(2, 1)}
         and sum(one.base_stages == (2, 1) for one in alone.undetermined) == 6
     )
-    assert found.determined_by_stage[1] == (42, 42) and alone.determined_by_stage[1][0] <= 36 and found.below == ((1, 30, 30),)
-    exact = replace(samples, T_base_platform=chain.forward(samples.commanded, true.mechanism), covariance=samples.covariance * 1e-8,
-                    common=samples.common[..., :0], below=(replace(stage, T_base_stage=stands, covariance=stage.covariance * 1e-8,
-                                                                   common=stage.common[..., :0]),))
+    assert (
+        found.determined_by_stage[1] == (42, 42)
+        and alone.determined_by_stage[1][0] <= 36
+        and found.below == ((1, 30, 30),)
+    )
+    exact = replace(
+        samples,
+        T_base_platform=chain.forward(samples.commanded, true.mechanism),
+        covariance=samples.covariance * 1e-8,
+        common=samples.common[..., :0],
+        below=(replace(stage, T_base_stage=stands, covariance=stage.covariance * 1e-8, common=stage.common[..., :0]),),
+    )
     step, sigma = identify(exact, design.mechanism).step, np.sqrt(np.diag(found.covariance))
     free = sigma > 0
-    assert np.abs((found.step - step)[free] / sigma[free]).max() < 3.5 and np.abs(step[free]).max() > 3 * np.median(sigma[free])
+    assert np.abs((found.step - step)[free] / sigma[free]).max() < 3.5 and np.abs(step[free]).max() > 3 * np.median(
+        sigma[free]
+    )
     upper = error_model.parts(design.mechanism)[1]
     assert np.median(np.sqrt(np.diag(alone.covariance)[upper])) > 2 * np.median(sigma[upper])
 
@@ -56,15 +81,30 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
 def test_stages_that_are_measured_stand_in_files_of_their_own(tmp_path, capfd):
     """What `rig measure` wrote is read again, and what an instrument says of the carriage is used as well."""
     design = written(tmp_path, seen=True, carriage=True)
-    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:8", "--seed", "4", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:8",
+        "--seed",
+        "4",
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     capfd.readouterr()
     rig("measure", tmp_path / "rec", "--out", tmp_path / "measured")
     said = capfd.readouterr().out
     assert "stage 1: 8 of 8 frames solved, poses to" in said and "poses_stage1.csv" in said
-    assert command_line.main(["measure", str(tmp_path / "rec"), "--places", "free", "--out", str(tmp_path / "free")]) == 1
+    assert (
+        command_line.main(["measure", str(tmp_path / "rec"), "--places", "free", "--out", str(tmp_path / "free")]) == 1
+    )
     assert "places of markers cannot be adjusted on a rig with targets on stages" in capfd.readouterr().err
     back = recording_folder.load(tmp_path / "measured")
-    assert len(back.corners.frame) == len(recording_folder.load(tmp_path / "rec").corners.frame) and list(back.stages) == [1]
+    assert len(back.corners.frame) == len(recording_folder.load(tmp_path / "rec").corners.frame) and list(
+        back.stages
+    ) == [1]
     by_vision = sample_recording(back).samples
     (tmp_path / "measured" / "corners.csv").unlink()
     by_file = sample_recording(recording_folder.load(tmp_path / "measured")).samples
@@ -76,9 +116,16 @@ def test_stages_that_are_measured_stand_in_files_of_their_own(tmp_path, capfd):
     assert design.targets[-1].stage == 1 and not design.without_stages().targets[-1].stage
 
 
-@pytest.mark.parametrize("change, says", [
-    (('body = "stage 1"', 'body = "stage 2"'), "must be one of 'platform', 'base', 'stage 1', not 'stage 2'"),
-    (('shutter = "global"', 'shutter = "global"\nmount = "moving"'), "which cameras that stand still measure, and camera 'cam0' moves")])
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        (('body = "stage 1"', 'body = "stage 2"'), "must be one of 'platform', 'base', 'stage 1', not 'stage 2'"),
+        (
+            ('shutter = "global"', 'shutter = "global"\nmount = "moving"'),
+            "which cameras that stand still measure, and camera 'cam0' moves",
+        ),
+    ],
+)
 def test_cubes_that_cannot_be_measured_on_a_stage_are_told_by_line(tmp_path, change, says):
     written(tmp_path, seen=True, carriage=True)
     text = (tmp_path / "rig.toml").read_text()
@@ -95,7 +142,12 @@ def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp
     stages = chain.stage_poses(x, m)
     poses = rig_meshes.body_poses(m, [T[0] for T in stages])
     parts = {part.body for part in rig_meshes.rig_parts(design)}
-    assert {"stage 1", "platform", "base", *(f"stage 2 strut {i + 1} {end}" for i in range(6) for end in ("lower", "upper"))} <= parts
+    assert {
+        "stage 1",
+        "platform",
+        "base",
+        *(f"stage 2 strut {i + 1} {end}" for i in range(6) for end in ("lower", "upper")),
+    } <= parts
     assert parts <= set(poses)
     feet = stages[0][0].apply(m.stages[1].base_joints)
     heads = stages[1][0].apply(m.stages[1].platform_joints)
@@ -118,16 +170,40 @@ def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp
 @pytest.mark.parametrize("carriage", [False, True])
 def test_a_loop_closes_from_images(tmp_path, capfd, carriage):
     design = written(tmp_path, seen=True, cameras=2, size=(800, 640), carriage=carriage)
-    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:24", "--seed", "2", "--images", "--out", tmp_path / "rec", "--truth",
-        tmp_path / "truth.json")
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:24",
+        "--seed",
+        "2",
+        "--images",
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     m = design.mechanism
-    holds(verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 4, 0.5, 5), m)), ("--images",)))
+    holds(
+        verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 4, 0.5, 5), m)), ("--images",))
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("carriage", [False, True])
 def test_a_loop_closes_from_corners(tmp_path, capfd, carriage):
     design = written(tmp_path, seen=True, carriage=carriage)
-    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:60", "--seed", "2", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:60",
+        "--seed",
+        "2",
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     m = design.mechanism
     holds(verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 8, 0.5, 5), m))))

@@ -34,7 +34,9 @@ def test_measure_writes_what_the_contract_says(worked):
     base, _ = worked
     out = base / "measured"
     header = (out / "poses.csv").read_text().splitlines()[0].split(",")
-    assert header[:7] == ["frame", "x", "y", "z", "rx", "ry", "rz"] and header[7:] == list(corner_and_pose_tables.COVARIANCE_COLUMNS)
+    assert header[:7] == ["frame", "x", "y", "z", "rx", "ry", "rz"] and header[7:] == list(
+        corner_and_pose_tables.COVARIANCE_COLUMNS
+    )
     assert (out / "corners.csv").read_text().splitlines()[0].startswith("frame,camera,marker,corner,u,v,sigma")
     nominal, adjusted = design_file.load(base / "fit" / "rig.toml"), design_file.load(out / "rig.toml")
     assert np.abs(pose_difference(nominal.cameras[0].pose, adjusted.cameras[0].pose)).max() > 1e-4
@@ -43,21 +45,54 @@ def test_measure_writes_what_the_contract_says(worked):
     page = (out / "report.html").read_text()
     links = Links()
     links.feed(page)
-    assert not links.outside and page.count('<svg class="figure"') >= 5 and "://" not in page and "<strong>good</strong>" in page
+    assert (
+        not links.outside
+        and page.count('<svg class="figure"') >= 5
+        and "://" not in page
+        and "<strong>good</strong>" in page
+    )
 
 
 def test_results_for_programs_are_whole_json_and_say_what_the_files_say(worked, tmp_path):
     base, _ = worked
     measured, calibrated = (json.loads((base / f"{command}.said").read_text()) for command in ("measure", "calibrate"))
-    assert (measured["schema"], measured["frames"], measured["solved"], measured["unsolved"]) == ("measured/1", 60, 60, {})
-    np.testing.assert_allclose(measured["cameras"][0]["matrix"], design_file.load(base / "measured" / "rig.toml").cameras[0].matrix, atol=1e-6)
+    assert (measured["schema"], measured["frames"], measured["solved"], measured["unsolved"]) == (
+        "measured/1",
+        60,
+        60,
+        {},
+    )
+    np.testing.assert_allclose(
+        measured["cameras"][0]["matrix"], design_file.load(base / "measured" / "rig.toml").cameras[0].matrix, atol=1e-6
+    )
     stored = json.loads((base / "calibration.json").read_text())
-    assert calibrated["held_out"] == stored["held_out"] and calibrated["claim"] == stored["claim"] and calibrated["poses"] == 60
-    done = run("correct", base / "calibration.json", "--poses", base / "measured" / "poses.csv", "--out", tmp_path / "c.csv", "--json")
+    assert (
+        calibrated["held_out"] == stored["held_out"]
+        and calibrated["claim"] == stored["claim"]
+        and calibrated["poses"] == 60
+    )
+    done = run(
+        "correct",
+        base / "calibration.json",
+        "--poses",
+        base / "measured" / "poses.csv",
+        "--out",
+        tmp_path / "c.csv",
+        "--json",
+    )
     told, rows = json.loads(done.stdout), np.loadtxt(tmp_path / "c.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose([row["values"] for row in told["commands"]], rows[:, 1:], atol=1e-10)
     assert "60 of 60 poses written" in done.stderr
-    both = run("correct", base / "calibration.json", "--poses", base / "measured" / "poses.csv", "--out", "-", "--json", ok=False)
+    both = run(
+        "correct",
+        base / "calibration.json",
+        "--poses",
+        base / "measured" / "poses.csv",
+        "--out",
+        "-",
+        "--json",
+        ok=False,
+    )
     assert "both write to the standard output" in both.stderr and not both.stdout
 
 
@@ -73,15 +108,21 @@ def test_the_recording_stays_as_it_was(worked, tmp_path, design, rig_text):
 
 def test_calibration_corrects_the_true_machine(worked, tmp_path):
     base, secret = worked
-    wanted = hexapod.forward(secret.stated.mechanism.strut_range.mean(axis=1) + 0.02 * np.random.default_rng(0).uniform(-1, 1, (30, 6)),
-                             secret.stated.mechanism)
+    wanted = hexapod.forward(
+        secret.stated.mechanism.strut_range.mean(axis=1) + 0.02 * np.random.default_rng(0).uniform(-1, 1, (30, 6)),
+        secret.stated.mechanism,
+    )
     recording_tables.write_poses(tmp_path / "wanted.csv", recording_folder.Poses(np.arange(30) * 2, wanted, None))
     run("correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "commands.csv")
     lines = (tmp_path / "commands.csv").read_text().splitlines()
-    assert lines[0] == "frame,l1,l2,l3,l4,l5,l6" and [int(line.split(",")[0]) for line in lines[1:]] == list(range(0, 60, 2))
+    assert lines[0] == "frame,l1,l2,l3,l4,l5,l6" and [int(line.split(",")[0]) for line in lines[1:]] == list(
+        range(0, 60, 2)
+    )
     commands = np.array([line.split(",")[1:] for line in lines[1:]], float)
     after = pose_difference(wanted, hexapod.forward(commands, secret.true.mechanism))
-    before = pose_difference(wanted, hexapod.forward(hexapod.inverse(wanted, secret.stated.mechanism), secret.true.mechanism))
+    before = pose_difference(
+        wanted, hexapod.forward(hexapod.inverse(wanted, secret.stated.mechanism), secret.true.mechanism)
+    )
     assert np.linalg.norm(before[:, :3], axis=1).mean() > 15 * np.linalg.norm(after[:, :3], axis=1).mean()
 
 
@@ -121,7 +162,10 @@ def test_verify_reports_held_out_figures(worked):
 def test_calibrating_what_was_measured_gives_the_same(worked, tmp_path):
     base, _ = worked
     run("calibrate", base / "measured", "--out", tmp_path / "c.json")
-    one, two = (np.array(json.loads(path.read_text())["fitted"]["base_joints"]) for path in (base / "calibration.json", tmp_path / "c.json"))
+    one, two = (
+        np.array(json.loads(path.read_text())["fitted"]["base_joints"])
+        for path in (base / "calibration.json", tmp_path / "c.json")
+    )
     np.testing.assert_allclose(one, two, atol=3e-6)
 
 
@@ -138,27 +182,45 @@ def test_images_go_all_the_way(tmp_path):
     tree = json.loads(run("verify", tmp_path / "c.json", BENCH / "check", "--json").stdout)
     assert tree["n"] == 6 and tree["ratio"]["position"] > 8
     assert tree["after"]["position"]["rms"] < tree["measurement_uncertainty"]["position"]
-    assert any("images" in name for name in json.loads((tmp_path / "c.json").read_text())["provenance"]["inputs_sha256"])
+    assert any(
+        "images" in name for name in json.loads((tmp_path / "c.json").read_text())["provenance"]["inputs_sha256"]
+    )
 
 
 def test_unreachable_poses_are_listed_and_nothing_is_written(worked, tmp_path):
     base, _ = worked
-    (tmp_path / "wanted.csv").write_text("frame,x,y,z,rx,ry,rz\n4,0,0,0.45,0,0,0\n5,0,0,0.75,0,0,0\n6,0.4,0,0.45,0,0,0\n")
-    arguments = ("correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "commands.csv")
+    (tmp_path / "wanted.csv").write_text(
+        "frame,x,y,z,rx,ry,rz\n4,0,0,0.45,0,0,0\n5,0,0,0.75,0,0,0\n6,0.4,0,0.45,0,0,0\n"
+    )
+    arguments = (
+        "correct",
+        base / "calibration.json",
+        "--poses",
+        tmp_path / "wanted.csv",
+        "--out",
+        tmp_path / "commands.csv",
+    )
     done = run(*arguments, ok=False)
-    assert "2 of 3 wanted poses cannot be reached" in done.stderr and "frame 5: strut 1" in done.stderr and "frame 6:" in done.stderr
+    assert (
+        "2 of 3 wanted poses cannot be reached" in done.stderr
+        and "frame 5: strut 1" in done.stderr
+        and "frame 6:" in done.stderr
+    )
     assert not (tmp_path / "commands.csv").exists()
     done = run(*arguments, "--skip-unreachable")
     assert "left out, as asked" in done.stderr
     assert [line.split(",")[0] for line in (tmp_path / "commands.csv").read_text().splitlines()] == ["frame", "4"]
 
 
-@pytest.mark.parametrize("arguments, says", [
-    (("measure", "nowhere", "--out", "x"), "no such folder"),
-    (("calibrate", "nowhere", "--out", "x.json"), "no such folder"),
-    (("correct", "nowhere.json", "--poses", "p.csv", "--out", "c.csv"), "no such file"),
-    (("verify", "nowhere.json", "nowhere"), "no such file"),
-])
+@pytest.mark.parametrize(
+    "arguments, says",
+    [
+        (("measure", "nowhere", "--out", "x"), "no such folder"),
+        (("calibrate", "nowhere", "--out", "x.json"), "no such folder"),
+        (("correct", "nowhere.json", "--poses", "p.csv", "--out", "c.csv"), "no such file"),
+        (("verify", "nowhere.json", "nowhere"), "no such file"),
+    ],
+)
 def test_a_typo_in_a_path_is_said_in_one_line(arguments, says):
     done = run(*arguments, ok=False)
     assert says in done.stderr and done.stderr.count("\n") == 1 and done.returncode == 1
@@ -177,7 +239,9 @@ def test_more_that_goes_wrong(worked, tmp_path):
     said = run("calibrate", base / "fit", "--out", tmp_path / "c.json", "--diagnosis", base / "check", ok=False).stderr
     assert "holds no diagnosis.json; --diagnosis takes a folder that `rig diagnose` wrote" in said
     (tmp_path / "wanted.csv").write_text("x;y;z;rx;ry;rz\n0;0;0,45;0;0;0\n")
-    said = run("correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "o.csv", ok=False).stderr
+    said = run(
+        "correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "o.csv", ok=False
+    ).stderr
     assert "separated by semicolons, and tables here are by commas" in said
     still = tmp_path / "still"
     shutil.copytree(base / "check", still)
@@ -199,7 +263,9 @@ def test_bars_on_a_terminal_and_none_in_a_pipe(tmp_path):
     except OSError:
         pytest.skip("no pseudo-terminals here")
     termios.tcsetwinsize(other, (24, 80))
-    process = subprocess.Popen([*RIG, "measure", str(BENCH / "check"), "--out", str(tmp_path / "p")], stderr=other, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        [*RIG, "measure", str(BENCH / "check"), "--out", str(tmp_path / "p")], stderr=other, stdout=subprocess.DEVNULL
+    )
     os.close(other)
     seen = b""
     try:
@@ -208,19 +274,34 @@ def test_bars_on_a_terminal_and_none_in_a_pipe(tmp_path):
     except OSError:
         pass  # the terminal closed: all has been read
     assert process.wait(timeout=60) == 0
-    assert any(label in seen for label in (b"reading images", b"locating", b"adjusting")) and b"%" in seen  # what is over at once shows none
+    assert (
+        any(label in seen for label in (b"reading images", b"locating", b"adjusting")) and b"%" in seen
+    )  # what is over at once shows none
 
 
 def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
     from rig.effects.catalogue.marker_swap import MarkerSwap
 
     folder = tmp_path / "swapped"
-    marker = next(face[1] for target in design.targets if target.body == "platform" for face in target.faces if face[0] == "+z")
-    other = next(face[1] for target in design.targets[::-1] if target.body == "platform" for face in target.faces if face[0] == "+z")
+    marker = next(
+        face[1] for target in design.targets if target.body == "platform" for face in target.faces if face[0] == "+z"
+    )
+    other = next(
+        face[1]
+        for target in design.targets[::-1]
+        if target.body == "platform"
+        for face in target.faces
+        if face[0] == "+z"
+    )
     assert marker != other
-    _, truth = make_recording(folder, design, rig_text, 5, count=10, effects=(MarkerSwap(f"marker {marker}", other=float(other)),))
+    _, truth = make_recording(
+        folder, design, rig_text, 5, count=10, effects=(MarkerSwap(f"marker {marker}", other=float(other)),)
+    )
     done = run("measure", folder, "--out", tmp_path / "out")
     said = f"marker {marker}: is exchanged with marker {other}"
     assert "2 markers are not what rig.toml says" in done.stdout and said in done.stdout
     assert said in (tmp_path / "out/report.html").read_text()
-    assert np.abs(pose_difference(recording_folder.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max() < 1e-3
+    assert (
+        np.abs(pose_difference(recording_folder.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max()
+        < 1e-3
+    )

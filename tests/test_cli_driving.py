@@ -46,7 +46,18 @@ def calibration(emulated, rig):
     nominal = design_file.load(rig).mechanism
     fitted = secret_machine.draw_machine(design_file.load(rig), np.random.default_rng(4)).true.mechanism
     path = emulated.folder / "calibration.json"
-    save(path, Calibration(Correction(nominal, fitted, (None,) * 6), np.eye(42) * 1e-12, np.zeros(6), (0,), (), None, {"inputs_sha256": {}}))
+    save(
+        path,
+        Calibration(
+            Correction(nominal, fitted, (None,) * 6),
+            np.eye(42) * 1e-12,
+            np.zeros(6),
+            (0,),
+            (),
+            None,
+            {"inputs_sha256": {}},
+        ),
+    )
     return str(path), fitted
 
 
@@ -61,7 +72,10 @@ def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calib
     assert "position not known: home" in said(capsys, "status", rig)
     assert "is not known" in said(capsys, "jog", rig, "--by", "1", ok=False)
     assert "pose by the owner's model 0.000" in said(capsys, "home", rig).replace("-0.000", "0.000")
-    lengths = [float(x) for x in re.search(r"lengths (.*) mm", said(capsys, "jog", rig, "--strut", "3", "--by", "1.5"))[1].split()]
+    lengths = [
+        float(x)
+        for x in re.search(r"lengths (.*) mm", said(capsys, "jog", rig, "--strut", "3", "--by", "1.5"))[1].split()
+    ]
     assert lengths[2] - lengths[0] == pytest.approx(1.5, abs=2e-3)
     assert len(emulated.told()) == 1
     wanted = "0.01,0.02,0.44,0.01,0.03,0.05"
@@ -77,7 +91,9 @@ def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calib
     np.testing.assert_allclose(there["lengths"], there["commanded"], atol=1e-6)
     assert there["moved"] and np.linalg.norm(there["left"][:3]) < 1e-5
     T = mechanisms.kinematics_of(fitted).forward(np.array(emulated.told()[-1]), fitted)
-    np.testing.assert_allclose(pose_to_vector(T), [float(x) for x in wanted.split(",")], atol=3e-6)  # micrometres are what the controller takes
+    np.testing.assert_allclose(
+        pose_to_vector(T), [float(x) for x in wanted.split(",")], atol=3e-6
+    )  # micrometres are what the controller takes
     assert "idle" in said(capsys, "stop", rig)
 
 
@@ -85,18 +101,41 @@ def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, ca
     said(capsys, "home", rig)
     before = len(emulated.told())
     for words, why in (
-            (("jog", rig, "--by", "500"), "beyond what the struts reach"), (("jog", rig, "--strut", "7", "--by", "1"), "--strut takes 1 .. 6"),
-            (("jog", rig, "--to", "1,2"), "6 lengths in mm"), (("jog", rig, "--by", "1", "--speed", "2"), "share above 0"),
-            (("go", calibration[0], "--rig", rig, "--pose", "0,0,0.9,0,0,0"), "cannot be reached"),
-            (("go", calibration[0], "--rig", rig, "--pose", "0,0,0.45"), "six figures"),
-            (("go", calibration[0], "--rig", rig, "--pose", "-0.5,0,0.45,0,0,0"), "cannot be reached"),
-            (("go", calibration[0], "--rig", rig, "--pose", "10,0,450,0,0,5"), r"450 m is implausible: poses are in metres .*millimetres\?"),
-            (("run", rig, "--plan", "moving:5", "--out", str(tmp_path / "r")), "while the struts move"),
-            (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--resume"), "no run to resume"),
-            (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--stop-on", "rain"), "--stop-on takes jump"),
-            (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--stop-on", "drift"), "--calibration and a --tolerance"),
-            (("run", rig, "--plan", "sobol:2", "--out", str(emulated.folder)), "is there already"),
-            (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--settle", "limbs:1e-6", "--exposure", "keep"), r"\[sensors\] table")):
+        (("jog", rig, "--by", "500"), "beyond what the struts reach"),
+        (("jog", rig, "--strut", "7", "--by", "1"), "--strut takes 1 .. 6"),
+        (("jog", rig, "--to", "1,2"), "6 lengths in mm"),
+        (("jog", rig, "--by", "1", "--speed", "2"), "share above 0"),
+        (("go", calibration[0], "--rig", rig, "--pose", "0,0,0.9,0,0,0"), "cannot be reached"),
+        (("go", calibration[0], "--rig", rig, "--pose", "0,0,0.45"), "six figures"),
+        (("go", calibration[0], "--rig", rig, "--pose", "-0.5,0,0.45,0,0,0"), "cannot be reached"),
+        (
+            ("go", calibration[0], "--rig", rig, "--pose", "10,0,450,0,0,5"),
+            r"450 m is implausible: poses are in metres .*millimetres\?",
+        ),
+        (("run", rig, "--plan", "moving:5", "--out", str(tmp_path / "r")), "while the struts move"),
+        (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--resume"), "no run to resume"),
+        (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--stop-on", "rain"), "--stop-on takes jump"),
+        (
+            ("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--stop-on", "drift"),
+            "--calibration and a --tolerance",
+        ),
+        (("run", rig, "--plan", "sobol:2", "--out", str(emulated.folder)), "is there already"),
+        (
+            (
+                "run",
+                rig,
+                "--plan",
+                "sobol:2",
+                "--out",
+                str(tmp_path / "r"),
+                "--settle",
+                "limbs:1e-6",
+                "--exposure",
+                "keep",
+            ),
+            r"\[sensors\] table",
+        ),
+    ):
         assert re.search(why, said(capsys, *words, ok=False)), words
     assert len(emulated.told()) == before
 
@@ -105,16 +144,35 @@ def test_a_controller_that_was_stated_wrongly_says_what_to_look_at(emulated, rig
     text = Path(rig).read_text()
     assert 'protocol = "grblhal"' in text
     (tmp_path / "rig.toml").write_text(text.replace('protocol = "grblhal"', 'protocol = "gcs"\ntimeout = 0.05'))
-    assert "protocol and baudrate in [controller] its own" in said(capsys, "status", str(tmp_path / "rig.toml"), ok=False)
+    assert "protocol and baudrate in [controller] its own" in said(
+        capsys, "status", str(tmp_path / "rig.toml"), ok=False
+    )
     told = said(capsys, "status", rig, "--port", "/dev/nowhere", ok=False)
-    assert re.fullmatch(r"rig status: cannot open /dev/nowhere: No such file or directory; serial ports here: .* \(`rig doctor` lists them\)\n", told)
+    assert re.fullmatch(
+        r"rig status: cannot open /dev/nowhere: No such file or directory; serial ports here: .* \(`rig "
+        r"doctor` lists them\)\n",
+        told,
+    )
 
 
 def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, capsys, tmp_path):
     out = str(tmp_path / "rec")
     text = said(capsys, "run", rig, "--plan", "sobol:3", "--out", out, "--dry-run", "--port", "/dev/nowhere")
     assert "7 steps, 3 frames of 1 cameras" in text and "nothing was moved" in text and not (tmp_path / "rec").exists()
-    said(capsys, "run", rig, "--plan", "sobol:3", "--out", out, "--settle", "time:0", "--exposure", "keep", "--no-measure")
+    said(
+        capsys,
+        "run",
+        rig,
+        "--plan",
+        "sobol:3",
+        "--out",
+        out,
+        "--settle",
+        "time:0",
+        "--exposure",
+        "keep",
+        "--no-measure",
+    )
     assert "is there already; --resume goes on" in said(capsys, "run", rig, "--plan", "sobol:3", "--out", out, ok=False)
     assert "another plan" in said(capsys, "run", rig, "--plan", "sobol:4", "--out", out, "--resume", ok=False)
     rows = [json.loads(line) for line in (tmp_path / "rec" / "journal.jsonl").read_text().splitlines()]
@@ -140,8 +198,23 @@ while True:
 def test_a_run_goes_on_to_its_end_though_its_page_is_flooded(emulated, rig, capsys, tmp_path):
     said(capsys, "home", rig)
     log = tmp_path / "log"
-    process = runner(["run", rig, "--plan", "sobol:6", "--out", str(tmp_path / "rec"), "--settle", "time:0.3", "--exposure", "keep", "--no-measure",
-                      "--page"], log)
+    process = runner(
+        [
+            "run",
+            rig,
+            "--plan",
+            "sobol:6",
+            "--out",
+            str(tmp_path / "rec"),
+            "--settle",
+            "time:0.3",
+            "--exposure",
+            "keep",
+            "--no-measure",
+            "--page",
+        ],
+        log,
+    )
     while process.is_alive() and not (log.exists() and (port := re.search(r"127.0.0.1:(\d+)/", log.read_text()))):
         process.join(0.01)
     with subprocess.Popen([sys.executable, "-c", FLOOD, port[1]], stdout=subprocess.PIPE) as flood:
@@ -165,8 +238,13 @@ def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, capsys, tm
     process = runner(["jog", rig, "--by", "30", "--speed", "0.001"], log)
     while process.is_alive() and len(emulated.told()) == before:
         process.join(0.001)
-    code = "import sys; sys.path.insert(0, sys.argv.pop(1)); from rig.cli.command_line import main; sys.exit(main(sys.argv[1:]))"
-    done = subprocess.run([sys.executable, "-c", code, str(ROOT), "stop", rig], env={}, capture_output=True, text=True, cwd="/")
+    code = (
+        "import sys; sys.path.insert(0, sys.argv.pop(1)); from rig.cli.command_line import main; "
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(ROOT), "stop", rig], env={}, capture_output=True, text=True, cwd="/"
+    )
     assert done.returncode == 0 and f"process {process.pid}, which drove them, was stopped" in done.stdout, done.stderr
     process.join(10)
     assert process.exitcode == 128 + signal.SIGTERM
@@ -183,7 +261,10 @@ def test_one_process_drives(rig, capsys):
 
 def test_a_background_job_that_ignores_ctrl_c_is_stopped(emulated, rig, capsys, tmp_path):
     home, log = float(re.search(r"lengths (\S+)", said(capsys, "home", rig))[1]), tmp_path / "log"
-    before, usual = len(emulated.told()), signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell starts what is to run in the background
+    before, usual = (
+        len(emulated.told()),
+        signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )  # as a shell starts what is to run in the background
     try:
         process = runner(["jog", rig, "--by", "30", "--speed", "0.001"], log)
     finally:

@@ -1,4 +1,6 @@
-"""`rig kinematics`: poses of joint values, all joint values of poses, step by step; calibrated arms finished numerically."""
+"""`rig kinematics`: poses of joint values, all joint values of poses, step by step; calibrated arms finished
+numerically.
+"""
 
 import json
 from dataclasses import replace
@@ -49,7 +51,10 @@ def test_what_forward_gives_inverse_takes_back(tmp_path, rig, name):
         assert np.abs(apart).max(axis=1).min() < 1e-7 and len(many) >= 2
         assert (
             np.abs(
-                pose_difference(mechanism.forward(many, arm), RigidTransform.from_matrix(np.tile(T[entry["frame"]].as_matrix(), (len(many), 1, 1))))
+                pose_difference(
+                    mechanism.forward(many, arm),
+                    RigidTransform.from_matrix(np.tile(T[entry["frame"]].as_matrix(), (len(many), 1, 1))),
+                )
             ).max()
             < 1e-9
         )
@@ -58,10 +63,21 @@ def test_what_forward_gives_inverse_takes_back(tmp_path, rig, name):
 def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
     arm = shipped_arms.load_shipped_arm("puma560").mechanism
     far = pose([9.0, 0, 0], [0, 0, 0])
-    T = RigidTransform.from_matrix(np.stack([mechanism.forward(np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8]), arm).as_matrix(), far.as_matrix()]))
+    T = RigidTransform.from_matrix(
+        np.stack([mechanism.forward(np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8]), arm).as_matrix(), far.as_matrix()])
+    )
     said = rig("puma560", "--inverse", poses_file(tmp_path / "p.csv", T), "--steps")
-    assert "frame 0: singular: wrist; " in said and "frame 1: out of reach: too far, by 8." in said and "0 solutions" in said
-    assert "joint 1 = " in said and "read and returned about the axis through" in said and "  D " not in said and "  E (" in said
+    assert (
+        "frame 0: singular: wrist; " in said
+        and "frame 1: out of reach: too far, by 8." in said
+        and "0 solutions" in said
+    )
+    assert (
+        "joint 1 = " in said
+        and "read and returned about the axis through" in said
+        and "  D " not in said
+        and "  E (" in said
+    )
     few = rig("scara", "--inverse", poses_file(tmp_path / "f.csv", T[:1]))
     assert "out of reach: the arm comes no nearer than" in few
 
@@ -74,18 +90,24 @@ def test_steps_of_solutions_found_numerically_end_where_the_hand_is_at_zero(tmp_
     tree = json.loads(rig(name, "--inverse", file, "--steps", "--json"))
     for one in tree["frames"][0]["solutions"]:
         assert one["found"] == "numerically" and [s["joint"] for s in one["steps"]] == list(range(len(arm.joints) + 1))
-        np.testing.assert_allclose(list(one["steps"][-1]["points"].values()), arm_kinematics_steps.hand_points(arm), atol=1e-9)
+        np.testing.assert_allclose(
+            list(one["steps"][-1]["points"].values()), arm_kinematics_steps.hand_points(arm), atol=1e-9
+        )
         assert [s["value"] for s in one["steps"][1:]] == one["q"]
     said = rig(name, "--inverse", file, "--steps")
     assert "found numerically" in said and ("moved back along the axis through" in said) == (name == "scara")
 
 
-@pytest.mark.parametrize("content, options, says", [
-    ("frame,q1\n0,1\n", ("scara", "--forward"), "column 'q2' is missing"), ("", ("scara", "--forward"), "is empty"),
-    ("frame,q1,q2,q3,q4\n0,1,2,3\n", ("scara", "--forward"), "4 cells in a table of 5 columns"),
-    ("frame,x,y,z,rx,ry,rz\n0,1,0,0,0,0,0\n", ("scarab", "--inverse"), "nor is it one of the shipped arms"),
-    ("frame,x,y,z,rx,ry,rz\n0,1,0,0,0,0,0\n", ("nowhere.json", "--inverse"), "no such file"),
-])
+@pytest.mark.parametrize(
+    "content, options, says",
+    [
+        ("frame,q1\n0,1\n", ("scara", "--forward"), "column 'q2' is missing"),
+        ("", ("scara", "--forward"), "is empty"),
+        ("frame,q1,q2,q3,q4\n0,1,2,3\n", ("scara", "--forward"), "4 cells in a table of 5 columns"),
+        ("frame,x,y,z,rx,ry,rz\n0,1,0,0,0,0,0\n", ("scarab", "--inverse"), "nor is it one of the shipped arms"),
+        ("frame,x,y,z,rx,ry,rz\n0,1,0,0,0,0,0\n", ("nowhere.json", "--inverse"), "no such file"),
+    ],
+)
 def test_what_cannot_be_read_is_named(tmp_path, rig, content, options, says):
     (tmp_path / "in.csv").write_text(content)
     assert says in rig(*options, tmp_path / "in.csv", ok=False)
@@ -104,8 +126,15 @@ def test_a_calibrated_arm_is_finished_from_every_branch():
     for i, entry in enumerate(tree["frames"]):
         assert len(entry["solutions"]) == 8
         finished = np.array([one["corrected"] for one in entry["solutions"]])
-        np.testing.assert_allclose(pose_difference(correction.predict(finished), RigidTransform.from_matrix(np.tile(T[i].as_matrix(), (8, 1, 1)))), 0,
-                                   atol=1e-10)
-        moved = np.abs(np.exp(1j * finished) - np.exp(1j * np.array([one["q"] for one in entry["solutions"]]))).max(axis=1)
+        np.testing.assert_allclose(
+            pose_difference(
+                correction.predict(finished), RigidTransform.from_matrix(np.tile(T[i].as_matrix(), (8, 1, 1)))
+            ),
+            0,
+            atol=1e-10,
+        )
+        moved = np.abs(np.exp(1j * finished) - np.exp(1j * np.array([one["q"] for one in entry["solutions"]]))).max(
+            axis=1
+        )
         assert (moved < 0.05).all() and (moved > 1e-5).all()
         assert np.abs(np.exp(1j * finished) - np.exp(1j * q[i])).max(axis=1).min() < 1e-8

@@ -1,4 +1,6 @@
-"""Text of others (names of files, values, what a controller answers) reaches a terminal as text alone; names that are no UTF-8 are refused."""
+"""Text of others (names of files, values, what a controller answers) reaches a terminal as text alone; names that are
+no UTF-8 are refused.
+"""
 
 import os
 import shutil
@@ -19,6 +21,7 @@ WIPE = "\x1b[2J\x1b]0;title\x07"  # clears a screen, and names its window
 @pytest.fixture
 def printed(capfd):
     """(what main printed, to standard output and error) of words."""
+
     def run(*words):
         main(list(map(str, words)))
         out, err = capfd.readouterr()
@@ -39,16 +42,27 @@ def test_names_of_folders_and_images_are_escaped(recording, printed):
     lines = table.read_text().splitlines()
     lines[1] = ",".join([*lines[1].split(",")[:3], f"images/{WIPE}.png"])
     table.write_text("\n".join(lines) + "\n")
-    assert r"\x1b[2J" in printed("check", recording) and r"\x1b[2J" in printed("measure", recording, "--out", recording.parent / "out")
+    assert r"\x1b[2J" in printed("check", recording) and r"\x1b[2J" in printed(
+        "measure", recording, "--out", recording.parent / "out"
+    )
 
 
-@pytest.mark.parametrize("edit", [('name = "cam0"', 'name = "\\u001b[2J"'), ('shutter = "global"', 'shutter = "\\u001b[2J"'),
-                                  ("[environment]", "\"\\u001b[2J\" = 1\n[environment]"), ('name = "', 'name = "\x1b[2J')])
+@pytest.mark.parametrize(
+    "edit",
+    [
+        ('name = "cam0"', 'name = "\\u001b[2J"'),
+        ('shutter = "global"', 'shutter = "\\u001b[2J"'),
+        ("[environment]", '"\\u001b[2J" = 1\n[environment]'),
+        ('name = "', 'name = "\x1b[2J'),
+    ],
+)
 def test_values_and_keys_of_toml_are_escaped(tmp_path, printed, edit):
     text = hexapod_layout(0.3, cameras=1)
     assert edit[0] in text
     (tmp_path / "rig.toml").write_text(text.replace(*edit, 1))
-    assert "x1b" in printed("effects", tmp_path / "rig.toml", "--json") + printed("print", tmp_path / "rig.toml", "--out", tmp_path / "x.pdf")
+    assert "x1b" in printed("effects", tmp_path / "rig.toml", "--json") + printed(
+        "print", tmp_path / "rig.toml", "--out", tmp_path / "x.pdf"
+    )
 
 
 def test_what_a_controller_answers_is_escaped(tmp_path, printed):
@@ -84,13 +98,22 @@ def test_line_ends_and_letters_of_any_script_stay():
     assert escape_unprintable("µm ≥ 5 °\tΔ\n日本") == "µm ≥ 5 °\tΔ\n日本"
 
 
-@pytest.mark.parametrize("words", [("measure", "{}", "--out", "out"), ("calibrate", "{}", "--out", "c.json"), ("simulate", "rig.toml", "--out", "{}"),
-                                   ("import", "{}/images", "--out", "r")])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("measure", "{}", "--out", "out"),
+        ("calibrate", "{}", "--out", "c.json"),
+        ("simulate", "rig.toml", "--out", "{}"),
+        ("import", "{}/images", "--out", "r"),
+    ],
+)
 def test_a_name_that_is_no_utf_8_is_refused_in_words(tmp_path, printed, words, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = os.fsdecode(b"rec\xff")
     shutil.copytree(ROOT / "tests" / "data" / "bench" / "check", folder)
-    assert r"rec\xff" in (said := printed(*(word.format(folder) for word in words))) and "is no UTF-8 text; rename" in said
+    assert (
+        r"rec\xff" in (said := printed(*(word.format(folder) for word in words))) and "is no UTF-8 text; rename" in said
+    )
 
 
 def test_images_and_a_working_folder_whose_names_are_no_utf_8_end_in_words(tmp_path, printed, monkeypatch):
@@ -104,4 +127,6 @@ def test_images_and_a_working_folder_whose_names_are_no_utf_8_end_in_words(tmp_p
     assert r"here\xff/images/cam0/00000.png: no such image" in printed("check", there)
     os.rename(there, tmp_path / "here")
     monkeypatch.chdir(tmp_path / "here")
-    assert "rig import: " in printed("import", "images", "--rig", "rig.toml", "--commands", "commands.csv", "--out", "imported")
+    assert "rig import: " in printed(
+        "import", "images", "--rig", "rig.toml", "--commands", "commands.csv", "--out", "imported"
+    )

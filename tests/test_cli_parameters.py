@@ -21,15 +21,49 @@ def rig_file(tmp_path, rig_text):
 
 def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsys):
     out = tmp_path / "plan.csv"
-    assert main(["plan", str(rig_file), "--for", "parameters", "--count", "10", "--out", str(out), "--page", str(tmp_path / "p.html")]) == 0
+    assert (
+        main(
+            [
+                "plan",
+                str(rig_file),
+                "--for",
+                "parameters",
+                "--count",
+                "10",
+                "--out",
+                str(out),
+                "--page",
+                str(tmp_path / "p.html"),
+            ]
+        )
+        == 0
+    )
     page = (tmp_path / "p.html").read_text()
-    assert re.search("<strong>(good|check)</strong> 10 configurations beside 0 given", page) and f"commands:{out}" in page
+    assert (
+        re.search("<strong>(good|check)</strong> 10 configurations beside 0 given", page) and f"commands:{out}" in page
+    )
     said = capsys.readouterr().out
     assert "condition number of the 42" in said and "evenly spread" in said and " um " in said
     assert len(csv_table.read(out, ("frame", "l1"))) == 10
     assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
     again = tmp_path / "more.csv"
-    assert main(["plan", str(rig_file), "--for", "parameters", "--count", "6", "--given", str(tmp_path / "rec"), "--out", str(again)]) == 0
+    assert (
+        main(
+            [
+                "plan",
+                str(rig_file),
+                "--for",
+                "parameters",
+                "--count",
+                "6",
+                "--given",
+                str(tmp_path / "rec"),
+                "--out",
+                str(again),
+            ]
+        )
+        == 0
+    )
     assert "beside 10 given" in capsys.readouterr().out
 
 
@@ -39,12 +73,18 @@ def test_of_a_promise_that_is_met_no_plan_is_written(rig_file, tmp_path, capsys)
     assert main([*promised, "20um", "--out", plan]) == 0
     assert main([*promised, "30um", "--given", plan, "--out", more, "--page", page]) == 0
     said = capsys.readouterr().out
-    assert "the promise of 30 µm is met by the 12 configurations given" in said and f"nothing is written to {more}; look at {page}" in said
+    assert (
+        "the promise of 30 µm is met by the 12 configurations given" in said
+        and f"nothing is written to {more}; look at {page}" in said
+    )
     assert not (tmp_path / "more.csv").exists() and "rig run" not in (tmp_path / "more.html").read_text()
     before = (tmp_path / "plan.csv").read_text()
     assert main([*promised, "2m", "--out", plan]) == 0
     said = capsys.readouterr().out
-    assert "is met by the geometry as it is stated" in said and f"nothing is written to {plan}, which stays as it was" in said
+    assert (
+        "is met by the geometry as it is stated" in said
+        and f"nothing is written to {plan}, which stays as it was" in said
+    )
     assert (tmp_path / "plan.csv").read_text() == before
 
 
@@ -52,16 +92,25 @@ def test_parts_of_a_plan_are_written_as_configurations(rig_file, tmp_path, capsy
     out = tmp_path / "plan.csv"
     assert main(["plan", str(rig_file), "--parts", "axes:2,combined:2", "--out", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "48 configurations of axes:2,combined:2" in said and "rz -" in said and len(csv_table.read(out, ("frame", "l1"))) == 48
+    assert (
+        "48 configurations of axes:2,combined:2" in said
+        and "rz -" in said
+        and len(csv_table.read(out, ("frame", "l1"))) == 48
+    )
     assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
     assert main(["plan", str(rig_file), "--parts", "combinde:2", "--out", str(tmp_path / "none.csv")]) == 1
     assert "there is no part 'combinde'" in capsys.readouterr().err
     assert main(["plan", str(rig_file), "--parts", "moving:5", "--out", str(tmp_path / "none.csv")]) == 1
 
 
-@pytest.mark.parametrize("arguments, says", [
-    (["--count", "0"], "positive"), (["--count", "3"], "3 configurations cannot determine"), (["--given", "typo.csv"], "typo.csv: no such file"),
-])
+@pytest.mark.parametrize(
+    "arguments, says",
+    [
+        (["--count", "0"], "positive"),
+        (["--count", "3"], "3 configurations cannot determine"),
+        (["--given", "typo.csv"], "typo.csv: no such file"),
+    ],
+)
 def test_plan_refuses(rig_file, tmp_path, capsys, arguments, says):
     assert main(["plan", str(rig_file), "--for", "parameters", "--out", str(tmp_path / "p.csv"), *arguments]) == 1
     assert says in capsys.readouterr().err and not (tmp_path / "p.csv").exists()
@@ -69,8 +118,23 @@ def test_plan_refuses(rig_file, tmp_path, capsys, arguments, says):
 
 def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
     effect = "missed_steps:strut3:jump=9e-5,time=400"
-    assert main(["simulate", str(rig_file), "--plan", "sobol:110", "--effect", effect, "--out", str(tmp_path / "rec"), "--truth",
-                 str(tmp_path / "truth.json")]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                str(rig_file),
+                "--plan",
+                "sobol:110",
+                "--effect",
+                effect,
+                "--out",
+                str(tmp_path / "rec"),
+                "--truth",
+                str(tmp_path / "truth.json"),
+            ]
+        )
+        == 0
+    )
     times = csv_table.read(tmp_path / "rec" / "frames.csv", ("frame", "t"))
     first = int(times.numbers("frame")[times.numbers("t") > 400][0])
     state = tmp_path / "state.json"
@@ -83,7 +147,16 @@ def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
     assert f"from frame {first} on strut 3 is longer by +0.0" in said and said.count("longer") == 1
     assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 1
     assert "count twice" in capsys.readouterr().err
-    more = ["--machine", str(tmp_path / "truth.json"), "--plan", "sobol:8", "--seed", "9", "--out", str(tmp_path / "more")]
+    more = [
+        "--machine",
+        str(tmp_path / "truth.json"),
+        "--plan",
+        "sobol:8",
+        "--seed",
+        "9",
+        "--out",
+        str(tmp_path / "more"),
+    ]
     assert main(["simulate", str(rig_file), *more]) == 0
     assert main(["online", str(tmp_path / "more"), "--state", str(state)]) == 0
     assert "in 8 poses from corners.csv, learnt one at a time after 110 before" in capsys.readouterr().out
@@ -111,26 +184,69 @@ def test_exports_are_written_or_refused(rig_file, tmp_path, capsys):
 def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsys):
     rec, again, limbs, state = limbed[1].folder, tmp_path / "again", tmp_path / "limbs.json", tmp_path / "state.json"
     shutil.copytree(rec.parent / "again", again)
-    assert main(["insitu", str(rec), "--state", str(state), "--tolerance", "1e-4", "4e-4", "--out", str(limbs), "--page",
-                 str(tmp_path / "limbs.html")]) == 0
+    assert (
+        main(
+            [
+                "insitu",
+                str(rec),
+                "--state",
+                str(state),
+                "--tolerance",
+                "1e-4",
+                "4e-4",
+                "--out",
+                str(limbs),
+                "--page",
+                str(tmp_path / "limbs.html"),
+            ]
+        )
+        == 0
+    )
     assert "<strong>good</strong> the measuring limbs pass on all six axes" in (tmp_path / "limbs.html").read_text()
     said = capsys.readouterr().out
-    assert "the measuring limbs pass" in said and "verdict accepted" in said and "nothing jumped in 80 poses from measuring limbs" in said
+    assert (
+        "the measuring limbs pass" in said
+        and "verdict accepted" in said
+        and "nothing jumped in 80 poses from measuring limbs" in said
+    )
     assert main(["measure", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "poses"), "--check", "10"]) == 0
     assert "40 poses from the measuring limbs; vision looked at 4 of them and agrees" in capsys.readouterr().out
     assert len(csv_table.read(tmp_path / "poses" / "poses.csv", ("frame", "x", "c55"))) == 40
     told = csv_table.read(tmp_path / "poses" / "rpy.csv", ("frame", "roll", "pitch", "yaw", "u_roll", "u_z"))
     turned = csv_table.read(tmp_path / "poses" / "poses.csv", ("rx",)).matrix(("rx", "ry", "rz"))
-    np.testing.assert_allclose(Rotation.from_euler("xyz", told.matrix(("roll", "pitch", "yaw"))).as_rotvec(), turned, atol=1e-9)
+    np.testing.assert_allclose(
+        Rotation.from_euler("xyz", told.matrix(("roll", "pitch", "yaw"))).as_rotvec(), turned, atol=1e-9
+    )
     assert main(["calibrate", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "c.json")]) == 0
     kept = json.loads((tmp_path / "c.json").read_text())["provenance"]
-    assert "limbs.json" in kept["inputs_sha256"] and set(json.loads(limbs.read_text())["provenance"]["data"]) < set(kept["data"])
+    assert "limbs.json" in kept["inputs_sha256"] and set(json.loads(limbs.read_text())["provenance"]["data"]) < set(
+        kept["data"]
+    )
     assert main(["online", str(again), "--limbs", str(limbs), "--state", str(state)]) == 0
     assert "40 poses from measuring limbs, learnt one at a time after 80 before" in capsys.readouterr().out
-    assert main(["online", str(again), "--limbs", str(limbs), "--learner", "drifting", "--state", str(tmp_path / "d.json"), "--json"]) == 0
+    assert (
+        main(
+            [
+                "online",
+                str(again),
+                "--limbs",
+                str(limbs),
+                "--learner",
+                "drifting",
+                "--state",
+                str(tmp_path / "d.json"),
+                "--json",
+            ]
+        )
+        == 0
+    )
     out, words = capsys.readouterr()
     followed = json.loads(out)
-    assert followed["schema"] == "followed/1" and (followed["learner"], followed["drift"], followed["poses"]) == ("drifting", 1e-7, 40)
+    assert followed["schema"] == "followed/1" and (followed["learner"], followed["drift"], followed["poses"]) == (
+        "drifting",
+        1e-7,
+        40,
+    )
     assert "by drifting (drift 1e-07)" in words and f"by {followed['first_quarter']:.3g} standard deviations" in words
     rows = [line.split(",") for line in (again / "sensors.csv").read_text().splitlines()]
     column = rows[0].index("m4")
@@ -143,13 +259,18 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
     assert "acceptance of these limbs was withdrawn at frame" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command, options, says", [
-    ("online", ["--limbs", "typo.json"], "typo.json: no such file"), ("online", ["--check", "3"], "--check takes"),
-    ("calibrate", ["--limbs", "RIG", "--out", "c.json"], "not valid JSON"), ("online", ["--learner", "forgetting", "--step", "1e-3"], "--step is of"),
-    ("measure", ["--limbs", "RIG", "--places", "free", "--out", "m"], "leave them out with --limbs"),
-    ("online", ["--learner", "drifting", "--drift", "-1"], "--drift: drift is a length"),
-    ("online", ["--learner", "first-order", "--state", "RIG"], "is a file of the recording"),
-])
+@pytest.mark.parametrize(
+    "command, options, says",
+    [
+        ("online", ["--limbs", "typo.json"], "typo.json: no such file"),
+        ("online", ["--check", "3"], "--check takes"),
+        ("calibrate", ["--limbs", "RIG", "--out", "c.json"], "not valid JSON"),
+        ("online", ["--learner", "forgetting", "--step", "1e-3"], "--step is of"),
+        ("measure", ["--limbs", "RIG", "--places", "free", "--out", "m"], "leave them out with --limbs"),
+        ("online", ["--learner", "drifting", "--drift", "-1"], "--drift: drift is a length"),
+        ("online", ["--learner", "first-order", "--state", "RIG"], "is a file of the recording"),
+    ],
+)
 def test_limbs_and_learners_that_cannot_be_are_refused(limbed, tmp_path, capsys, monkeypatch, command, options, says):
     rec = limbed[1].folder
     monkeypatch.chdir(tmp_path)

@@ -16,24 +16,50 @@ from tests.conftest import BENCH
 def test_a_rig_can_be_designed_simulated_and_measured(tmp_path):
     run("design", "--radius", "0.25", "--cameras", "2", "--size", "800x600", "--out", tmp_path / "rig.toml")
     assert len(design_file.load(tmp_path / "rig.toml").cameras) == 2
-    done = run("simulate", tmp_path / "rig.toml", "--plan", "sobol:12", "--effect", "backlash:strut3:gap=4e-5", "--noise", "0.03", "--seed", "5",
-               "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    done = run(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:12",
+        "--effect",
+        "backlash:strut3:gap=4e-5",
+        "--noise",
+        "0.03",
+        "--seed",
+        "5",
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     assert "12 frames" in done.stdout and "backlash at strut 3" in done.stdout
     truth = json.loads((tmp_path / "truth.json").read_text())
-    assert truth["effects"][0]["parameters"] == {"gap": 4e-5} and len(truth["poses"]) == 12 and truth["noise_px"] == 0.03
+    assert (
+        truth["effects"][0]["parameters"] == {"gap": 4e-5} and len(truth["poses"]) == 12 and truth["noise_px"] == 0.03
+    )
     run("measure", tmp_path / "rec", "--out", tmp_path / "out")
     poses = recording_folder.load_poses(tmp_path / "out" / "poses.csv")
-    errors = pose_difference(poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4)))
+    errors = pose_difference(
+        poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4))
+    )
     assert np.abs(errors[:, :3]).max() < 1e-3
 
 
-@pytest.mark.parametrize("extra, says", [
-    (("--plan", "sobl"), "no part 'sobl'"), (("--effect", "backlsh:3"), "'backlash' meant"),
-    (("--effect", "compliance:rig"), "at rig has no size and would change nothing: write compliance:rig:stiffness=.., from 1e+06 to 1e+08 N/m"),
-    (("--noise", "-1"), "at least 0 and at most 1000 px"),
-    (("--images", "--effect", "edge_bias:cameras:bias=0.1"), "not drawn"), (("--images", "--bits", "10"), "8 or 12"),
-    (("--machine", "nowhere.json"), "no such file"),
-])
+@pytest.mark.parametrize(
+    "extra, says",
+    [
+        (("--plan", "sobl"), "no part 'sobl'"),
+        (("--effect", "backlsh:3"), "'backlash' meant"),
+        (
+            ("--effect", "compliance:rig"),
+            "at rig has no size and would change nothing: write compliance:rig:stiffness=.., from 1e+06 to 1e+08 N/m",
+        ),
+        (("--noise", "-1"), "at least 0 and at most 1000 px"),
+        (("--images", "--effect", "edge_bias:cameras:bias=0.1"), "not drawn"),
+        (("--images", "--bits", "10"), "8 or 12"),
+        (("--machine", "nowhere.json"), "no such file"),
+    ],
+)
 def test_what_cannot_be_simulated_is_said_and_leaves_nothing(tmp_path, rig_text, extra, says):
     (tmp_path / "rig.toml").write_text(rig_text)
     assert says in run("simulate", tmp_path / "rig.toml", *extra, "--out", tmp_path / "rec", ok=False).stderr
@@ -63,7 +89,7 @@ def test_nets_are_true_to_scale(tmp_path):
     from synthetic import print_sheets
 
     target = design.targets[0]
-    page, = print_sheets.sheets_of_target(target, "A3")
+    (page,) = print_sheets.sheets_of_target(target, "A3")
     figure, axes = print_sheets.blank_sheet(page.paper)
     figure.set_dpi(254)  # 10 px to the millimetre
     FigureCanvasAgg(figure)
@@ -81,7 +107,9 @@ def test_nets_are_true_to_scale(tmp_path):
         assert quad[0][0][1] < quad[0][2][1] and quad[0][0][0] < quad[0][1][0]  # every face stands upright in the net
         places[dict((n, f) for f, n in target.faces)[number]] = quad[0].mean(axis=0) / 10
     edge = target.edge * 1e3
-    np.testing.assert_allclose(places["+y"] - places["+x"], [edge, 0], atol=0.3)  # right of +x, seen from outside, lies +y
+    np.testing.assert_allclose(
+        places["+y"] - places["+x"], [edge, 0], atol=0.3
+    )  # right of +x, seen from outside, lies +y
     np.testing.assert_allclose(places["+z"] - places["-y"], [0, -edge], atol=0.3)
 
 
@@ -92,7 +120,15 @@ def test_lens_prints_a_camera_that_a_rig_takes(shared, tmp_path):
     import cv2
 
     cv2.imwrite(str(tmp_path / "grey.png"), np.full((1200, 1600), 90, np.uint8))
-    done = run("lens", *wanted, tmp_path / "grey.png", "--board", "charuco:5x7:0.036195:0.018256:DICT_6X6_250", "--out", tmp_path / "out")
+    done = run(
+        "lens",
+        *wanted,
+        tmp_path / "grey.png",
+        "--board",
+        "charuco:5x7:0.036195:0.018256:DICT_6X6_250",
+        "--out",
+        tmp_path / "out",
+    )
     assert "grey.png: the board is not found in it" in done.stderr and "5 of 6 photographs" in done.stderr
     rig = tmp_path / "rig.toml"
     rig.write_text('schema = "rig/1"\n[mechanism]\nkind = "free"\n' + done.stdout)

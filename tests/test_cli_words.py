@@ -1,4 +1,6 @@
-"""The command line itself: help, versions, words mistyped, what is quiet, what is for programs, completion, and the commands that look around."""
+"""The command line itself: help, versions, words mistyped, what is quiet, what is for programs, completion, and the
+commands that look around.
+"""
 
 import ast
 import json
@@ -23,30 +25,43 @@ from tests.cli import RIG
 from tests.conftest import BENCH
 
 
-@pytest.mark.parametrize("words, says", [
-    (["mesure"], "did you mean measure?"), (["simulat", "rig.toml"], "did you mean simulate?"),
-    (["measure", "REC", "--ot", "DIR"], "--ot: did you mean --out?"),
-    (["design", "--radius", "300mm"], "argument --radius: invalid number value: '300mm'"),
-    (["design", "--radius", "0.3", "--cameras", "two"], "argument --cameras: invalid whole number value: 'two'"),
-    (["measure", "REC", "--out", "DIR", "--skip-unredable"], "--skip-unreadable?"), (["xyzzy"], "there is no command 'xyzzy'. `rig --help`"),
-])
+@pytest.mark.parametrize(
+    "words, says",
+    [
+        (["mesure"], "did you mean measure?"),
+        (["simulat", "rig.toml"], "did you mean simulate?"),
+        (["measure", "REC", "--ot", "DIR"], "--ot: did you mean --out?"),
+        (["design", "--radius", "300mm"], "argument --radius: invalid number value: '300mm'"),
+        (["design", "--radius", "0.3", "--cameras", "two"], "argument --cameras: invalid whole number value: 'two'"),
+        (["measure", "REC", "--out", "DIR", "--skip-unredable"], "--skip-unreadable?"),
+        (["xyzzy"], "there is no command 'xyzzy'. `rig --help`"),
+    ],
+)
 def test_a_mistyped_word_is_told_from_what_was_meant(words, says, capsys):
     with pytest.raises(SystemExit) as end:
         main(words)
     assert end.value.code == 2 and says in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words, joined", [
-    (["go", "c.json", "--pose", "-0.1,0,0.4,0,0,0"], ["go", "c.json", "--pose=-0.1,0,0.4,0,0,0"]),
-    (["jog", "r", "--to", "-.5,2"], ["jog", "r", "--to=-.5,2"]),
-    (["jog", "r", "--by", "-0.5"], ["jog", "r", "--by", "-0.5"]), (["x", "-1,2"], ["x", "-1,2"]), (["x", "--a=1", "-1,2"], ["x", "--a=1", "-1,2"])])
+@pytest.mark.parametrize(
+    "words, joined",
+    [
+        (["go", "c.json", "--pose", "-0.1,0,0.4,0,0,0"], ["go", "c.json", "--pose=-0.1,0,0.4,0,0,0"]),
+        (["jog", "r", "--to", "-.5,2"], ["jog", "r", "--to=-.5,2"]),
+        (["jog", "r", "--by", "-0.5"], ["jog", "r", "--by", "-0.5"]),
+        (["x", "-1,2"], ["x", "-1,2"]),
+        (["x", "--a=1", "-1,2"], ["x", "--a=1", "-1,2"]),
+    ],
+)
 def test_figures_that_begin_with_a_minus_are_no_option(words, joined):
     assert join_negative_numbers(words) == joined
 
 
 def test_a_word_that_is_right_or_like_nothing_has_no_other_meant():
     assert (
-        nearest_word("measure", COMMANDS) is None and nearest_word("qqqq", COMMANDS) is None and nearest_word("--skip", ["--skip-unreadable"]) is None
+        nearest_word("measure", COMMANDS) is None
+        and nearest_word("qqqq", COMMANDS) is None
+        and nearest_word("--skip", ["--skip-unreadable"]) is None
     )
 
 
@@ -64,10 +79,18 @@ def test_every_command_has_a_file_and_help():
 def test_no_option_takes_a_name_that_the_command_line_sets():
     """What rig/cli/command_line.py keeps among the arguments would stand in the place of what was asked for."""
     tree = ast.parse(Path(cli.__file__).read_text())
-    own = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
-           and isinstance(node.value, ast.Name) and node.value.id == "arguments"} | {"command", "run"}
+    own = {
+        node.attr
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.ctx, ast.Store)
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "arguments"
+    } | {"command", "run"}
     chosen = next(action for action in command_line(COMMANDS)._actions if action.dest == "command").choices
-    assert {"argv", "outputs"} < own and [(name, action.dest) for name, sub in chosen.items() for action in sub._actions if action.dest in own] == []
+    assert {"argv", "outputs"} < own and [
+        (name, action.dest) for name, sub in chosen.items() for action in sub._actions if action.dest in own
+    ] == []
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -96,7 +119,10 @@ def test_the_catalogue_is_a_table_of_all_effects(capsys, monkeypatch):
     assert main(["effects", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert [one["name"] for one in told] == [effect.name for effect in ALL]
-    assert all(one["exposed_by"] and one["action"] and one["places"] and one["stage"] and "{" not in one["exposed_by"] for one in told)
+    assert all(
+        one["exposed_by"] and one["action"] and one["places"] and one["stage"] and "{" not in one["exposed_by"]
+        for one in told
+    )
     assert {p["unit"] for one in told if one["name"] == "backlash" for p in one["parameters"]} == {"m"}
 
 
@@ -104,7 +130,11 @@ def test_the_catalogue_is_a_document_of_all_effects(capfd, tmp_path):
     assert main(["catalogue"]) == 0
     text = capfd.readouterr().out
     assert all(f"\n### {effect.name}\n" in text for effect in ALL) and "axiss" not in text and "{" not in text
-    assert "![" not in text and main(["catalogue", "--out", str(tmp_path / "effects")]) == 1 and "effects.md" in capfd.readouterr().err
+    assert (
+        "![" not in text
+        and main(["catalogue", "--out", str(tmp_path / "effects")]) == 1
+        and "effects.md" in capfd.readouterr().err
+    )
     assert main(["catalogue", "--effects", str(tmp_path / "typo.py")]) == 1 and "typo.py" in capfd.readouterr().err
 
 
@@ -120,17 +150,26 @@ def test_one_effect_is_told_whole_and_a_mistyped_one_refused(capsys):
 
 
 def test_doctor_tells_what_is_missing(capsys, monkeypatch):
-    monkeypatch.setattr(installation_inventory, "check_graphics", lambda: installation_inventory.InventoryItem("OpenGL", "absent", "none"))
+    monkeypatch.setattr(
+        installation_inventory,
+        "check_graphics",
+        lambda: installation_inventory.InventoryItem("OpenGL", "absent", "none"),
+    )
     assert main(["doctor"]) == 0
     text = capsys.readouterr().out
     assert "numpy" in text and "cameras" in text and "GB free" in text and "cores" in text
     monkeypatch.setattr(
-        installation_inventory.metadata, "requires", lambda name: ["numpy>=99", "no-such-thing>=1", "nor-this>=2; extra == 'genicam'"]
+        installation_inventory.metadata,
+        "requires",
+        lambda name: ["numpy>=99", "no-such-thing>=1", "nor-this>=2; extra == 'genicam'"],
     )
     assert main(["doctor", "--json"]) == 1
     states = {one["about"]: (one["state"], one["todo"]) for one in json.loads(capsys.readouterr().out)["found"]}
     assert states["numpy"] == ("missing", "rig needs 99 or newer: pip install -U numpy")
-    assert states["no-such-thing"] == ("missing", "pip install no-such-thing") and states["nor-this"] == ("absent", "pip install 'rig[genicam]'")
+    assert states["no-such-thing"] == ("missing", "pip install no-such-thing") and states["nor-this"] == (
+        "absent",
+        "pip install 'rig[genicam]'",
+    )
 
 
 def test_doctor_names_cameras_without_opening_them(tmp_path):
@@ -153,19 +192,28 @@ def test_new_writes_a_rig_by_options_and_refuses_to_guess(tmp_path, capsys):
     assert main(["design", "--radius", "0.3"]) == 0
     assert (tmp_path / "a" / "rig.toml").read_text() == capsys.readouterr().out
     assert "there is no page yet" in (tmp_path / "a" / "index.html").read_text()
-    for words, says in ((["--radius", "300"], "length above 0 with its unit"), (["--mechanism", "hexpod"], "did you mean hexapod?"),
-                        (["--cameras", "0", "--radius", "1m"], "1 to 20 cameras"), (["--size", "big", "--radius", "1m"], "expected for example")):
+    for words, says in (
+        (["--radius", "300"], "length above 0 with its unit"),
+        (["--mechanism", "hexpod"], "did you mean hexapod?"),
+        (["--cameras", "0", "--radius", "1m"], "1 to 20 cameras"),
+        (["--size", "big", "--radius", "1m"], "expected for example"),
+    ):
         assert main(["new", str(tmp_path / "b"), "--defaults", *words]) == 1
         assert says in capsys.readouterr().err and not (tmp_path / "b").exists()
     assert main(["new", str(tmp_path / "no" / "where"), "--defaults", "--radius", "1m"]) == 1
     assert "no folder" in capsys.readouterr().err
     (tmp_path / "a" / "rig.toml").write_text("x")
-    assert main(["new", str(tmp_path / "a"), "--defaults", "--radius", "1m"]) == 1 and (tmp_path / "a" / "rig.toml").read_text() == "x"
+    assert (
+        main(["new", str(tmp_path / "a"), "--defaults", "--radius", "1m"]) == 1
+        and (tmp_path / "a" / "rig.toml").read_text() == "x"
+    )
 
 
 def test_new_asks_four_questions_at_a_terminal(tmp_path):
     ours, theirs = pty.openpty()
-    asked = subprocess.Popen([*RIG, "new", str(tmp_path / "n")], stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    asked = subprocess.Popen(
+        [*RIG, "new", str(tmp_path / "n")], stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     os.write(ours, b"hexapot\n\n250mm\n2\n640x480\n")
     out, err = asked.communicate(timeout=60)
     os.close(ours)
@@ -186,7 +234,9 @@ def test_lines_tell_the_time_left(monkeypatch, capsys):
     progress("locating", 1, 4)
     progress("locating", 4, 4)
     said = capsys.readouterr().err.splitlines()
-    assert said[::2] == ["locating: 0 of 4, 0 %", "locating: 4 of 4, 100 %"] and said[1].startswith("locating: 1 of 4, 25 %, about 0 s left")
+    assert said[::2] == ["locating: 0 of 4, 0 %", "locating: 4 of 4, 100 %"] and said[1].startswith(
+        "locating: 1 of 4, 25 %, about 0 s left"
+    )
     assert progress_line("fitting", 10, 100, 30.0) == "fitting: 10 of 100, 10 %, about 4 min left"
     assert progress_line("fitting", 50, 100, 30.0) == "fitting: 50 of 100, 50 %, about 30 s left"
 
@@ -207,11 +257,24 @@ def test_plans_and_exports_are_told_to_programs(tmp_path, capsys):
     out, words = capsys.readouterr()
     told = json.loads(out)
     rows = np.loadtxt(plan, delimiter=",", skiprows=1)
-    assert told["schema"] == "planned/1" and told["state"] == "good" and told["axes"] == [f"l{k}" for k in range(1, 7)] and told["why"] in words
+    assert (
+        told["schema"] == "planned/1"
+        and told["state"] == "good"
+        and told["axes"] == [f"l{k}" for k in range(1, 7)]
+        and told["why"] in words
+    )
     np.testing.assert_allclose(told["values"], rows[:, 1:], atol=1e-6)
     assert main(["export", rig, "--format", "json", "--out", str(tmp_path / "g.json"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"schema": "exported/1", "format": "json", "out": str(tmp_path / "g.json"), "left_out": []}
-    assert main(["export", rig, "--format", "json", "--json"]) == 1 and "name a file or a folder with --out" in capsys.readouterr().err
+    assert json.loads(capsys.readouterr().out) == {
+        "schema": "exported/1",
+        "format": "json",
+        "out": str(tmp_path / "g.json"),
+        "left_out": [],
+    }
+    assert (
+        main(["export", rig, "--format", "json", "--json"]) == 1
+        and "name a file or a folder with --out" in capsys.readouterr().err
+    )
     assert main(["export", rig, "--format", "json", "--quiet"]) == 0 and json.loads(capsys.readouterr().out)
     assert main(["plan", rig, "--parts", "axes:2", "--out", plan, "--quiet"]) == 0 and capsys.readouterr().out == ""
 
@@ -228,12 +291,19 @@ def test_what_is_wrong_with_a_recording_is_told_to_programs(tmp_path, capsys):
 @pytest.mark.slow
 def test_quiet_commands_keep_the_result_that_was_asked_for(tmp_path, capsys):
     assert main(["check", str(BENCH / "fit"), "--quiet"]) == 0 and capsys.readouterr().out == ""
-    assert main(["check", str(BENCH / "fit"), "--quiet", "--json"]) == 0 and json.loads(capsys.readouterr().out)["usable"]
+    assert (
+        main(["check", str(BENCH / "fit"), "--quiet", "--json"]) == 0 and json.loads(capsys.readouterr().out)["usable"]
+    )
     assert main(["design", "--radius", "0.3", "--quiet"]) == 0 and "[[camera]]" in capsys.readouterr().out
-    assert main(["design", "--radius", "0.3", "--quiet", "--out", str(tmp_path / "rig.toml")]) == 0 and capsys.readouterr().out == ""
+    assert (
+        main(["design", "--radius", "0.3", "--quiet", "--out", str(tmp_path / "rig.toml")]) == 0
+        and capsys.readouterr().out == ""
+    )
 
 
 def test_help_of_every_command_opens_no_library():
-    code = ("import sys; from rig.cli.command_line import COMMANDS, command_line; command_line(COMMANDS)\n"
-            "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))")
+    code = (
+        "import sys; from rig.cli.command_line import COMMANDS, command_line; command_line(COMMANDS)\n"
+        "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))"
+    )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"

@@ -1,4 +1,6 @@
-"""Whatever ends a command, what was there is as it was, nothing half stands under a final name, and the same command works again."""
+"""Whatever ends a command, what was there is as it was, nothing half stands under a final name, and the same command
+works again.
+"""
 
 import random
 
@@ -43,6 +45,8 @@ def test_on_a_hundred_full_disks(all_scenes, tmp_path):
     dice, wrong = random.Random(2), []
     for _ in range(100):
         scene = dice.choice(all_scenes)
-        most = sum(map(len, scene.new.values())) - sum(len(scene.new[n]) for n in scene.new if scene.old.get(n) == scene.new[n])
+        most = sum(map(len, scene.new.values())) - sum(
+            len(scene.new[n]) for n in scene.new if scene.old.get(n) == scene.new[n]
+        )
         wrong.append(crashes.starved(scene, tmp_path / "disk", dice.randrange(int(1.5 * most) + 8192)))
     assert [text for text in wrong if text] == []

@@ -1,4 +1,6 @@
-"""A hexapod's closed loop through the command line: simulated with images or corners, calibrated, corrected, driven, verified."""
+"""A hexapod's closed loop through the command line: simulated with images or corners, calibrated, corrected, driven,
+verified.
+"""
 
 import pytest
 
@@ -11,10 +13,35 @@ from tests.loops import holds, lines, rig, verified
 @pytest.mark.slow
 @pytest.mark.parametrize("drawn", [(), ("--images",)], ids=["corners", "images"])
 def test_a_loop_closes(tmp_path, capfd, drawn):
-    rig("design", "--radius", "0.3", "--cubes", "3", "--cameras", "2", "--size", "800x640" if drawn else "1280x1024", "--out", tmp_path / "rig.toml")
-    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:24" if drawn else "sobol:60", "--seed", "2", *drawn, "--out", tmp_path / "rec", "--truth",
-        tmp_path / "truth.json")
+    rig(
+        "design",
+        "--radius",
+        "0.3",
+        "--cubes",
+        "3",
+        "--cameras",
+        "2",
+        "--size",
+        "800x640" if drawn else "1280x1024",
+        "--out",
+        tmp_path / "rig.toml",
+    )
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:24" if drawn else "sobol:60",
+        "--seed",
+        "2",
+        *drawn,
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     m = design_file.load(tmp_path / "rig.toml").mechanism
-    found = verified(tmp_path, capfd, lines(hexapod.forward(low_discrepancy(m.strut_range, 4 if drawn else 8, 0.5, 5), m)), drawn)
+    found = verified(
+        tmp_path, capfd, lines(hexapod.forward(low_discrepancy(m.strut_range, 4 if drawn else 8, 0.5, 5), m)), drawn
+    )
     holds(found)
     assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]

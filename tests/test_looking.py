@@ -1,4 +1,6 @@
-"""Who looks on at a run: alarms are said, noted and can stop it; displays show every frame; a terminal's text fits what happened."""
+"""Who looks on at a run: alarms are said, noted and can stop it; displays show every frame; a terminal's text fits what
+happened.
+"""
 
 import io
 import threading
@@ -31,13 +33,18 @@ from vision.reading.live_measurement import Live, sight_from_limbs
 
 
 class Measured:
-    """In place of vision.reading.live_measurement.Live: sights as they are made here; from frame 3 on cam1 has moved by a pixel."""
+    """In place of vision.reading.live_measurement.Live: sights as they are made here; from frame 3 on cam1 has moved by
+    a pixel.
+    """
 
     noise = 0.02
 
     def __init__(self, design):
         self.design, self.rng = design, np.random.default_rng(3)
-        self.ids = {body: [n for target in design.targets if target.body == body for n in target.ids] for body in ("base", "platform")}
+        self.ids = {
+            body: [n for target in design.targets if target.body == body for n in target.ids]
+            for body in ("base", "platform")
+        }
 
     def take(self, frame, images, expected):
         found = sight(self.design, self.ids, frame, self.rng, shift=(1.0 * (frame >= 3), 0.0))
@@ -70,8 +77,15 @@ def looked(design, stop_on, displays=()):
     """A Looking that has seen six frames, its halts and its notes."""
     clock, halts, notes = SimulatedClock(), [], []
     planned = steps_of_plan(build_plan(design, "sobol:6"))
-    looking = Looking(design, planned, planned[0].goal, clock, Measured(design), None,
-                      Stopping(stop_on, lambda: halts.append(threading.current_thread())))
+    looking = Looking(
+        design,
+        planned,
+        planned[0].goal,
+        clock,
+        Measured(design),
+        None,
+        Stopping(stop_on, lambda: halts.append(threading.current_thread())),
+    )
     looking.displays += displays
     looking.note = notes.append
     for frame in range(6):
@@ -79,8 +93,15 @@ def looked(design, stop_on, displays=()):
         goal = planned[frame + 1].goal
         looking.happened(Departure(clock.now(), frame + 1, tuple(goal), tuple(goal)))
         looking.happened(Exposed(clock.now(), frame + 1, frame, (0.0,), ("cam0",), ("a.png",)))
-        looking.seen(Shot(frame, frame + 1, clock.now(), goal,
-                          {c.name: Frame(np.zeros((48, 64), np.uint8), clock.now(), 1e-3) for c in design.cameras}))
+        looking.seen(
+            Shot(
+                frame,
+                frame + 1,
+                clock.now(),
+                goal,
+                {c.name: Frame(np.zeros((48, 64), np.uint8), clock.now(), 1e-3) for c in design.cameras},
+            )
+        )
     looking.finish()
     return looking, halts, notes
 
@@ -89,7 +110,11 @@ def looked(design, stop_on, displays=()):
 def test_a_moved_camera_is_said_noted_and_stops_where_that_was_asked_for(design, stops):
     shown = Shown()
     looking, halts, notes = looked(design, frozenset(["camera"] if stops else ["jump"]), [shown])
-    assert [alarm.kind for alarm in looking.view.alarms] == ["camera"] and "camera 'cam1' has moved" in notes[0] and len(notes) == 1
+    assert (
+        [alarm.kind for alarm in looking.view.alarms] == ["camera"]
+        and "camera 'cam1' has moved" in notes[0]
+        and len(notes) == 1
+    )
     assert bool(looking.stop()) == stops and len(halts) == stops
     assert shown.closed and {view.seen.sight.frame for view in shown.views if view.seen} == set(range(6))
     assert shown.views[-1].frame == 6 and 0 < max(view.left for view in shown.views if view.left == view.left) < 60
@@ -105,7 +130,10 @@ def test_a_display_that_fails_costs_itself_alone_and_is_reported(design, capsys)
     shown, failing = Shown(), Failing()
     looking, halts, notes = looked(design, frozenset(), [failing, shown])
     assert len(failing.views) == 1 and shown.views[-1].frame == 6 and shown.closed and not halts and not looking.stop()
-    assert "Failing no longer shows the run, which goes on: RuntimeError('too many open files')" in notes[0] and notes[0] in capsys.readouterr().err
+    assert (
+        "Failing no longer shows the run, which goes on: RuntimeError('too many open files')" in notes[0]
+        and notes[0] in capsys.readouterr().err
+    )
 
 
 class Told:
@@ -128,7 +156,9 @@ class Told:
 
 
 def by_limbs(folder, slip, at):
-    """(Looking that has seen 60 frames by limbs of which the fifth slips by `slip` m from a frame on, its Live, what was withdrawn)"""
+    """(Looking that has seen 60 frames by limbs of which the fifth slips by `slip` m from a frame on, its Live, what
+    was withdrawn)
+    """
     (folder / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=6))
     design = design_file.load(folder / "rig.toml")
     true, nominal, rng = design.mechanism, measuring_limbs.limb_hexapod(design), np.random.default_rng(5)
@@ -137,9 +167,16 @@ def by_limbs(folder, slip, at):
     live = Told(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
     clock, withdrawn, planned = SimulatedClock(), [], steps_of_plan(build_plan(design, "sobol:6"))
     agreement = measuring_limbs.limb_agreement(poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3))
-    accepted = Accepted(measuring_limbs.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)), nominal, agreement, None, {})
-    looking = Looking(design, planned, planned[0].goal, clock, live, Learner(true, shared=42), Stopping(frozenset(), lambda: None))
-    looking.source, looking.withdraw = LimbLive(accepted, 10), lambda source, frame, reason: withdrawn.append((frame, reason))
+    accepted = Accepted(
+        measuring_limbs.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)), nominal, agreement, None, {}
+    )
+    looking = Looking(
+        design, planned, planned[0].goal, clock, live, Learner(true, shared=42), Stopping(frozenset(), lambda: None)
+    )
+    looking.source, looking.withdraw = (
+        LimbLive(accepted, 10),
+        lambda source, frame, reason: withdrawn.append((frame, reason)),
+    )
     for frame, (command, read) in enumerate(zip(commands, hexapod.inverse(poses, nominal))):
         read = read + 1e-6 * rng.normal(size=6) - slip * (frame >= at) * np.eye(6)[4]
         looking.happened(Readings(clock.now(), tuple(f"m{i + 1}" for i in range(6)), tuple(read)))
@@ -150,9 +187,14 @@ def by_limbs(folder, slip, at):
 
 def test_a_run_by_limbs_looks_at_few_poses_and_goes_on_by_vision_once_one_slips(tmp_path):
     looking, live, withdrawn = by_limbs(tmp_path, 0.0, 60)
-    assert not withdrawn and len(live.looked) < 20 and {0, 10, 20, 30, 40, 50} <= set(live.looked) and not looking.view.alarms
+    assert (
+        not withdrawn
+        and len(live.looked) < 20
+        and {0, 10, 20, 30, 40, 50} <= set(live.looked)
+        and not looking.view.alarms
+    )
     looking, live, withdrawn = by_limbs(tmp_path, 3e-5, 33)
-    (frame, reason), = withdrawn
+    ((frame, reason),) = withdrawn
     assert 33 <= frame < 38 and "limb 5 is longer by +" in reason
     assert [alarm.kind for alarm in looking.view.alarms] == ["limbs"], "and no strut is said to have jumped"
     assert set(range(frame, 60)) <= set(live.looked), "from there on vision measures"
@@ -173,7 +215,9 @@ def test_what_is_drawn_to_warm_up_with_is_the_rig_at_home(design):
     sight = live.take(0, draw_markers(design.cameras, design.mechanism.home, live.markers))
     live.close()
     off = design.mechanism.home.inv() * sight.T_base_platform
-    assert np.linalg.norm(off.translation) < 1e-3 and all(len(detection.marker) >= 4 for detection in sight.detections.values())
+    assert np.linalg.norm(off.translation) < 1e-3 and all(
+        len(detection.marker) >= 4 for detection in sight.detections.values()
+    )
     warm_up(design)
 
 
@@ -182,21 +226,44 @@ def test_a_terminal_says_what_happened(design):
     looking, _, _ = looked(design, frozenset(), [Lines(out), Block(screen)])
     looking.happened(Ended(20.0, "stopped from the page"))
     text = out.getvalue()
-    assert text.count("moving to step") == 6 and text.count("! camera") == 1 and "[6/6] ended: stopped from the page" in text
+    assert (
+        text.count("moving to step") == 6
+        and text.count("! camera") == 1
+        and "[6/6] ended: stopped from the page" in text
+    )
     assert "frame 5: 0.000 0.000 450.000 mm" in text and "\x1b" not in text
     lines = view_lines(looking.view)
-    assert lines[0].startswith("frame 6 of 6, step 7 of 13") and sum(line.startswith("strut") for line in lines) == 6 and "! camera" in lines[-1]
+    assert (
+        lines[0].startswith("frame 6 of 6, step 7 of 13")
+        and sum(line.startswith("strut") for line in lines) == 6
+        and "! camera" in lines[-1]
+    )
     assert screen.getvalue().count("\x1b[J") > 6 and f"\x1b[{len(lines)}A" in screen.getvalue()
 
 
 def test_the_button_on_the_page_stops_the_run_and_its_event_is_whole(design):
     halts = []
     planned = steps_of_plan(build_plan(design, "sobol:6"))
-    looking = Looking(design, planned, planned[0].goal, SimulatedClock(), Measured(design), None,
-                      Stopping(frozenset(), lambda: halts.append(1)))
+    looking = Looking(
+        design,
+        planned,
+        planned[0].goal,
+        SimulatedClock(),
+        Measured(design),
+        None,
+        Stopping(frozenset(), lambda: halts.append(1)),
+    )
     with Page(looking, 0) as page:
         looking.displays.append(page)
-        looking.seen(Shot(0, 1, 0.0, planned[1].goal, {c.name: Frame(np.full((48, 64), 9, np.uint8), 0.0, 1e-3) for c in design.cameras}))
+        looking.seen(
+            Shot(
+                0,
+                1,
+                0.0,
+                planned[1].goal,
+                {c.name: Frame(np.full((48, 64), 9, np.uint8), 0.0, 1e-3) for c in design.cameras},
+            )
+        )
         looking.finish()
         _, event, _ = page._server.listen(-1, 0)
         assert b'"frame": 0' in event and event.count(b'"read"') == len(design.cameras) and b"NaN" not in event
@@ -208,8 +275,14 @@ def test_the_button_on_the_page_stops_the_run_and_its_event_is_whole(design):
 def test_a_pose_far_off_what_was_expected_is_no_good_run():
     """However unsure the learner still is: 67 um at +-2.1 um is to be looked at."""
     measured = SimpleNamespace(covariance=np.eye(6) * 2.1e-6**2)
-    view = SimpleNamespace(phase="exposed", ended=None, alarms=(), seen=SimpleNamespace(
-        sight=measured, learnt=SimpleNamespace(error=np.array([0, 0, 67e-6, 0, 0, 0]), innovation=0.17)))
+    view = SimpleNamespace(
+        phase="exposed",
+        ended=None,
+        alarms=(),
+        seen=SimpleNamespace(
+            sight=measured, learnt=SimpleNamespace(error=np.array([0, 0, 67e-6, 0, 0, 0]), innovation=0.17)
+        ),
+    )
     verdict = run_verdict(view)
     assert verdict.state == "check" and "13 times its own uncertainty" in verdict.why
     view.seen.learnt.error = np.array([0, 0, 2e-6, 0, 0, 0])

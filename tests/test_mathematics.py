@@ -25,7 +25,9 @@ def test_every_equation_that_code_refers_to_exists():
     for package in ("rig", "vision", "calib", "synthetic"):
         for path in (ROOT / package).rglob("*.py"):
             text = path.read_text()
-            assert len(NUMBERS.findall(text)) == text.count(NAME), f"{path}: refers to the mathematics, but to no equation"
+            assert len(NUMBERS.findall(text)) == text.count(NAME), (
+                f"{path}: refers to the mathematics, but to no equation"
+            )
             assert referred(text) <= known, f"{path}: there is no equation {sorted(referred(text) - known)}"
             seen |= referred(text)
     assert {6, 7, 8, 19, 20, 21, 22, 23} <= seen
@@ -38,7 +40,12 @@ def test_the_document_refers_to_its_own_equations_alone():
 
 def test_a_symbol_has_one_meaning():
     table = (ROOT / NAME).read_text().split("## Symbols")[1].split("\n## ")[0]
-    symbols = [symbol for line in table.splitlines() if line.startswith("| $") for symbol in re.findall(r"\$(.+?)\$", line.split(" | ")[0])]
+    symbols = [
+        symbol
+        for line in table.splitlines()
+        if line.startswith("| $")
+        for symbol in re.findall(r"\$(.+?)\$", line.split(" | ")[0])
+    ]
     assert len(symbols) > 30 and len(symbols) == len(set(symbols))
 
 
@@ -46,5 +53,9 @@ def test_every_source_is_cited_by_its_number():
     text, sources = (ROOT / NAME).read_text().split("## Sources")
     numbers = [int(number) for number in re.findall(r"^\[(\d+)\] ", sources, flags=re.MULTILINE)]
     assert numbers == list(range(1, len(numbers) + 1))
-    assert {int(number) for number in re.findall(r"\[(\d+)\]", re.sub(r"\$.*?\$", "", text, flags=re.DOTALL))} == set(numbers)
-    assert not re.findall(r"\b(?:19|20)\d\d\b", re.sub(r"\$.*?\$", "", text, flags=re.DOTALL)), "years stand with the sources"
+    assert {int(number) for number in re.findall(r"\[(\d+)\]", re.sub(r"\$.*?\$", "", text, flags=re.DOTALL))} == set(
+        numbers
+    )
+    assert not re.findall(r"\b(?:19|20)\d\d\b", re.sub(r"\$.*?\$", "", text, flags=re.DOTALL)), (
+        "years stand with the sources"
+    )

@@ -1,4 +1,6 @@
-"""A further effect is one file and one line: simulated, asked for, drawn, said and in the catalogue, for every kind of machine."""
+"""A further effect is one file and one line: simulated, asked for, drawn, said and in the catalogue, for every kind of
+machine.
+"""
 
 import json
 import os
@@ -32,7 +34,8 @@ class ToyTide(Effect):
     name: ClassVar = "toy_tide"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
-    parameters: ClassVar = (Parameter("height", "m", (-0.1, 0.1), (1e-5, 1e-3), signed=True, joint=((-0.5, 0.5), (1e-4, 1e-2))),)
+    parameters: ClassVar = (Parameter("height", "m", (-0.1, 0.1), (1e-5, 1e-3), signed=True, joint=((-0.5, 0.5), \
+(1e-4, 1e-2))),)
     experiment: ClassVar = "wait for the tide"
     action: ClassVar = "Move the {axis} inland."
 
@@ -42,11 +45,17 @@ class ToyTide(Effect):
     def covariate(self, motion: Motion) -> Covariate:
         return Covariate(motion.t / 600 % 1, "tide, turns")
 '''
-RIGS = {"planar2": '[mechanism]\nkind = "planar2"\nbase_joints = [[0.0, 0.0], [1.0, 0.0]]\nstrut_range = [[0.6, 1.2], [0.6, 1.2]]\n',
-        "arm": '[mechanism]\nkind = "arm"\njoints = [[0.0, 0.13, 0.0, 1.5708], [0.0, 0.0, -0.61, 0.0], [0.0, 0.0, -0.57, 0.0], [0.0, 0.16, 0.0, '
-               '1.5708], '
-               '[0.0, 0.12, 0.0, -1.5708], [0.0, 0.09, 0.0, 0.0]]\nlimits = [[-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5], [-2.5, '
-               '2.5]]\n'}
+RIGS = {
+    "planar2": '[mechanism]\nkind = "planar2"\nbase_joints = [[0.0, 0.0], [1.0, '
+    "0.0]]\nstrut_range = [[0.6, 1.2], [0.6, "
+    "1.2]]\n",
+    "arm": '[mechanism]\nkind = "arm"\njoints = [[0.0, 0.13, 0.0, 1.5708], [0.0, 0.0, -0.61, 0.0], [0.0, 0.0, '
+    "-0.57, 0.0], [0.0, 0.16, 0.0, "
+    "1.5708], "
+    "[0.0, 0.12, 0.0, -1.5708], [0.0, 0.09, 0.0, 0.0]]\nlimits = [[-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5], "
+    "[-2.5, 2.5], [-2.5, 2.5], [-2.5, "
+    "2.5]]\n",
+}
 INSTRUMENT = '[instrument]\nbase = "{0}"\ntool = "{0}"\nposition_sigma = 2e-5\nrotation_sigma = 1e-4\n'
 PLACES = {"hexapod": ("strut 2", "2e-4"), "planar2": ("strut 2", "2e-4"), "arm": ("joint 2", "2e-3")}
 
@@ -69,8 +78,13 @@ def house(tmp_path_factory):
 def rig(house, *words):
     """What `rig` of the house writes to its standard output; words : of its command line."""
     code = "import sys; from rig.cli.command_line import main; sys.exit(main(sys.argv[1:]))"
-    done = subprocess.run([sys.executable, "-P", "-c", code, *map(str, words)], capture_output=True, text=True, cwd=house,
-                          env={**os.environ, "PYTHONPATH": str(house)})
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code, *map(str, words)],
+        capture_output=True,
+        text=True,
+        cwd=house,
+        env={**os.environ, "PYTHONPATH": str(house)},
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -79,11 +93,26 @@ def recorded(house, kind):
     """A recording of a machine of a kind with the toy at its second axis."""
     folder = house / kind
     folder.mkdir(exist_ok=True)
-    text = hexapod_layout(0.3) if kind == "hexapod" else 'schema = "rig/1"\n' + RIGS[kind] + INSTRUMENT.format("free" if kind == "arm" else "rig")
+    text = (
+        hexapod_layout(0.3)
+        if kind == "hexapod"
+        else 'schema = "rig/1"\n' + RIGS[kind] + INSTRUMENT.format("free" if kind == "arm" else "rig")
+    )
     (folder / "rig.toml").write_text(text)
     place, height = PLACES[kind]
-    rig(house, "simulate", folder / "rig.toml", "--plan", "sobol:100", "--effect", f"toy_tide:{place}:height={height}", "--out", folder / "rec",
-        "--truth", folder / "truth.json")
+    rig(
+        house,
+        "simulate",
+        folder / "rig.toml",
+        "--plan",
+        "sobol:100",
+        "--effect",
+        f"toy_tide:{place}:height={height}",
+        "--out",
+        folder / "rec",
+        "--truth",
+        folder / "truth.json",
+    )
     return folder
 
 
@@ -109,6 +138,8 @@ def test_it_is_diagnosed_reported_and_plotted(house, kind):
     found = json.loads((folder / "found" / "diagnosis.json").read_text())["findings"]
     assert [(f["effect"], f["place"]) for f in found] == [("toy_tide", PLACES[kind][0])]
     height = found[0]["parameters"]["height"]
-    assert height["ci95"][0] < float(PLACES[kind][1]) < height["ci95"][1] and height["unit"] == ("rad" if kind == "arm" else "m")
+    assert height["ci95"][0] < float(PLACES[kind][1]) < height["ci95"][1] and height["unit"] == (
+        "rad" if kind == "arm" else "m"
+    )
     page = (folder / "found" / "diagnosis.html").read_text()
     assert "oy tide" in page and f"Move the {PLACES[kind][0].split()[0]} inland." in page

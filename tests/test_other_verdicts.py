@@ -18,12 +18,21 @@ from tests import truth
 SOUND = Look(1, "rec1", 12.0, (), (), (), (), (), ())
 
 
-@pytest.mark.parametrize("ratio, state, says", [(1.02, "good", "60 of 60 frames"), (0.49, "check", "is less than stated"),
-                                                (1.8, "check", "not to be believed"), (2.6, "bad", "not to be believed")])
+@pytest.mark.parametrize(
+    "ratio, state, says",
+    [
+        (1.02, "good", "60 of 60 frames"),
+        (0.49, "check", "is less than stated"),
+        (1.8, "check", "not to be believed"),
+        (2.6, "bad", "not to be believed"),
+    ],
+)
 def test_a_measurement_whose_noise_is_not_the_stated_one_is_not_good(ratio, state, says):
     """Of frames held out, over the squares predicted: noiseless drawings come to 0.49."""
     recording = SimpleNamespace(exposures=SimpleNamespace(times=lambda: (np.arange(60), np.arange(60.0))))
-    measurement = SimpleNamespace(frames=np.arange(60), covariance=np.broadcast_to(1e-10 * np.eye(6), (60, 6, 6)), unsolved={})
+    measurement = SimpleNamespace(
+        frames=np.arange(60), covariance=np.broadcast_to(1e-10 * np.eye(6), (60, 6, 6)), unsolved={}
+    )
     verdict = judged_measurement(MeasurementResult(recording, measurement, SimpleNamespace(ratio=ratio, scatter=0.03)))
     assert verdict.state == state and says in verdict.why
 
@@ -38,11 +47,25 @@ def test_a_campaign_of_two_cases_is_not_good():
 
 def test_an_investigation_is_no_better_than_its_last_diagnosis(tmp_path):
     assert judged_investigation([SOUND], "all is settled").state == "good"
-    truth.record(truth.draw(1, "none", "none", "sobol", count=30), tmp_path / "rec1")  # place hides what depends on direction
+    truth.record(
+        truth.draw(1, "none", "none", "sobol", count=30), tmp_path / "rec1"
+    )  # place hides what depends on direction
     plan_path(tmp_path, 1).write_text("frame,t\n0,0\n1,60\n")
-    assert main(["diagnose", str(tmp_path / "rec1"), "--out", str(diagnosis_path(tmp_path, 1)), "--next", str(plan_path(tmp_path, 2))]) == 0
+    assert (
+        main(
+            [
+                "diagnose",
+                str(tmp_path / "rec1"),
+                "--out",
+                str(diagnosis_path(tmp_path, 1)),
+                "--next",
+                str(plan_path(tmp_path, 2)),
+            ]
+        )
+        == 0
+    )
     diagnosed = json.loads((diagnosis_path(tmp_path, 1) / "diagnosis.json").read_text())["verdict"]
-    look, = read_looks(tmp_path)
+    (look,) = read_looks(tmp_path)
     verdict = judged_investigation([look], "all is settled")
     assert diagnosed["state"] == verdict.state == "check" and not look.findings
     assert any("play and place" in text for text in verdict.rests_on)

@@ -1,4 +1,6 @@
-"""The package as others get it: licences of all that it needs, its own files, and (slow) the wheel in a fresh environment."""
+"""The package as others get it: licences of all that it needs, its own files, and (slow) the wheel in a fresh
+environment.
+"""
 
 import importlib.util
 import re
@@ -12,10 +14,17 @@ import pytest
 from rig.cli.command_line import main
 from tests.conftest import ROOT
 
-ALLOWED = re.compile(r"\b(MIT|BSD|0BSD|Apache|LGPL\w*|GNU Lesser General Public|MPL|Mozilla Public|PSF|Python Software Foundation|"
-                     r"HPND|ISC|Zlib|CC0|Unlicense)\b", re.IGNORECASE)
-COPYLEFT = re.compile(r"(?<!L)(?<!Lesser )(?<!Library or Lesser )\b(A?GPL|GNU General Public|GNU Affero)", re.IGNORECASE)
-EXCEPTED = re.compile(r"\S*GPL\S* WITH GCC-exception-\S*")  # the run-time libraries of the Fortran compiler may be passed on with anything
+ALLOWED = re.compile(
+    r"\b(MIT|BSD|0BSD|Apache|LGPL\w*|GNU Lesser General Public|MPL|Mozilla Public|PSF|Python Software Foundation|"
+    r"HPND|ISC|Zlib|CC0|Unlicense)\b",
+    re.IGNORECASE,
+)
+COPYLEFT = re.compile(
+    r"(?<!L)(?<!Lesser )(?<!Library or Lesser )\b(A?GPL|GNU General Public|GNU Affero)", re.IGNORECASE
+)
+EXCEPTED = re.compile(
+    r"\S*GPL\S* WITH GCC-exception-\S*"
+)  # the run-time libraries of the Fortran compiler may be passed on with anything
 
 
 def needed(name, seen):
@@ -26,7 +35,11 @@ def needed(name, seen):
     seen[key] = metadata.distribution(name)
     for need in metadata.requires(name) or ():
         condition = need.partition(";")[2]
-        if "extra" in condition or ("sys_platform" in condition and sys.platform not in condition) or "platform_system" in condition:
+        if (
+            "extra" in condition
+            or ("sys_platform" in condition and sys.platform not in condition)
+            or "platform_system" in condition
+        ):
             continue
         if "python_version" in condition and "<" in condition:
             continue
@@ -35,16 +48,29 @@ def needed(name, seen):
 
 
 def licence(distribution):
-    """What a distribution says of its licence: the expression, else its classifiers, else its own words, else what the text is."""
+    """What a distribution says of its licence: the expression, else its classifiers, else its own words, else what the
+    text is.
+    """
     told = distribution.metadata
     classified = [line for line in told.get_all("Classifier") or () if line.startswith("License ::")]
-    return told.get("License-Expression") or " / ".join(classified) or (told.get("License") or "")[:200] or _text(distribution)
+    return (
+        told.get("License-Expression")
+        or " / ".join(classified)
+        or (told.get("License") or "")[:200]
+        or _text(distribution)
+    )
 
 
 def _text(distribution):
-    files = [path for path in distribution.files or () if path.name.upper().startswith(("LICENSE", "LICENCE", "COPYING"))]
+    files = [
+        path for path in distribution.files or () if path.name.upper().startswith(("LICENSE", "LICENCE", "COPYING"))
+    ]
     text = " ".join(files[0].read_text().split()) if files else ""
-    return "BSD" if text.count("Redistribution and use in source and binary forms") == 1 and "GPL" not in text else text[:200]
+    return (
+        "BSD"
+        if text.count("Redistribution and use in source and binary forms") == 1 and "GPL" not in text
+        else text[:200]
+    )
 
 
 def allowed(text):
@@ -53,12 +79,21 @@ def allowed(text):
     return bool(ALLOWED.search(rest)) and not COPYLEFT.search(rest)
 
 
-@pytest.mark.parametrize("text, fine", [
-    ("MIT", True), ("BSD-3-Clause AND GPL-3.0-or-later WITH GCC-exception-3.1", True),
-    ("License :: OSI Approved :: GNU General Public License v3", False),
-    ("LGPL-2.1", True), ("License :: OSI Approved :: GNU Lesser General Public License v2", True), ("", False), ("Proprietary", False),
-    ("AGPL-3.0", False), ("MIT AND GPL-3.0-only", False), ("MPL-2.0 AND MIT", True),
-])
+@pytest.mark.parametrize(
+    "text, fine",
+    [
+        ("MIT", True),
+        ("BSD-3-Clause AND GPL-3.0-or-later WITH GCC-exception-3.1", True),
+        ("License :: OSI Approved :: GNU General Public License v3", False),
+        ("LGPL-2.1", True),
+        ("License :: OSI Approved :: GNU Lesser General Public License v2", True),
+        ("", False),
+        ("Proprietary", False),
+        ("AGPL-3.0", False),
+        ("MIT AND GPL-3.0-only", False),
+        ("MPL-2.0 AND MIT", True),
+    ],
+)
 def test_licences_are_told_apart(text, fine):
     assert allowed(text) is fine
 
@@ -78,19 +113,30 @@ def test_direct_needs_stand_in_the_table_of_licences():
 def plain(monkeypatch):
     """An installation without the extra `print`."""
     there = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else there(name, *rest))
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else there(name, *rest)
+    )
 
 
 def test_what_is_drawn_on_paper_says_what_to_install(plain, tmp_path, capsys):
     rig = ROOT / "tests" / "data" / "bench" / "check" / "rig.toml"
-    for words in (("print", rig, "--out", tmp_path / "sheets.pdf"), ("certify", "cal.json", "rec", "--out", tmp_path / "certificate.pdf")):
+    for words in (
+        ("print", rig, "--out", tmp_path / "sheets.pdf"),
+        ("certify", "cal.json", "rec", "--out", tmp_path / "certificate.pdf"),
+    ):
         assert main(list(map(str, words))) == 1
-        assert "drawn by matplotlib: pip install 'rig[print]'" in capsys.readouterr().err and not list(tmp_path.iterdir())
+        assert "drawn by matplotlib: pip install 'rig[print]'" in capsys.readouterr().err and not list(
+            tmp_path.iterdir()
+        )
 
 
 def test_only_what_is_drawn_on_paper_needs_matplotlib():
-    found = {str(path.relative_to(ROOT)) for package in ("rig", "vision", "calib", "synthetic") for path in (ROOT / package).rglob("*.py")
-             if re.search(r"^\s*(from|import) matplotlib", path.read_text(encoding="utf-8"), re.MULTILINE)}
+    found = {
+        str(path.relative_to(ROOT))
+        for package in ("rig", "vision", "calib", "synthetic")
+        for path in (ROOT / package).rglob("*.py")
+        if re.search(r"^\s*(from|import) matplotlib", path.read_text(encoding="utf-8"), re.MULTILINE)
+    }
     assert found == {f"synthetic/{name}.py" for name in ("print_sheets", "sheet_rulers", "cube_assembly_page")} | {
         "calib/certificate/certificate_pdf.py",
         "rig/posture/force_polytope_figure.py",
@@ -99,7 +145,11 @@ def test_only_what_is_drawn_on_paper_needs_matplotlib():
 
 def test_the_version_is_the_installed_one_and_the_newest_in_the_changes():
     stated = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    released = re.findall(r"^## (\d+\.\d+\.\d+)(?: \(\d{4}-\d{2}-\d{2}\))?$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    released = re.findall(
+        r"^## (\d+\.\d+\.\d+)(?: \(\d{4}-\d{2}-\d{2}\))?$",
+        (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
     assert metadata.version("rig") == stated == released[0], "make setup, after a change of the version"
     assert released == sorted(released, key=lambda version: [int(part) for part in version.split(".")], reverse=True)
 
@@ -112,6 +162,12 @@ def test_decisions_are_listed():
 
 @pytest.mark.slow
 def test_the_wheel_works_in_a_fresh_environment():
-    done = subprocess.run(["sh", ".ci/release"], cwd=ROOT, capture_output=True, text=True, env={"PYTHON": sys.executable, "PATH": "/usr/bin:/bin"})
+    done = subprocess.run(
+        ["sh", ".ci/release"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        env={"PYTHON": sys.executable, "PATH": "/usr/bin:/bin"},
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "nothing wrong or unlikely" in done.stdout and ".whl" in done.stdout and ".tar.gz" in done.stdout

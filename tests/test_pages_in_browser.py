@@ -1,6 +1,8 @@
-"""Every kind of page in headless Chromium: wide and narrow, light and dark, no error, nothing cut off, names and contrast as axe-core asks.
+"""Every kind of page in headless Chromium: wide and narrow, light and dark, no error, nothing cut off, names and
+contrast as axe-core asks.
 
-It takes Chromium and the extra `browser` (playwright, axe-core-python); RIG_SCREENSHOTS=FOLDER keeps a picture of every page.
+It takes Chromium and the extra `browser` (playwright, axe-core-python); RIG_SCREENSHOTS=FOLDER keeps a picture of every
+page.
 """
 
 import os
@@ -23,8 +25,24 @@ from tests.rig.report.pages.test_run_page_server import EVENT
 from vision.jpeg_pictures import encode_jpeg
 
 pytestmark = pytest.mark.slow
-KINDS = ("measure", "calibrate", "diagnose", "verify", "certify", "workspace", "online", "plan", "view", "watch", "index", "insitu", "blind",
-         "investigate", "lens", "run")
+KINDS = (
+    "measure",
+    "calibrate",
+    "diagnose",
+    "verify",
+    "certify",
+    "workspace",
+    "online",
+    "plan",
+    "view",
+    "watch",
+    "index",
+    "insitu",
+    "blind",
+    "investigate",
+    "lens",
+    "run",
+)
 WIDTHS = (400, 800, 1400)
 LARGEST, READY = 6e6, 2.0  # bytes of a page, s until it answers
 READABLE = 10.5  # px, least height of a figure's letters on a narrow page
@@ -50,8 +68,10 @@ def _made(at):
     cases = [Case(0, "two", None, hidden, named, False, 1.02, 40.0), Case(1, "nothing", None, [], [], False, 1.0, 31.0)]
     campaign_page(at / "blind.html", {"season": 2}, cases)
     alike = (Hypothesis("backlash at strut 3", 0.7), Hypothesis("creep at rig", 0.3))
-    looks = [Look(1, "rec1", 12.0, ("backlash at strut 3",), (), (), (alike,), (), ()),
-             Look(2, "rec2", 9.0, ("backlash at strut 3",), ("backlash at strut 3",), (), (), (), ())]
+    looks = [
+        Look(1, "rec1", 12.0, ("backlash at strut 3",), (), (), (alike,), (), ()),
+        Look(2, "rec2", 9.0, ("backlash at strut 3",), ("backlash at strut 3",), (), (), (), ()),
+    ]
     write_investigation_page(at / "investigate.html", "rig.toml", looks, 60.0, "told apart", ())
 
 
@@ -98,7 +118,9 @@ def test_a_page_is_seen_by_everybody(kind, written, served, browser, axe):
                 seen.wait_for_selector("#pose td")  # of the first event
             _looked_at(seen, kind, width)
             if os.environ.get("RIG_SCREENSHOTS"):
-                seen.screenshot(path=Path(os.environ["RIG_SCREENSHOTS"]) / f"{kind}-{width}-{scheme}.png", full_page=True)
+                seen.screenshot(
+                    path=Path(os.environ["RIG_SCREENSHOTS"]) / f"{kind}-{width}-{scheme}.png", full_page=True
+                )
             seen.evaluate(axe)
             found = seen.evaluate("""axe.run({resultTypes: ["violations"]}).then(done => done.violations.map(
                 v => [v.id, v.nodes[0].html, v.nodes[0].failureSummary]))""")
@@ -112,7 +134,9 @@ def _listened(seen, offline):
     wrong = []
     seen.on("console", lambda message: wrong.append(message.text) if message.type in ("error", "warning") else None)
     seen.on("pageerror", lambda error: wrong.append(str(error)))
-    seen.on("request", lambda request: wrong.append(request.url) if offline and request.url.startswith("http") else None)
+    seen.on(
+        "request", lambda request: wrong.append(request.url) if offline and request.url.startswith("http") else None
+    )
     return wrong
 
 
@@ -121,8 +145,10 @@ def _looked_at(seen, kind, width):
     assert seen.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0, (kind, width)
     first = seen.evaluate("document.body.innerText.trim().split(/\\s+/)[0].toLowerCase()")
     assert first in ("good", "check", "bad"), (kind, first)
-    least = seen.evaluate("""Math.min(99, ...[...document.querySelectorAll("svg.figure")].filter(f => f.checkVisibility()).flatMap(f =>
-        [...f.querySelectorAll("text")].map(t => parseFloat(getComputedStyle(t).fontSize) * f.getBoundingClientRect().width / 400)))""")
+    least = seen.evaluate("""Math.min(99, ...[...document.querySelectorAll("svg.figure")].filter(f => \
+f.checkVisibility()).flatMap(f =>
+        [...f.querySelectorAll("text")].map(t => parseFloat(getComputedStyle(t).fontSize) * \
+f.getBoundingClientRect().width / 400)))""")
     assert least >= READABLE, (kind, width)
 
 
@@ -131,13 +157,18 @@ def test_a_view_is_played_and_a_figure_says_its_values(written, browser):
     seen.goto(written["view"].as_uri())
     before = seen.evaluate("document.getElementById('stage-view').toDataURL()")
     for name, value in (("size", "1"), ("much", "3")):
-        seen.evaluate(f"{{const s = document.getElementById('stage-{name}'); s.value = {value}; s.dispatchEvent(new Event('input'))}}")
+        seen.evaluate(
+            f"{{const s = document.getElementById('stage-{name}'); s.value = {value}; s.dispatchEvent(new "
+            f"Event('input'))}}"
+        )
     assert seen.evaluate("document.getElementById('stage-view').toDataURL()") != before
     assert seen.inner_text("#stage-said") == "gap 800 µm" and seen.inner_text("#stage-times") == "1000 times"
     assert seen.inner_text("#stage-number").startswith("frame 0")
     seen.click("#stage-play")
     end = time.monotonic() + 30
-    while int(seen.evaluate("document.getElementById('stage-frame').value")) == 0:  # the page allows no eval, by which playwright would wait
+    while (
+        int(seen.evaluate("document.getElementById('stage-frame').value")) == 0
+    ):  # the page allows no eval, by which playwright would wait
         assert time.monotonic() < end
     seen.goto(written["online"].as_uri())
     place = seen.evaluate("""(() => {const path = document.querySelector(".valued"), f = path.closest("svg");

@@ -1,4 +1,6 @@
-"""Two struts in a plane, through the command line: what the method does for a hexapod it does for its own worked example."""
+"""Two struts in a plane, through the command line: what the method does for a hexapod it does for its own worked
+example.
+"""
 
 import json
 
@@ -13,9 +15,35 @@ from tests.loops import calibrated, holds, lines, rig, verified
 
 
 def recorded(folder, *words, plan="sobol:24", size="640x512", again=False):
-    rig("design", "--mechanism", "planar2", "--radius", "0.3", "--cubes", "1", "--cameras", "2", "--size", size, "--out", folder / "rig.toml",
-        *(["--force"] if again else []))
-    rig("simulate", folder / "rig.toml", "--plan", plan, "--seed", "3", *words, "--out", folder / "rec", "--truth", folder / "truth.json")
+    rig(
+        "design",
+        "--mechanism",
+        "planar2",
+        "--radius",
+        "0.3",
+        "--cubes",
+        "1",
+        "--cameras",
+        "2",
+        "--size",
+        size,
+        "--out",
+        folder / "rig.toml",
+        *(["--force"] if again else []),
+    )
+    rig(
+        "simulate",
+        folder / "rig.toml",
+        "--plan",
+        plan,
+        "--seed",
+        "3",
+        *words,
+        "--out",
+        folder / "rec",
+        "--truth",
+        folder / "truth.json",
+    )
 
 
 def wanted(folder, count=6):
@@ -27,10 +55,14 @@ def test_a_loop_closes_from_corners(tmp_path, capfd):
     recorded(tmp_path)
     found = verified(tmp_path, capfd, wanted(tmp_path))
     holds(found, ("position",))
-    assert found["wanted"]["stated_uncertainty"]["rotation"] == 0 and found["before"]["rotation"]["rms"] is None  # a hinge does not turn
+    assert (
+        found["wanted"]["stated_uncertainty"]["rotation"] == 0 and found["before"]["rotation"]["rms"] is None
+    )  # a hinge does not turn
     assert found["before"]["position"]["rms"] > 2 * found["after"]["position"]["rms"]
     tree, truth = (json.loads((tmp_path / name).read_text()) for name in ("calibration.json", "truth.json"))
-    off = np.concatenate([np.ravel(tree["fitted"][name]) - np.ravel(truth[name]) for name in ("base_joints", "strut_zeros")])
+    off = np.concatenate(
+        [np.ravel(tree["fitted"][name]) - np.ravel(truth[name]) for name in ("base_joints", "strut_zeros")]
+    )
     sigma = np.sqrt(np.diag(tree["parameter_covariance"]))
     assert np.abs(off / sigma).max() < 3 and np.linalg.norm(off[:4]) < 3e-3
 
@@ -45,14 +77,44 @@ def test_four_samples_are_exact_where_they_were_taken(tmp_path, capfd):
 
 
 def test_configurations_are_planned(tmp_path, capfd):
-    rig("design", "--mechanism", "planar2", "--radius", "0.3", "--cubes", "1", "--cameras", "2", "--out", tmp_path / "rig.toml")
+    rig(
+        "design",
+        "--mechanism",
+        "planar2",
+        "--radius",
+        "0.3",
+        "--cubes",
+        "1",
+        "--cameras",
+        "2",
+        "--out",
+        tmp_path / "rig.toml",
+    )
     rig("plan", tmp_path / "rig.toml", "--for", "parameters", "--count", "10", "--out", tmp_path / "plan.csv")
     said = capfd.readouterr().out
     rows = [line.split() for line in said.splitlines() if " um  " in line]
-    assert "10 configurations for 6 parameters" in said and len(rows) == 6 and all(float(row[0]) < float(row[1]) for row in rows)
+    assert (
+        "10 configurations for 6 parameters" in said
+        and len(rows) == 6
+        and all(float(row[0]) < float(row[1]) for row in rows)
+    )
     recorded(tmp_path, plan=f"commands:{tmp_path / 'plan.csv'}", again=True)
     calibrated(tmp_path, capfd)
-    assert command_line.main(["plan", str(tmp_path / "rig.toml"), "--for", "parameters", "--count", "3", "--out", str(tmp_path / "few.csv")]) != 0
+    assert (
+        command_line.main(
+            [
+                "plan",
+                str(tmp_path / "rig.toml"),
+                "--for",
+                "parameters",
+                "--count",
+                "3",
+                "--out",
+                str(tmp_path / "few.csv"),
+            ]
+        )
+        != 0
+    )
     assert "3 configurations cannot determine 6 parameters" in capfd.readouterr().err
 
 

@@ -14,7 +14,9 @@ class Terminal(io.StringIO):
 
 
 def terminal(monkeypatch):
-    """A Terminal in the place of standard error, from within a test: between fixtures and tests pytest puts its own there."""
+    """A Terminal in the place of standard error, from within a test: between fixtures and tests pytest puts its own
+    there.
+    """
     found = Terminal()
     monkeypatch.setattr("sys.stderr", found)
     return found

@@ -1,4 +1,6 @@
-"""kill -9 at random instants of a run: what was reported is there, no place is gone to twice unnoticed, and every run is resumed to its end."""
+"""kill -9 at random instants of a run: what was reported is there, no place is gone to twice unnoticed, and every run
+is resumed to its end.
+"""
 
 import shutil
 
@@ -28,8 +30,20 @@ def emulated(tmp_path, request):
 
 
 def words(folder, out, resume=False):
-    return ["run", str(folder / "rig.toml"), "--plan", PLAN, "--settle", "time:0.01", "--exposure", "keep", "--no-measure", "--out", str(out),
-            *(["--resume"] if resume else [])]
+    return [
+        "run",
+        str(folder / "rig.toml"),
+        "--plan",
+        PLAN,
+        "--settle",
+        "time:0.01",
+        "--exposure",
+        "keep",
+        "--no-measure",
+        "--out",
+        str(out),
+        *(["--resume"] if resume else []),
+    ]
 
 
 def finished(folder, out, resume, log):
@@ -53,7 +67,10 @@ def killed(folder, out, after, log):
 
 def reported(log):
     """Frames that a run said it had exposed, by what its terminal shows."""
-    return max([int(line[1:].split("/")[0]) for line in log.read_text().splitlines() if line.startswith("[") and "/" in line] or [0])
+    return max(
+        [int(line[1:].split("/")[0]) for line in log.read_text().splitlines() if line.startswith("[") and "/" in line]
+        or [0]
+    )
 
 
 def check(emulated, out, before, log, seen):
@@ -66,7 +83,11 @@ def check(emulated, out, before, log, seen):
     assert len(frames) >= seen
     assert [row.step for row in frames] == [k for k, step in enumerate(planned) for _ in range(step.frames)]
     told, goals = emulated.told()[before:], [row.goal for row in rows if isinstance(row, Departure)]
-    broken = sum(any(word in row.found for word in ("broken off", "somebody", "homed")) for row in rows if isinstance(row, Resumed))
+    broken = sum(
+        any(word in row.found for word in ("broken off", "somebody", "homed"))
+        for row in rows
+        if isinstance(row, Resumed)
+    )
     assert len(told) <= len(planned) + broken, "a place was gone to twice, and the journal does not say so"
     apart = [min(np.abs(np.subtract(move, goal)).max() for goal in goals) for move in told]
     assert max(apart, default=0.0) < SAME, "a move that the journal does not have"

@@ -1,4 +1,6 @@
-"""Arms in the picture, through the command line: cubes in the hand before fixed cameras, and cameras in the hand before cubes that stand."""
+"""Arms in the picture, through the command line: cubes in the hand before fixed cameras, and cameras in the hand before
+cubes that stand.
+"""
 
 import json
 
@@ -18,8 +20,22 @@ from vision.recording_measurement import measure_recording
 
 
 def recorded(folder, carried, *words, cameras=2, plan="sobol:40", size="1280x1024"):
-    rig("design", "--arm", "ur10", "--seen", carried, "--cameras", cameras, "--size", size, "--out", folder / "rig.toml")
-    rig("simulate", folder / "rig.toml", "--plan", plan, "--seed", "4", *words, "--out", folder / "rec", "--truth", folder / "truth.json")
+    rig(
+        "design", "--arm", "ur10", "--seen", carried, "--cameras", cameras, "--size", size, "--out", folder / "rig.toml"
+    )
+    rig(
+        "simulate",
+        folder / "rig.toml",
+        "--plan",
+        plan,
+        "--seed",
+        "4",
+        *words,
+        "--out",
+        folder / "rec",
+        "--truth",
+        folder / "truth.json",
+    )
 
 
 def wanted(folder, count=8):
@@ -35,29 +51,42 @@ def test_a_loop_closes_with_base_and_hand_solved_for(tmp_path, capfd, carried, c
     assert found["before"]["position"]["rms"] > 1.5 * found["after"]["position"]["rms"]
     tree, truth = (json.loads((tmp_path / name).read_text()) for name in ("calibration.json", "truth.json"))
     stands, real = (np.array(place[:2]) for place in (tree["fitted"]["base"]["position"], truth["base"]))
-    sigma = np.sqrt(np.diag(tree["parameter_covariance"]))[:2]  # its height is that of axis 1, which d of joint 1 moves along too
-    assert (np.abs(stands - real) < 4 * sigma).all() and np.abs(real).max() > 10 * sigma.max()  # of which rig.toml says nothing
+    sigma = np.sqrt(np.diag(tree["parameter_covariance"]))[
+        :2
+    ]  # its height is that of axis 1, which d of joint 1 moves along too
+    assert (np.abs(stands - real) < 4 * sigma).all() and np.abs(
+        real
+    ).max() > 10 * sigma.max()  # of which rig.toml says nothing
 
 
 def test_where_the_hand_is_is_the_inverse_of_where_the_base_is_seen(tmp_path):
-    """Measured poses and their covariance, against the true ones: the camera stands in the hand elsewhere than stated, the same in every frame."""
+    """Measured poses and their covariance, against the true ones: the camera stands in the hand elsewhere than stated,
+    the same in every frame.
+    """
     recorded(tmp_path, "hand", cameras=1, plan="sobol:24")
     rec = recording_folder.load(tmp_path / "rec")
     poses, _ = measure_recording(rec)
     world = world_from_truth(tmp_path / "truth.json", rec.design)
     frames, t = rec.exposures.times()
-    true = motion_simulation.run_machine(world.true, rec.commands, t, (), rec.sensors).T_base_platform[np.searchsorted(frames, poses.frames)]
-    held = world.true.cameras[0].pose * rec.design.cameras[0].pose.inv()  # the platform's frame is held by the camera's stated pose
+    true = motion_simulation.run_machine(world.true, rec.commands, t, (), rec.sensors).T_base_platform[
+        np.searchsorted(frames, poses.frames)
+    ]
+    held = (
+        world.true.cameras[0].pose * rec.design.cameras[0].pose.inv()
+    )  # the platform's frame is held by the camera's stated pose
     off = pose_difference(true * held, poses.T_base_platform)
     z = np.einsum("ni,nij,nj->n", off, np.linalg.inv(poses.covariance), off)
     assert np.abs(off[:, :3]).max() < 1e-3 and 0.5 * 6 < z.mean() < 2 * 6
 
 
-@pytest.mark.parametrize("change, says", [
-    (('mount = "hand"', 'mount = "hnd"'), "must be one of 'fixed', 'moving', 'hand'"),
-    (('shutter = "global"', 'shutter = "rolling"\nrow_time = 1e-5'), "rolling shutter cannot be told"),
-    (('body = "base"', 'body = "platform"'), "they see the base's targets alone"),
-])
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        (('mount = "hand"', 'mount = "hnd"'), "must be one of 'fixed', 'moving', 'hand'"),
+        (('shutter = "global"', 'shutter = "rolling"\nrow_time = 1e-5'), "rolling shutter cannot be told"),
+        (('body = "base"', 'body = "platform"'), "they see the base's targets alone"),
+    ],
+)
 def test_what_a_camera_in_the_hand_cannot_be_is_told_by_line(tmp_path, change, says):
     rig("design", "--arm", "ur10", "--seen", "hand", "--cameras", "1", "--out", tmp_path / "rig.toml")
     text = (tmp_path / "rig.toml").read_text()
@@ -75,16 +104,46 @@ def test_a_fixed_camera_beside_one_in_the_hand_is_refused(tmp_path):
         design_file.load(tmp_path / "rig.toml")
 
 
-@pytest.mark.parametrize("carried, cameras, images", [
-    pytest.param("cubes", 2, False, marks=pytest.mark.slow), pytest.param("hand", 1, False, marks=pytest.mark.slow),
-    pytest.param("cubes", 2, True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "carried, cameras, images",
+    [
+        pytest.param("cubes", 2, False, marks=pytest.mark.slow),
+        pytest.param("hand", 1, False, marks=pytest.mark.slow),
+        pytest.param("cubes", 2, True, marks=pytest.mark.slow),
+    ],
+)
 def test_a_loop_closes_of_an_arm_of_four_joints(tmp_path, capfd, carried, cameras, images):
-    """A SCARA: its hand turns about one axis alone, so that its positions place it; what it cannot make up for is stated."""
+    """A SCARA: its hand turns about one axis alone, so that its positions place it; what it cannot make up for is
+    stated.
+    """
     drawn = ("--images",) if images else ()
     few = {"plan": "sobol:16", "size": "640x512"} if images else {}
-    rig("design", "--arm", "scara", "--seen", carried, "--cameras", cameras, "--size", few.get("size", "1280x1024"), "--out", tmp_path / "rig.toml")
-    rig("simulate", tmp_path / "rig.toml", "--plan", few.get("plan", "sobol:40"), "--seed", "4", *drawn, "--out", tmp_path / "rec", "--truth",
-        tmp_path / "truth.json")
+    rig(
+        "design",
+        "--arm",
+        "scara",
+        "--seen",
+        carried,
+        "--cameras",
+        cameras,
+        "--size",
+        few.get("size", "1280x1024"),
+        "--out",
+        tmp_path / "rig.toml",
+    )
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        few.get("plan", "sobol:40"),
+        "--seed",
+        "4",
+        *drawn,
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     holds(verified(tmp_path, capfd, wanted(tmp_path, 4 if images else 8), drawn, taken="commands.poses.csv"))
 
 
@@ -104,7 +163,16 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
     rig("plan", tmp_path / "rig.toml", "--for", "parameters", "--count", "12", "--out", tmp_path / "plan.csv")
     said = capfd.readouterr().out
     assert 5 < float(said.split("seen in ")[1].split("%")[0]) < 95
-    rig("simulate", tmp_path / "rig.toml", "--plan", f"commands:{tmp_path / 'plan.csv'}", "--secret", "0", "--out", tmp_path / "rec")
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        f"commands:{tmp_path / 'plan.csv'}",
+        "--secret",
+        "0",
+        "--out",
+        tmp_path / "rec",
+    )
     corners = recording_folder.load(tmp_path / "rec").corners
     assert set(corners.frame.tolist()) == set(range(12))
     rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]

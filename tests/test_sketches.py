@@ -37,10 +37,21 @@ def picture(sketch: Sketch) -> str:
 def plotted(figure: str) -> np.ndarray:
     """(n, 2) values of a figure's dots."""
     (low, high, start, end), (bottom, top, below, above) = (
-        map(float, re.search(rf'data-{axis}="([^"]*)"', figure)[1].split()) for axis in "xy")
-    at = np.array(re.search(r'class="dots c1 valued" d="([^"]*)"', figure)[1].replace("h.01", "").removeprefix("M").replace("M", " ").split(), float)
+        map(float, re.search(rf'data-{axis}="([^"]*)"', figure)[1].split()) for axis in "xy"
+    )
+    at = np.array(
+        re.search(r'class="dots c1 valued" d="([^"]*)"', figure)[1]
+        .replace("h.01", "")
+        .removeprefix("M")
+        .replace("M", " ")
+        .split(),
+        float,
+    )
     x, y = at.reshape(-1, 2).T
-    return np.stack([low + (high - low) * (x - start) / (end - start), bottom + (top - bottom) * (y - below) / (above - below)], axis=1)
+    return np.stack(
+        [low + (high - low) * (x - start) / (end - start), bottom + (top - bottom) * (y - below) / (above - below)],
+        axis=1,
+    )
 
 
 @pytest.mark.parametrize("name", [kind.name for kind in ALL])
@@ -48,7 +59,11 @@ def test_every_effect_has_a_sketch_that_follows_its_size(name, sketches):
     whole, half = sketches[name]
     root = ElementTree.fromstring(picture(whole))
     assert root.tag.endswith("svg") and "prefers-color-scheme: dark" in picture(whole) and len(picture(whole)) < 30_000
-    drawn_lines = {path.get("d") for path in root.iter("{http://www.w3.org/2000/svg}path") if "c1" in (path.get("class") or "").split()}
+    drawn_lines = {
+        path.get("d")
+        for path in root.iter("{http://www.w3.org/2000/svg}path")
+        if "c1" in (path.get("class") or "").split()
+    }
     assert any(len(d) > 20 for d in drawn_lines), name
     assert (picture(whole) == picture(half)) is (name in WITHOUT_SIZE)
 
@@ -99,11 +114,17 @@ def test_one_that_the_rig_of_sketches_cannot_have_says_why():
 def test_the_document_of_the_catalogue_is_current(tmp_path):
     assert main(["catalogue", "--out", str(tmp_path / "effects.md")]) == 0
     again = "make docs, or rig catalogue --force --out docs/effects.md"
-    assert (DOCUMENTS / "effects.md").read_text(encoding="utf-8") == (tmp_path / "effects.md").read_text(encoding="utf-8"), again
-    made, kept = ({path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.svg")} for folder in
-                  (tmp_path / "effects", DOCUMENTS / "effects"))
+    assert (DOCUMENTS / "effects.md").read_text(encoding="utf-8") == (tmp_path / "effects.md").read_text(
+        encoding="utf-8"
+    ), again
+    made, kept = (
+        {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.svg")}
+        for folder in (tmp_path / "effects", DOCUMENTS / "effects")
+    )
     assert set(made) == set(kept) == {f"{kind.name}.svg" for kind in ALL}, again
     for name, text in made.items():  # other computers round otherwise
         assert NUMBER.sub("#", text) == NUMBER.sub("#", kept[name]), (name, again)
-        np.testing.assert_allclose(*(np.array(NUMBER.findall(one), float) for one in (text, kept[name])), atol=0.2, rtol=1e-3, err_msg=again)
+        np.testing.assert_allclose(
+            *(np.array(NUMBER.findall(one), float) for one in (text, kept[name])), atol=0.2, rtol=1e-3, err_msg=again
+        )
     assert sum(map(len, kept.values())) < 1e6

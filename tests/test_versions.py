@@ -1,8 +1,9 @@
-"""Files that commands write and read again: those of older commits are read as they were meant, those of a newer rig or of another kind are refused.
+"""Files that commands write and read again: those of older commits are read as they were meant, those of a newer rig or
+of another kind are refused.
 
-tests/data/written holds files as older commits wrote them. Of the formats only these changed: calibration.json has schemas of its own for physics (2)
-and for maps in pose space (3), which a program that knows none would leave out; limbs.json got `chosen` and `checks`, and means the six limbs alone
-where it has neither.
+tests/data/written holds files as older commits wrote them. Of the formats only these changed: calibration.json has
+schemas of its own for physics (2) and for maps in pose space (3), which a program that knows none would leave out;
+limbs.json got `chosen` and `checks`, and means the six limbs alone where it has neither.
 """
 
 import ast
@@ -32,7 +33,13 @@ from rig.report import refutations
 from tests.conftest import ROOT
 
 DATA = ROOT / "tests" / "data"
-ELSEWHERE = {"rig/1", "import/1", "investigation/1", "workspace/1", "geometry/1"}  # below, in the tests of what holds it, or not read again
+ELSEWHERE = {
+    "rig/1",
+    "import/1",
+    "investigation/1",
+    "workspace/1",
+    "geometry/1",
+}  # below, in the tests of what holds it, or not read again
 
 
 def looked_at(path: Path) -> None:
@@ -86,20 +93,28 @@ CASES = [(schema, reader) for schema, readers in READERS.items() for reader in r
 def test_a_newer_file_and_one_of_another_kind_are_refused_with_their_place(schema, reader, tmp_path):
     kind, version = schema.split("/")
     newer = f"{kind}/{int(version) + 1}"
-    for found, says in ((newer, f"was written by a newer rig: its schema is '{newer}', and this one reads .*\"{schema}\""),
-                        ("thermometer/1", f"its schema is 'thermometer/1', not .*\"{schema}\""), (None, f"its schema is None, not .*\"{schema}\"")):
+    for found, says in (
+        (newer, f"was written by a newer rig: its schema is '{newer}', and this one reads .*\"{schema}\""),
+        ("thermometer/1", f"its schema is 'thermometer/1', not .*\"{schema}\""),
+        (None, f'its schema is None, not .*"{schema}"'),
+    ):
         folder = tmp_path / str(found).replace("/", "-")
         folder.mkdir()
         (folder / "file.json").write_text(json.dumps({"schema": found, "files": {}, "origin": None}, indent=1))
         with pytest.raises(FileError, match=says) as refused:
             reader(folder / "file.json")
-        assert str(folder) in str(refused.value) and (schema in ("made/1", "refutations/1") or ".json:2:12: " in str(refused.value))
+        assert str(folder) in str(refused.value) and (
+            schema in ("made/1", "refutations/1") or ".json:2:12: " in str(refused.value)
+        )
 
 
 def test_a_newer_file_of_toml_and_a_newer_investigation_are_refused_with_their_place(tmp_path, capsys):
     text = (DATA / "bench" / "check" / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(text.replace('"rig/1"', '"rig/2"'))
-    with pytest.raises(FileError, match=r"rig.toml:1:\d+: was written by a newer rig: its schema is 'rig/2', and this one reads \"rig/1\""):
+    with pytest.raises(
+        FileError,
+        match=r"rig.toml:1:\d+: was written by a newer rig: its schema is 'rig/2', and this one reads \"rig/1\"",
+    ):
         design_file.load(tmp_path / "rig.toml")
     (tmp_path / "import.toml").write_text('\nschema = "import/2"\n')
     with pytest.raises(FileError, match=r"import.toml:2:\d+: was written by a newer rig: its schema is 'import/2'"):
@@ -107,16 +122,33 @@ def test_a_newer_file_of_toml_and_a_newer_investigation_are_refused_with_their_p
     (tmp_path / "asked").mkdir()
     (tmp_path / "asked" / "investigation.json").write_text('{"schema": "investigation/2"}')
     (tmp_path / "rig.toml").write_text(text)
-    assert main(["investigate", str(tmp_path / "rig.toml"), "--by-hand", "--out", str(tmp_path / "asked"), "--resume"]) == 1
-    assert "investigation.json:1:12: was written by a newer rig: its schema is 'investigation/2'" in capsys.readouterr().err
+    assert (
+        main(["investigate", str(tmp_path / "rig.toml"), "--by-hand", "--out", str(tmp_path / "asked"), "--resume"])
+        == 1
+    )
+    assert (
+        "investigation.json:1:12: was written by a newer rig: its schema is 'investigation/2'"
+        in capsys.readouterr().err
+    )
 
 
 def test_every_schema_that_the_code_knows_is_held_here():
     files = [path for package in ("rig", "calib", "vision", "synthetic") for path in (ROOT / package).rglob("*.py")]
-    values = [node.value for path in files for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Assign)]
-    named = {node.value for node in values if isinstance(node, ast.Constant) and isinstance(node.value, str) and NAMED.fullmatch(node.value)}
+    values = [
+        node.value
+        for path in files
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Assign)
+    ]
+    named = {
+        node.value
+        for node in values
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and NAMED.fullmatch(node.value)
+    }
     held_here = {schema.split("/")[0] for schema in (*READERS, *ELSEWHERE)}
-    assert len(named) > 8 and {schema.split("/")[0] for schema in named} - {"struts"} <= held_here  # the struts protocol is no file
+    assert (
+        len(named) > 8 and {schema.split("/")[0] for schema in named} - {"struts"} <= held_here
+    )  # the struts protocol is no file
 
 
 def written(name: str, folder: Path) -> Path:
@@ -131,14 +163,18 @@ def test_limbs_of_before_there_were_more_than_six_are_the_six(tmp_path):
     tree = json.loads(path.read_text())
     assert "chosen" not in tree and "checks" not in tree
     found = measuring_limbs_file.load(path)
-    assert found.verdict == "accepted" and found.limbs.checks is None and found.limbs.chosen.tolist() == [0, 1, 2, 3, 4, 5]
+    assert (
+        found.verdict == "accepted" and found.limbs.checks is None and found.limbs.chosen.tolist() == [0, 1, 2, 3, 4, 5]
+    )
     np.testing.assert_array_equal(found.limbs.hexapod.base_joints, tree["limbs"]["base_joints"])
     measuring_limbs_file.save(tmp_path / "again.json", found)
     again = json.loads((tmp_path / "again.json").read_text())
     assert again.pop("chosen") == [1, 2, 3, 4, 5, 6] and again.pop("checks") == [] and again == tree
 
 
-@pytest.mark.parametrize("name, schema", [("calibration-1.json", "calibration/1"), ("calibration-2.json", "calibration/2")])
+@pytest.mark.parametrize(
+    "name, schema", [("calibration-1.json", "calibration/1"), ("calibration-2.json", "calibration/2")]
+)
 def test_older_calibrations_correct_as_they_did(name, schema, tmp_path):
     path = written(name, tmp_path)
     tree = json.loads(path.read_text())
@@ -150,12 +186,19 @@ def test_older_calibrations_correct_as_they_did(name, schema, tmp_path):
         (effect,) = found.physics.effects
         assert (effect.name, effect.place) == ("backlash", "strut 3") and effect.gap == pytest.approx(2e-4, rel=0.1)
     home = found.correction.nominal.home
-    assert 1e-6 < np.abs(found.correction.uncorrected(home) - hexapod.inverse(home, found.correction.fitted)).max() < 5e-3
+    assert (
+        1e-6 < np.abs(found.correction.uncorrected(home) - hexapod.inverse(home, found.correction.fitted)).max() < 5e-3
+    )
     calibration_file.save(tmp_path / "again.json", found)
     again = json.loads((tmp_path / "again.json").read_text())
     again["claim"] = {key: again["claim"][key] for key in tree["claim"]}  # keys may be added, none changed
-    assert {key: again[key] for key in ("schema", "nominal", "fitted", "parameter_covariance", "remainder", "held_out", "claim")} == {
-        key: tree[key] for key in ("schema", "nominal", "fitted", "parameter_covariance", "remainder", "held_out", "claim")}
+    assert {
+        key: again[key]
+        for key in ("schema", "nominal", "fitted", "parameter_covariance", "remainder", "held_out", "claim")
+    } == {
+        key: tree[key]
+        for key in ("schema", "nominal", "fitted", "parameter_covariance", "remainder", "held_out", "claim")
+    }
 
 
 def test_a_diagnosis_of_before_there_were_suggestions_is_taken(tmp_path):

@@ -32,34 +32,70 @@ def watched(tmp_path_factory, design, rig_text):
 def week(watched, tmp_path, capsys):
     """A history of three quiet visits, by the command."""
     base, _ = watched
-    assert main(["watch", str(base / "calibration.json"), *(str(base / f"day{day}") for day in range(3)), "--history",
-                 str(tmp_path / "watch.json"), "--page", str(tmp_path / "watch.html")]) == 0
+    assert (
+        main(
+            [
+                "watch",
+                str(base / "calibration.json"),
+                *(str(base / f"day{day}") for day in range(3)),
+                "--history",
+                str(tmp_path / "watch.json"),
+                "--page",
+                str(tmp_path / "watch.html"),
+            ]
+        )
+        == 0
+    )
     said = capsys.readouterr().out
     state, _, first = said.splitlines()[0].partition(": ")
     assert state != "bad" and first.startswith("the calibration holds at visit 3")
     assert f"<strong>{state}</strong> The calibration holds at visit 3" in (tmp_path / "watch.html").read_text()
-    assert said.count("the calibration holds") == 2 and said.count("nothing has changed") == 2 and f"{ALARM:g} visits" in said
+    assert (
+        said.count("the calibration holds") == 2
+        and said.count("nothing has changed") == 2
+        and f"{ALARM:g} visits" in said
+    )
     return tmp_path / "watch.json"
 
 
-@pytest.mark.parametrize("which, says, to_do", [("camera", "WHAT MEASURES HAS CHANGED", "clamp the mount"),
-                                                ("backlash", "NO LONGER HOLDS", "nut and bearings"),
-                                                ("payload", "NO LONGER HOLDS", "payload_mass_kg")])
+@pytest.mark.parametrize(
+    "which, says, to_do",
+    [
+        ("camera", "WHAT MEASURES HAS CHANGED", "clamp the mount"),
+        ("backlash", "NO LONGER HOLDS", "nut and bearings"),
+        ("payload", "NO LONGER HOLDS", "payload_mass_kg"),
+    ],
+)
 @pytest.mark.slow
 def test_what_changed_is_named_with_what_to_do(watched, week, tmp_path, which, says, to_do, capsys):
     base, one = watched
     rng = np.random.default_rng(5)
     change = changed(which, one, rng)
     one.visit(tmp_path / "after", rng, change)
-    assert main(["watch", str(base / "calibration.json"), str(tmp_path / "after"), "--history", str(week), "--page",
-                 str(tmp_path / "after.html")]) == CHANGED
+    assert (
+        main(
+            [
+                "watch",
+                str(base / "calibration.json"),
+                str(tmp_path / "after"),
+                "--history",
+                str(week),
+                "--page",
+                str(tmp_path / "after.html"),
+            ]
+        )
+        == CHANGED
+    )
     page = (tmp_path / "after.html").read_text()
     assert f"something changed, likeliest {change.name}" in page.replace("Something", "something")
     assert "<strong>bad</strong>" in page and to_do in page
     said = capsys.readouterr().out
     assert says in said and "since after" in said and change.name in said and to_do in said and "4 visits in" in said
     one.visit(tmp_path / "later", rng, change)
-    assert main(["watch", str(base / "calibration.json"), str(tmp_path / "later"), "--history", str(week), "--json"]) == CHANGED
+    assert (
+        main(["watch", str(base / "calibration.json"), str(tmp_path / "later"), "--history", str(week), "--json"])
+        == CHANGED
+    )
     told = json.loads(capsys.readouterr().out)["visits"][0]
     assert told["named"] == change.name and told["number"] == 5 and told["suspects"][0]["since"] == 4
     assert 0.99 < sum(one["odds"] for one in told["suspects"]) <= 1.0001
@@ -79,8 +115,13 @@ def test_what_has_no_name_is_said_to_have_none(watched, week, tmp_path, capsys):
     assert "something changed, we cannot say what" in said and "rig diagnose" in said
 
 
-@pytest.mark.parametrize("of_allowed, state, says", [(0.5, "check", "the calibration leaves something out, there from the beginning or since"),
-                                                     (1.3, "bad", "position error 40 um RMS where up to 30 um is claimed")])
+@pytest.mark.parametrize(
+    "of_allowed, state, says",
+    [
+        (0.5, "check", "the calibration leaves something out, there from the beginning or since"),
+        (1.3, "bad", "position error 40 um RMS where up to 30 um is claimed"),
+    ],
+)
 def test_a_first_visit_that_disagrees_is_judged_by_the_claim(of_allowed, state, says):
     none = np.zeros(0)
     alarm = Verdict(90.0, 40, 0.0, (Suspect(SOMETHING, SOMETHING, 0, 1.0, none, none),), 1e-9, 1e-9)
@@ -112,12 +153,19 @@ def test_what_is_no_visit_is_refused_and_the_history_stays(watched, week, tmp_pa
     half.write_text(week.read_text()[:4000])
     other = tmp_path / "other.json"
     other.write_text((base / "calibration.json").read_text().replace('"left_out": []', '"left_out": [999999]'))
-    for words, says in (([cal, day, "--history", str(week)], "are in the history already"), ([cal, str(base / "day9")], "no such folder"),
-                        ([cal, str(tmp_path / "empty")], "empty folder"), ([cal, day, "--history", str(half)], "cut off"),
-                        ([str(other), day, "--history", str(week)], "history of another calibration"), ([cal], "name the visits"),
-                        ([cal, day, "--out", str(tmp_path / "x")], "--out and --rig are for --plan"), ([cal, "--plan"], "--plan takes --out"),
-                        ([cal, day, day], "are in the history already"), ([str(week), day], "is no calibration"),
-                        ([cal, "--plan", "--count", "2", "--out", str(tmp_path / "x")], "--count takes 4")):
+    for words, says in (
+        ([cal, day, "--history", str(week)], "are in the history already"),
+        ([cal, str(base / "day9")], "no such folder"),
+        ([cal, str(tmp_path / "empty")], "empty folder"),
+        ([cal, day, "--history", str(half)], "cut off"),
+        ([str(other), day, "--history", str(week)], "history of another calibration"),
+        ([cal], "name the visits"),
+        ([cal, day, "--out", str(tmp_path / "x")], "--out and --rig are for --plan"),
+        ([cal, "--plan"], "--plan takes --out"),
+        ([cal, day, day], "are in the history already"),
+        ([str(week), day], "is no calibration"),
+        ([cal, "--plan", "--count", "2", "--out", str(tmp_path / "x")], "--count takes 4"),
+    ):
         assert main(["watch", *words]) == 1, words
         assert says in capsys.readouterr().err
     assert week.read_bytes() == before and not (tmp_path / "x").exists()

@@ -1,4 +1,6 @@
-"""Who works: the same bytes by one process, by two and by a cluster of two workers; what one that is killed was at is done again."""
+"""Who works: the same bytes by one process, by two and by a cluster of two workers; what one that is killed was at is
+done again.
+"""
 
 import os
 import pickle
@@ -36,13 +38,17 @@ def killed_once(item):
 def test_what_a_process_was_at_when_it_was_killed_is_done_again(tmp_path):
     told = []
     things = [(k, tmp_path / "killed") for k in range(20)]
-    assert process_map(2, "fork", killed_once, things, lambda done, of: told.append((done, of))) == [2 * k for k in range(20)]
+    assert process_map(2, "fork", killed_once, things, lambda done, of: told.append((done, of))) == [
+        2 * k for k in range(20)
+    ]
     assert (tmp_path / "killed").exists() and told[-1] == (20, 20)
 
 
 def test_processes_that_end_at_the_same_thing_every_time_are_given_up(monkeypatch):
     begun = []
-    monkeypatch.setattr(worker_processes, "executor_map", lambda *a, real=worker_processes.executor_map: begun.append(1) or real(*a))
+    monkeypatch.setattr(
+        worker_processes, "executor_map", lambda *a, real=worker_processes.executor_map: begun.append(1) or real(*a)
+    )
     with pytest.raises(WorkerEnded, match="3 processes at work were ended from outside"):
         process_map(1, "fork", os._exit, [9, 9])
     assert len(begun) == 3
@@ -62,7 +68,10 @@ def test_workers_are_as_many_as_asked(tmp_path, capsys, monkeypatch):
 def test_a_cluster_that_is_not_there_is_said(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(dask_cluster, "WAIT", 0.2)
     words = ["measure", str(tmp_path), "--out", str(tmp_path / "o"), "--scheduler"]
-    assert main([*words, "tcp://127.0.0.1:9"]) == 1 and "no Dask scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err
+    assert (
+        main([*words, "tcp://127.0.0.1:9"]) == 1
+        and "no Dask scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err
+    )
     assert main([*words, "tpc://x:1"]) == 1 and "no Dask scheduler answers at tpc://x:1" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "dask.distributed", None)
     assert main([*words, "tcp://127.0.0.1:9"]) == 1 and "pip install 'rig[cluster]'" in capsys.readouterr().err
@@ -94,7 +103,11 @@ def one_killed(here, pids):
 
     def watch():
         while not ended.wait(0.005):
-            busy = [address for address, state in list(here.scheduler.workers.items()) if state.processing and address in pids]
+            busy = [
+                address
+                for address, state in list(here.scheduler.workers.items())
+                if state.processing and address in pids
+            ]
             if busy:
                 os.kill(pids[busy[0]], signal.SIGKILL)
                 found.append(busy[0])
@@ -121,8 +134,11 @@ def test_what_the_work_raises_is_not_said_of_the_cluster(kind):
     def fail(k):
         raise kind(f"corners.csv of {k} is far away")
 
-    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as here, dask_cluster.use_cluster(here.scheduler_address) as there, \
-            pytest.raises(kind, match="corners.csv of 0 is far away"):
+    with (
+        LocalCluster(n_workers=1, processes=False, dashboard_address=None) as here,
+        dask_cluster.use_cluster(here.scheduler_address) as there,
+        pytest.raises(kind, match="corners.csv of 0 is far away"),
+    ):
         there.map(fail, range(3))
 
 
@@ -140,7 +156,12 @@ def test_a_cluster_does_calls_in_order_and_raises_what_they_raise(tmp_path):
         assert told == [(k, 40) for k in range(1, 41)] and (tmp_path / "killed").exists()
         with pytest.raises(FileError, match="x.csv:3: is wrong 5"):
             parallel_map(fail, range(40), far=True)
-        nested = parallel_map(lambda k: (os.getpid(), {pid for pid in parallel_map(lambda _: os.getpid(), range(40))}), range(4), few=1, far=True)
+        nested = parallel_map(
+            lambda k: (os.getpid(), {pid for pid in parallel_map(lambda _: os.getpid(), range(40))}),
+            range(4),
+            few=1,
+            far=True,
+        )
         assert all(inner == {pid} and pid != os.getpid() for pid, inner in nested)
     with pytest.raises(RigError, match="has no worker"), _no_workers() as address, dask_cluster.use_cluster(address):
         pass
@@ -164,7 +185,10 @@ def test_work_at_which_workers_end_is_given_up():
 def _no_workers():
     from dask.distributed import LocalCluster
 
-    with LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=":0") as here, pytest.MonkeyPatch.context() as patch:
+    with (
+        LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=":0") as here,
+        pytest.MonkeyPatch.context() as patch,
+    ):
         patch.setattr(dask_cluster, "WAIT", 0.5)
         yield here.scheduler_address
 
@@ -179,7 +203,20 @@ def drawn(opengl, tmp_path_factory):
 
 
 def simulating(at):
-    return ["simulate", str(at / "rig.toml"), "--plan", "sobol:16", "--seed", "3", "--images", "--blur", "0.5", "--read-noise", "1", "--quiet"]
+    return [
+        "simulate",
+        str(at / "rig.toml"),
+        "--plan",
+        "sobol:16",
+        "--seed",
+        "3",
+        "--images",
+        "--blur",
+        "0.5",
+        "--read-noise",
+        "1",
+        "--quiet",
+    ]
 
 
 @pytest.mark.slow
@@ -216,7 +253,9 @@ def test_diagnosing_two_recordings_is_the_same_on_a_cluster(design, rig_text, tm
     from tests.conftest import make_recording
 
     for name, seed in (("a", 1), ("b", 2)):
-        make_recording(tmp_path / name, design, rig_text, seed, count=24, effects=(parse_effect("backlash:strut2:gap=8e-5"),))
+        make_recording(
+            tmp_path / name, design, rig_text, seed, count=24, effects=(parse_effect("backlash:strut2:gap=8e-5"),)
+        )
     words = ["diagnose", str(tmp_path / "a"), "--only", "backlash", "--only", "scale_error", "--quiet", "--out"]
     assert main([*words, str(tmp_path / "1"), "--workers", "1"]) == 0
     with two_workers() as (here, pids), one_killed(here, pids) as found:
@@ -232,8 +271,15 @@ def test_a_campaign_is_the_same_on_a_cluster_of_which_one_is_killed(tmp_path):
     with two_workers() as (here, pids), one_killed(here, pids) as found:
         assert main([*words, str(tmp_path / "c"), "--scheduler", here.scheduler_address]) == 0
         assert found
-    alike(tmp_path / "1", tmp_path / "c", [f"{folder}/000{k}{rest}" for k in (1, 2) for folder, rest in (
-        ("hashes", ".sha256"), ("truth", ".json"), ("recordings", "/corners.csv"))])
+    alike(
+        tmp_path / "1",
+        tmp_path / "c",
+        [
+            f"{folder}/000{k}{rest}"
+            for k in (1, 2)
+            for folder, rest in (("hashes", ".sha256"), ("truth", ".json"), ("recordings", "/corners.csv"))
+        ],
+    )
     assert not list((tmp_path / "c").rglob(".rig-*.part"))
 
 

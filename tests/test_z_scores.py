@@ -1,8 +1,9 @@
-"""Parameters are as sure as is said: z-scores over two hundred recordings, of arms that are seen and two struts from corners, of a chain from
-poses and from corners.
+"""Parameters are as sure as is said: z-scores over two hundred recordings, of arms that are seen and two struts from
+corners, of a chain from poses and from corners.
 
-A world is recorded once; two hundred times noise is put on its corners, or on the instrument's poses, and all is measured and identified anew. What
-parameters truly are, in the gauge of the fit, is what the same recording says with next to no noise.
+A world is recorded once; two hundred times noise is put on its corners, or on the instrument's poses, and all is
+measured and identified anew. What parameters truly are, in the gauge of the fit, is what the same recording says with
+next to no noise.
 """
 
 import json
@@ -23,17 +24,47 @@ from tests.chained import written
 from tests.loops import rig
 
 RUNS, NOISE = 200, 0.04  # px
-TOLD = 0.05  # of what an owner may be off by, above which a combination's standard error is the owner's, not the corners'
+TOLD = (
+    0.05  # of what an owner may be off by, above which a combination's standard error is the owner's, not the corners'
+)
 pytestmark = pytest.mark.slow
 
 
 def arm(folder, carried, cameras):
-    rig("design", "--arm", "ur10", "--seen", carried, "--cameras", cameras, "--cubes", "3", "--size", "1280x1024", "--out", folder / "rig.toml")
+    rig(
+        "design",
+        "--arm",
+        "ur10",
+        "--seen",
+        carried,
+        "--cameras",
+        cameras,
+        "--cubes",
+        "3",
+        "--size",
+        "1280x1024",
+        "--out",
+        folder / "rig.toml",
+    )
     return "sobol:20"
 
 
 def planar(folder):
-    rig("design", "--mechanism", "planar2", "--radius", "0.3", "--cubes", "1", "--cameras", "2", "--size", "640x512", "--out", folder / "rig.toml")
+    rig(
+        "design",
+        "--mechanism",
+        "planar2",
+        "--radius",
+        "0.3",
+        "--cubes",
+        "1",
+        "--cameras",
+        "2",
+        "--size",
+        "640x512",
+        "--out",
+        folder / "rig.toml",
+    )
     return "sobol:16"
 
 
@@ -51,7 +82,9 @@ def with_its_carriage(folder):
 
 
 def fitted(samples, design, instrument):
-    """(what was identified, its covariance (p, p), sizes (p,) of what an owner may be off by) of one recording's samples."""
+    """(what was identified, its covariance (p, p), sizes (p,) of what an owner may be off by) of one recording's
+    samples.
+    """
     m = design.mechanism
     if m.kind == "arm":
         _, found = calibrate(samples, m, instrument, profiles=False)
@@ -72,9 +105,24 @@ def off(found, true):
 
 
 def scores(folder, make, *words):
-    """(runs, combinations) z of what is identified, along combinations that are independent and that corners tell, not the owner."""
+    """(runs, combinations) z of what is identified, along combinations that are independent and that corners tell, not
+    the owner.
+    """
     plan = make(folder, *words)
-    rig("simulate", folder / "rig.toml", "--plan", plan, "--seed", "4", "--noise", "0", "--out", folder / "rec", "--truth", folder / "truth.json")
+    rig(
+        "simulate",
+        folder / "rig.toml",
+        "--plan",
+        plan,
+        "--seed",
+        "4",
+        "--noise",
+        "0",
+        "--out",
+        folder / "rec",
+        "--truth",
+        folder / "truth.json",
+    )
     clean = recording_folder.load(folder / "rec")
     if clean.poses is not None:
         poses = np.array(json.loads((folder / "truth.json").read_text())["poses"]).reshape(-1, 4, 4)
@@ -95,16 +143,25 @@ def scores(folder, make, *words):
 
 
 def noisy(clean, share, rng):
-    """A recording without noise, with that share of it: on its corners, or on an instrument's poses, whose own is stated."""
+    """A recording without noise, with that share of it: on its corners, or on an instrument's poses, whose own is
+    stated.
+    """
     if clean.corners is not None:
-        return replace(clean, corners=replace(clean.corners, uv=clean.corners.uv + share * NOISE * rng.normal(size=clean.corners.uv.shape)))
+        return replace(
+            clean,
+            corners=replace(
+                clean.corners, uv=clean.corners.uv + share * NOISE * rng.normal(size=clean.corners.uv.shape)
+            ),
+        )
     sigma = share * np.repeat([clean.design.instrument.position_sigma, clean.design.instrument.rotation_sigma], 3)
     T = clean.poses.T_base_platform
     return replace(clean, poses=replace(clean.poses, T_base_platform=T * exp(sigma * rng.normal(size=(len(T), 6)))))
 
 
 def combinations(covariance, size):
-    """(p, r) combinations of parameters, apart from each other, that are told to TOLD of what an owner may be off by; all where none is stated."""
+    """(p, r) combinations of parameters, apart from each other, that are told to TOLD of what an owner may be off by;
+    all where none is stated.
+    """
     free = np.flatnonzero(np.diag(covariance) > 0)
     scale = np.where(np.isfinite(size), size, np.sqrt(np.diag(covariance)))[free]
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(scale, scale))
@@ -114,9 +171,25 @@ def combinations(covariance, size):
     return along
 
 
-@pytest.mark.parametrize("make, words", [(arm, ("cubes", 2)), (arm, ("hand", 1)), (planar, ()), (on_a_gantry, ()), (seen_on_a_gantry, ()),
-                                         (with_its_carriage, ())],
-                         ids=["arm with cubes", "camera in the hand", "planar2", "hexapod on a gantry", "seen on a gantry", "with its carriage seen"])
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (arm, ("cubes", 2)),
+        (arm, ("hand", 1)),
+        (planar, ()),
+        (on_a_gantry, ()),
+        (seen_on_a_gantry, ()),
+        (with_its_carriage, ()),
+    ],
+    ids=[
+        "arm with cubes",
+        "camera in the hand",
+        "planar2",
+        "hexapod on a gantry",
+        "seen on a gantry",
+        "with its carriage seen",
+    ],
+)
 def test_z_scores_of_two_hundred_recordings(tmp_path, make, words):
     z = scores(tmp_path, make, *words)
     assert len(z) == RUNS and abs(z.mean()) < 0.1 and np.abs(z.mean(axis=0)).max() < 4.5 / np.sqrt(RUNS)

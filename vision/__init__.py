@@ -1,6 +1,7 @@
 """Images to poses: corners, their places and covariance, cameras and targets adjusted together.
 
-`measured` takes a recording (rig.load) to its `Measurement`: the platform's pose in every frame with covariance, cameras as adjusted.
+`measured` takes a recording (rig.load) to its `Measurement`: the platform's pose in every frame with covariance,
+cameras as adjusted.
 """
 
 from typing import TYPE_CHECKING
@@ -12,4 +13,6 @@ if TYPE_CHECKING:
     from vision.recording_measurement import measured as measured
 
 __all__ = ["measured", "Measurement"]
-__getattr__ = handed_on(__name__, {"measured": "vision.recording_measurement", "Measurement": "vision.recording_adjustment"})
+__getattr__ = handed_on(
+    __name__, {"measured": "vision.recording_measurement", "Measurement": "vision.recording_adjustment"}
+)

@@ -1,5 +1,5 @@
-"""Several recordings of one rig -> one: each is measured alone first, and a camera that stands elsewhere than before becomes one of its own, as a
-cube does that was taken off and put back."""
+"""Several recordings of one rig -> one: each is measured alone first, and a camera that stands elsewhere than before
+becomes one of its own, as a cube does that was taken off and put back."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,8 @@ from rig.recording.recording_folder import Recording
 from vision.recording_adjustment import Measurement
 from vision.recording_measurement import measure_recording
 
-ALIKE = 1e-3  # probability, over all cameras together, with which cameras that stand still are taken for moved: which costs little
+# probability, over all cameras together, with which cameras that stand still are taken for moved: which costs little
+ALIKE = 1e-3
 HELD = 1e-12  # m, rad; standard deviation of what a datum holds, and rounding lets stray
 Progress = Callable[[str, int, int], None]
 
@@ -43,7 +44,9 @@ class Elsewhere:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CombinedRecordings:
-    """recording : one Recording of all; owners : Owners; moved : (Elsewhere, ..); dropped : channels that not all of them logged"""
+    """recording : one Recording of all; owners : Owners; moved : (Elsewhere, ..); dropped : channels that not all of
+    them logged
+    """
 
     recording: Recording
     owners: Owners
@@ -53,56 +56,88 @@ class CombinedRecordings:
     def lines(self) -> list[str]:
         """What is shared and what is each one's own, in words."""
         parts = self.recording.parts
-        first, *rest = (f"{part.recording.name} ({len(part.recording.exposures.times()[0])} frames"
-                        + (f", counted from {part.frames} on)" if k else ")") for k, part in enumerate(parts))
+        first, *rest = (
+            f"{part.recording.name} ({len(part.recording.exposures.times()[0])} frames"
+            + (f", counted from {part.frames} on)" if k else ")")
+            for k, part in enumerate(parts)
+        )
         out = [f"{len(parts)} recordings of one rig: {', '.join([first, *rest])}"]
         alone = sorted({c for own in self.owners for c in own} - {m.camera for m in self.moved})
-        out.append("shared: the machine" + (", the targets" if self.recording.design.targets else "")
-                   + (f", where camera{'s' * (len(alone) > 1)} {', '.join(alone)} stand{'s' * (len(alone) == 1)}" if alone else "")
-                   + "; each one's own: poses, history of moves, start of clock and warming up, log")
+        out.append(
+            "shared: the machine"
+            + (", the targets" if self.recording.design.targets else "")
+            + (
+                f", where camera{'s' * (len(alone) > 1)} {', '.join(alone)} stand{'s' * (len(alone) == 1)}"
+                if alone
+                else ""
+            )
+            + "; each one's own: poses, history of moves, start of clock and warming up, log"
+        )
         for m in self.moved:
             now = camera_name(m.camera, self.owners[m.recording])
-            how = "is stated otherwise" if np.isnan(m.distance) else f"stands elsewhere, by {m.distance * 1e3:.3g} mm and {m.angle * 1e3:.3g} mrad"
+            how = (
+                "is stated otherwise"
+                if np.isnan(m.distance)
+                else f"stands elsewhere, by {m.distance * 1e3:.3g} mm and {m.angle * 1e3:.3g} mrad"
+            )
             out.append(f"camera {m.camera} {how} in {parts[m.recording].recording.name}: it is camera {now} here")
         for k, seats in enumerate(target_seats([part.recording.design for part in parts])):
             for target in parts[k].recording.design.targets:
                 if target.turned is not None and seats[target.name] == k:
-                    out.append(f"cube {target.name} was put back {WORDS[target.turned]} for {parts[k].recording.name}: it is target "
-                               f"{camera_name(target.name, seats)} here, its place its own")
+                    out.append(
+                        f"cube {target.name} was put back {WORDS[target.turned]} for "
+                        f"{parts[k].recording.name}: it is target "
+                        f"{camera_name(target.name, seats)} here, its place its own"
+                    )
         return out + ([f"not asked, since not all logged them: {', '.join(self.dropped)}"] if self.dropped else [])
 
 
 def combine_recordings(recordings: Sequence[Recording], progress: Progress | None = None) -> CombinedRecordings:
-    """CombinedRecordings of recordings of one rig, in the order in which they were taken. progress : called with (label, done, of), or None
+    """CombinedRecordings of recordings of one rig, in the order in which they were taken. progress : called with
+    (label, done, of), or None
 
     Raises RigError naming what their rig.toml contradict each other in, and what measuring raises
     """
     require_combinable(recordings)
     owners = stated_camera_owners(recordings)
-    moved = [Elsewhere(k, name, np.nan, np.nan) for k, own in enumerate(owners) for name, j in own.items()
-             if j == k and any(name in earlier for earlier in owners[:k])]
+    moved = [
+        Elsewhere(k, name, np.nan, np.nan)
+        for k, own in enumerate(owners)
+        for name, j in own.items()
+        if j == k and any(name in earlier for earlier in owners[:k])
+    ]
     if not is_measured_by_instrument(recordings[0]):
-        measured = [measure_recording(r, progress=None if progress is None else _of(progress, k, len(recordings)))[0]
-                    for k, r in enumerate(recordings)]
+        measured = [
+            measure_recording(r, progress=None if progress is None else _of(progress, k, len(recordings)))[0]
+            for k, r in enumerate(recordings)
+        ]
         owners, found = _standing(owners, measured)
         moved += found
         if any(
             any(own.values()) for own in target_seats([r.design for r in recordings])
         ):  # whose prints are read under one identity, and are two targets
-            recordings = [r if r.corners is not None else replace(r, corners=m.corners()) for r, m in zip(recordings, measured)]
-    return CombinedRecordings(join_recordings(recordings, owners), owners, tuple(moved), tuple(dropped_channels(recordings)))
+            recordings = [
+                r if r.corners is not None else replace(r, corners=m.corners()) for r, m in zip(recordings, measured)
+            ]
+    return CombinedRecordings(
+        join_recordings(recordings, owners), owners, tuple(moved), tuple(dropped_channels(recordings))
+    )
 
 
 def require_combinable(recordings: Sequence[Recording]) -> None:
-    """Raise RigError for recordings that are not of one rig, naming what differs, and where data of one are in another: they would count twice."""
+    """Raise RigError for recordings that are not of one rig, naming what differs, and where data of one are in another:
+    they would count twice.
+    """
     require_one_rig(recordings)
     known: set[str] = set()
     for recording in recordings:
         of = content_marks(recording)
         twice = frames_with_known_data(of, known)
         if twice:
-            raise RigError(f"{recording.folder}: {len(twice)} of {len(of)} frames are in another of the recordings; "
-                           "the same pose does not count twice")
+            raise RigError(
+                f"{recording.folder}: {len(twice)} of {len(of)} frames are in another of the recordings; "
+                "the same pose does not count twice"
+            )
         known |= set(marks_of_frames(of))
 
 
@@ -111,7 +146,9 @@ def _of(progress: Progress, number: int, count: int) -> Progress:
 
 
 def _standing(owners: Owners, measured: Sequence[Measurement]) -> tuple[Owners, list[Elsewhere]]:
-    """(Owners, [Elsewhere]) by where each measurement finds its cameras: one that stands where it stood is the latest of those there."""
+    """(Owners, [Elsewhere]) by where each measurement finds its cameras: one that stands where it stood is the latest
+    of those there.
+    """
     asked = sum(len(own) for own in owners[1:])
     out: list[dict[str, int]] = [dict(owners[0])]
     moved, places = [], [_places(one) for one in measured]
@@ -137,12 +174,15 @@ def _standing(owners: Owners, measured: Sequence[Measurement]) -> tuple[Owners, 
 def _places(measured: Measurement) -> dict[str, tuple]:
     """{camera: (pose, (6, 6) covariance, tangent on the right)} of the cameras that stand still."""
     a, covariance = measured.adjustment, measured.adjustment.shared_covariance
-    return {a.state.cameras[i].name: (a.state.cameras[i].pose, covariance[part, part]) for i, part in a.unknowns.poses.items()}
+    return {
+        a.state.cameras[i].name: (a.state.cameras[i].pose, covariance[part, part])
+        for i, part in a.unknowns.poses.items()
+    }
 
 
 def _apart(one: tuple, other: tuple) -> tuple[np.ndarray, float]:
-    """((6,) motion from one place to the other, probability of as much by chance), in the directions that no datum holds: a camera alone in a hand,
-    whose stated place holds the hand's frame, stands where it stood."""
+    """((6,) motion from one place to the other, probability of as much by chance), in the directions that no datum
+    holds: a camera alone in a hand, whose stated place holds the hand's frame, stands where it stood."""
     motion = log(one[0].inv() * other[0])
     values, vectors = np.linalg.eigh(one[1] + other[1])
     free = values > HELD**2

@@ -20,9 +20,10 @@ class Observations:
 
     frames : (F,) frame numbers; frame : (n,) index into frames; camera : (n,) index into the design's cameras
     marker : (n,) row of the marker map; corner : (n,) 0..3; uv : (n, 2) px; covariance : (n, 2, 2) px^2
-    points : (n, 3) m, the corner in its body's frame; on_platform : (n,) bool; stated : whether the covariance was given
-    correlation : (n, 2, 8) of each corner, whitened by its own covariance, with the four of its marker in that image, or None: a marker
-    is fitted as a whole, so its corners' errors are not independent
+    points : (n, 3) m, the corner in its body's frame; on_platform : (n,) bool; stated : whether the covariance was
+        given
+    correlation : (n, 2, 8) of each corner, whitened by its own covariance, with the four of its marker in that image,
+    or None: a marker is fitted as a whole, so its corners' errors are not independent
     """
 
     frames: np.ndarray
@@ -59,8 +60,18 @@ class Observations:
 def observations_without_corners(frame: int) -> Observations:
     """Observations of a frame in which no camera looked: no corners."""
     none, whole = np.zeros(0), np.zeros(0, int)
-    return Observations(np.array([frame]), whole, whole, whole, whole, none.reshape(0, 2), none.reshape(0, 2, 2), none.reshape(0, 3),
-                        none.astype(bool), True)
+    return Observations(
+        np.array([frame]),
+        whole,
+        whole,
+        whole,
+        whole,
+        none.reshape(0, 2),
+        none.reshape(0, 2, 2),
+        none.reshape(0, 3),
+        none.astype(bool),
+        True,
+    )
 
 
 def observations_of_frames(observations: Observations, solved: np.ndarray) -> Observations:
@@ -71,8 +82,10 @@ def observations_of_frames(observations: Observations, solved: np.ndarray) -> Ob
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitener:
-    """What makes errors of all observations independent and of unit size. own : (n, 2, 2) inverse square roots of the covariances
-    sighting : (n,) which image of which marker; corner : (n,); mixing : (k, 8, 8) of the sightings' corners so whitened, or None."""
+    """What makes errors of all observations independent and of unit size. own : (n, 2, 2) inverse square roots of the
+    covariances
+    sighting : (n,) which image of which marker; corner : (n,); mixing : (k, 8, 8) of the sightings' corners so
+        whitened, or None."""
 
     own: np.ndarray
     sighting: np.ndarray
@@ -84,19 +97,25 @@ class Whitener:
         return self.mix((self.own @ errors[..., None]), slice(None))[..., 0]
 
     def mix(self, X: np.ndarray, rows: slice) -> np.ndarray:
-        """Columns X (m, 2, k), whitened by `own`, with what corners of a marker share taken out; rows : slice of whole sightings."""
+        """Columns X (m, 2, k), whitened by `own`, with what corners of a marker share taken out; rows : slice of whole
+        sightings.
+        """
         if self.mixing is None or not len(X):
             return X
         sighting, corner = self.sighting[rows], self.corner[rows]
         first = sighting[0]
         together = np.zeros((sighting[-1] + 1 - first, 4, 2, X.shape[2]))
         together[sighting - first, corner] = X
-        together = (self.mixing[first : sighting[-1] + 1] @ together.reshape(len(together), 8, -1)).reshape(together.shape)
+        together = (self.mixing[first : sighting[-1] + 1] @ together.reshape(len(together), 8, -1)).reshape(
+            together.shape
+        )
         return together[sighting - first, corner]
 
 
 def inverse_roots(covariance: np.ndarray) -> np.ndarray:
-    """(n, 2, 2) inverses of the Cholesky factors of covariances (n, 2, 2) px^2. Raises LinAlgError where one is not positive definite."""
+    """(n, 2, 2) inverses of the Cholesky factors of covariances (n, 2, 2) px^2. Raises LinAlgError where one is not
+    positive definite.
+    """
     first = np.sqrt(covariance[:, 0, 0])
     below = covariance[:, 1, 0] / first
     second = covariance[:, 1, 1] - below**2
@@ -111,29 +130,36 @@ def inverse_roots(covariance: np.ndarray) -> np.ndarray:
 def whitener(observations: Observations) -> Whitener:
     """Whitener of Observations."""
     o, own = observations, inverse_roots(observations.covariance)
-    sighting = np.cumsum(np.r_[False, (np.diff(o.camera) != 0) | (np.diff(o.frame) != 0) | (np.diff(o.marker) != 0)][: len(o)])
+    sighting = np.cumsum(
+        np.r_[False, (np.diff(o.camera) != 0) | (np.diff(o.frame) != 0) | (np.diff(o.marker) != 0)][: len(o)]
+    )
     if o.correlation is None or not len(o):
         return Whitener(own, sighting, o.corner, None)
     count = sighting[-1] + 1
     R, there = np.zeros((count, 4, 2, 8)), np.zeros((count, 4), bool)
     R[sighting, o.corner], there[sighting, o.corner] = o.correlation, True
     R, there = R.reshape(count, 8, 8), np.repeat(there, 2, axis=1)
-    R = np.where(there[:, :, None] & there[:, None, :], (R + np.swapaxes(R, 1, 2)) / 2, np.eye(8))  # a corner left out shares nothing
+    R = np.where(
+        there[:, :, None] & there[:, None, :], (R + np.swapaxes(R, 1, 2)) / 2, np.eye(8)
+    )  # a corner left out shares nothing
     return Whitener(own, sighting, o.corner, np.linalg.inv(np.linalg.cholesky(R)))
 
 
 def corner_correlation(covariance: np.ndarray) -> np.ndarray:
     """(m, 4, 2, 8) Observations.correlation of m markers' corners whose covariances are (m, 8, 8) px^2."""
     m = len(covariance)
-    blocks = np.linalg.inv(np.linalg.cholesky(np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1)))
+    blocks = np.linalg.inv(
+        np.linalg.cholesky(np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1))
+    )
     own = np.zeros((m, 4, 2, 4, 2))
     own[:, range(4), :, range(4)] = np.swapaxes(blocks, 0, 1)
     whiten = own.reshape(m, 8, 8)
     return (whiten @ covariance @ np.swapaxes(whiten, 1, 2)).reshape(m, 4, 2, 8)
 
 
-def observations_from_corners(corners: Corners, frames: np.ndarray, design: Design, marker_map: MarkerMap,
-                 correlation: np.ndarray | None = None) -> Observations:
+def observations_from_corners(
+    corners: Corners, frames: np.ndarray, design: Design, marker_map: MarkerMap, correlation: np.ndarray | None = None
+) -> Observations:
     """Observations of recording.Corners whose markers and cameras the design knows. frames : (F,) the frame numbers.
 
     correlation : (n, 2, 8) of the corners, see Observations, or None
@@ -148,6 +174,16 @@ def observations_from_corners(corners: Corners, frames: np.ndarray, design: Desi
     if covariance is None:
         covariance = np.broadcast_to(UNSTATED_SIGMA**2 * np.eye(2), (len(frame), 2, 2))
     marker, corner = marker[order], corners.corner[order]
-    return Observations(frames, frame[order], camera[order], marker, corner, corners.uv[order], covariance[order],
-                        marker_map.corners[marker, corner], marker_map.on_platform[marker], stated,
-                        None if correlation is None else correlation[order])
+    return Observations(
+        frames,
+        frame[order],
+        camera[order],
+        marker,
+        corner,
+        corners.uv[order],
+        covariance[order],
+        marker_map.corners[marker, corner],
+        marker_map.on_platform[marker],
+        stated,
+        None if correlation is None else correlation[order],
+    )

@@ -1,4 +1,6 @@
-"""Sketches of effects, made from their own models: what one does to markers in an image or, by rig.effects.sketches, to the machine."""
+"""Sketches of effects, made from their own models: what one does to markers in an image or, by rig.effects.sketches, to
+the machine.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -26,7 +28,13 @@ SIDE, APART = 0.055, 1.35  # m, of every marker; sides from one marker of a targ
 DRAWN = 16.0  # px that the largest displacement is drawn long
 SPEED = 0.1  # m/s at which all of it moves to the right
 CHANGES = 1e-6  # of the displacement; less is no change in time
-PLACES = {"cameras": "cameras", "markers": "markers", "camera": "camera cam0", "marker": "marker 9", "target": "target target2"}
+PLACES = {
+    "cameras": "cameras",
+    "markers": "markers",
+    "camera": "camera cam0",
+    "marker": "marker 9",
+    "target": "target target2",
+}
 
 
 def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
@@ -41,19 +49,28 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     by = found[-1] - true[-1]
     much = enlargement(float(np.linalg.norm(by, axis=-1).max()), DRAWN)
     off = np.abs(by).max(axis=(1, 2)) > CHANGES * np.abs(by).max()
-    layers: list[Arrows | Cells | Quads] = [Quads(true[-1]), Arrows(true[-1].reshape(-1, 2), by.reshape(-1, 2), much, "px", 3),
-                                            Quads((true[-1] + much * by)[off], 1)]
-    picture = image_plane("Markers in the image", f"grey: as stated; {enlargement_text('orange: as seen', much)}", (WIDTH, HEIGHT), layers)
+    layers: list[Arrows | Cells | Quads] = [
+        Quads(true[-1]),
+        Arrows(true[-1].reshape(-1, 2), by.reshape(-1, 2), much, "px", 3),
+        Quads((true[-1] + much * by)[off], 1),
+    ]
+    picture = image_plane(
+        "Markers in the image", f"grey: as stated; {enlargement_text('orange: as seen', much)}", (WIDTH, HEIGHT), layers
+    )
     size = np.sqrt(np.mean(np.sum((found - true) ** 2, axis=-1), axis=(1, 2)))
     if np.ptp(size) <= CHANGES * size.max():
         return Sketch(effect_text(way.effect), (picture,))
     scale, unit = unit_of(way.t[-1], TIMES)
-    through = plot_panel("Through time", (f"time, {unit}", "RMS, px"), [Series(way.t / scale, size, "", "line", 1)], high=HIGH)
+    through = plot_panel(
+        "Through time", (f"time, {unit}", "RMS, px"), [Series(way.t / scale, size, "", "line", 1)], high=HIGH
+    )
     return Sketch(effect_text(way.effect), (picture, through))
 
 
 def corner_displacement(effect: Effect, camera: Camera) -> float:
-    """px RMS by which an effect moves corners all over the image of the sketches' camera, which is the only one there is."""
+    """px RMS by which an effect moves corners all over the image of the sketches' camera, which is the only one there
+    is.
+    """
     assert camera.name == sketch_targets().cameras[0].name
     true, found = (_seen(effects, np.zeros(1), None) for effects in ([], [effect]))
     return float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=-1))))
@@ -61,14 +78,25 @@ def corner_displacement(effect: Effect, camera: Camera) -> float:
 
 @cache
 def sketch_targets() -> Design:
-    """A camera before targets of four markers each, which face it, nearer ones and farther ones side by side, all over its image."""
+    """A camera before targets of four markers each, which face it, nearer ones and farther ones side by side, all over
+    its image.
+    """
     matrix = np.array([[FOCAL, 0, WIDTH / 2 - 0.5], [0, FOCAL, HEIGHT / 2 - 0.5], [0, 0, 1]])
     camera = Camera("cam0", WIDTH, HEIGHT, matrix, np.zeros(5), pose(np.zeros(3), np.zeros(3)))
     targets = []
     for k, away in enumerate(np.linspace(NEAR, FAR, ROWS * COLUMNS)):
-        middle = np.array([(k % COLUMNS + 0.5) / COLUMNS * WIDTH - WIDTH / 2, (k // COLUMNS + 0.5) / ROWS * HEIGHT - HEIGHT / 2]) * away / FOCAL
+        middle = (
+            np.array(
+                [(k % COLUMNS + 0.5) / COLUMNS * WIDTH - WIDTH / 2, (k // COLUMNS + 0.5) / ROWS * HEIGHT - HEIGHT / 2]
+            )
+            * away
+            / FOCAL
+        )
         at = [middle + APART * SIDE / 2 * np.array(corner) for corner in ((-1, -1), (1, -1), (-1, 1), (1, 1))]
-        listed = tuple(Marker(4 * k + j, SIDE, pose(np.array([*xy, away]), np.array([np.pi, 0, 0])), SIDE / 8) for j, xy in enumerate(at))
+        listed = tuple(
+            Marker(4 * k + j, SIDE, pose(np.array([*xy, away]), np.array([np.pi, 0, 0])), SIDE / 8)
+            for j, xy in enumerate(at)
+        )
         targets.append(Target(f"target{k}", "platform", "DICT_5X5_100", listed=listed))
     return replace(sketch_hexapod(), cameras=(camera,), targets=tuple(targets))
 
@@ -81,4 +109,6 @@ def _seen(effects: list[Effect], t: np.ndarray, sensors: Sensors | None) -> np.n
     moving = Run(still, np.zeros((count, 6)), np.tile([SPEED, 0, 0, 0, 0, 0], (count, 1)), np.zeros((count, 6)))
     frame, marker = (index.ravel() for index in np.indices((count, len(markers.id))))
     sightings = Sightings(frame, np.zeros(len(frame), int), marker)
-    return predict_sightings(sightings, State(design.cameras, still, {}), markers, t, effects, sensors, moving).reshape(count, -1, 4, 2)
+    return predict_sightings(sightings, State(design.cameras, still, {}), markers, t, effects, sensors, moving).reshape(
+        count, -1, 4, 2
+    )

@@ -23,15 +23,19 @@ FORMATS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 SHIFT = 4  # binary digits below a pixel that lines are drawn to
 
 
-def frame_picture(recording: Recording, frame: int, enlarge: float = 200.0,
-                  progress: Callable[[str, int, int], None] | None = None) -> tuple[list[tuple[str, np.ndarray]], Measurement]:
+def frame_picture(
+    recording: Recording, frame: int, enlarge: float = 200.0, progress: Callable[[str, int, int], None] | None = None
+) -> tuple[list[tuple[str, np.ndarray]], Measurement]:
     """([(camera name, (height, width, 3) BGR picture) ..], Measurement) of one frame, measured by itself.
 
     recording : Recording; frame : its number; enlarge : how much longer than they are residuals are drawn
     Raises RigError for a frame that the recording lacks, and what measuring raises
     """
     if frame not in recording.exposures.frame:
-        raise RigError(f"{recording.folder} has no frame {frame}; it has {recording.exposures.frame.min()} .. {recording.exposures.frame.max()}")
+        raise RigError(
+            f"{recording.folder} has no frame {frame}; it has {recording.exposures.frame.min()} .. "
+            f"{recording.exposures.frame.max()}"
+        )
     alone = _only(recording, frame)
     measured, _ = measure_recording(alone, progress=progress)
     pictures = []
@@ -50,7 +54,9 @@ def frame_picture(recording: Recording, frame: int, enlarge: float = 200.0,
 
 
 def check_format(path: str | Path) -> str:
-    """The suffix by which a picture's format goes; of a file without one, and of what is no file, a PNG's. Raises FileError for an unknown one."""
+    """The suffix by which a picture's format goes; of a file without one, and of what is no file, a PNG's. Raises
+    FileError for an unknown one.
+    """
     suffix = Path(path).suffix.lower()
     if suffix and suffix not in FORMATS:
         raise FileError(path, f"pictures are written as {', '.join(FORMATS)}, not as {suffix!r}")
@@ -88,8 +94,15 @@ def _only(recording: Recording, frame: int) -> Recording:
     if corners is not None:
         keep = np.flatnonzero(corners.frame == frame)
         covariance = None if corners.covariance is None else corners.covariance[keep]
-        corners = replace(corners, frame=corners.frame[keep], camera=[corners.camera[k] for k in keep], marker=corners.marker[keep],
-                          corner=corners.corner[keep], uv=corners.uv[keep], covariance=covariance)
+        corners = replace(
+            corners,
+            frame=corners.frame[keep],
+            camera=[corners.camera[k] for k in keep],
+            marker=corners.marker[keep],
+            corner=corners.corner[keep],
+            uv=corners.uv[keep],
+            covariance=covariance,
+        )
     return replace(recording, exposures=exposures, corners=corners)
 
 

@@ -1,7 +1,9 @@
-"""Cameras that the platform carries (mount "hand"): the base is the body that is seen, and the platform stands where that says, inverted.
+"""Cameras that the platform carries (mount "hand"): the base is the body that is seen, and the platform stands where
+that says, inverted.
 
-In the platform's own frame such a camera stands still and the base's markers move. So it is measured like any rig, with base and platform
-exchanged; the stated pose of the camera in the platform holds the platform's frame, the markers' stated places the base's.
+In the platform's own frame such a camera stands still and the base's markers move. So it is measured like any rig, with
+base and platform exchanged; the stated pose of the camera in the platform holds the platform's frame, the markers'
+stated places the base's.
 """
 
 from dataclasses import replace
@@ -20,14 +22,22 @@ def has_hand_cameras(design: Design) -> bool:
 
 
 def recording_seen_from_hand(recording: Recording) -> Recording:
-    """A recording as seen from the hand: its cameras stand still, and the base's targets are on the body that moves; others as they are."""
-    return replace(recording, design=design_seen_from_hand(recording.design)) if has_hand_cameras(recording.design) else recording
+    """A recording as seen from the hand: its cameras stand still, and the base's targets are on the body that moves;
+    others as they are.
+    """
+    return (
+        replace(recording, design=design_seen_from_hand(recording.design))
+        if has_hand_cameras(recording.design)
+        else recording
+    )
 
 
 def design_seen_from_hand(design: Design) -> Design:
     """A design whose cameras are in the hand as seen from there, see `recording_seen_from_hand`."""
     cameras = tuple(replace(camera, mount="fixed") for camera in design.cameras)
-    return replace(design, cameras=cameras, targets=tuple(replace(target, body="platform") for target in design.targets))
+    return replace(
+        design, cameras=cameras, targets=tuple(replace(target, body="platform") for target in design.targets)
+    )
 
 
 def invert_measurement(measured: Measurement) -> Measurement:
@@ -36,5 +46,9 @@ def invert_measurement(measured: Measurement) -> Measurement:
     T exp(xi) of the one is T^-1 exp(-Ad xi) of the other, with Ad that of T.
     """
     seen = adjoint(measured.T_base_platform)
-    return replace(measured, T_base_platform=measured.T_base_platform.inv(),
-                   covariance=seen @ measured.covariance @ np.swapaxes(seen, 1, 2), common=-seen @ measured.common)
+    return replace(
+        measured,
+        T_base_platform=measured.T_base_platform.inv(),
+        covariance=seen @ measured.covariance @ np.swapaxes(seen, 1, 2),
+        common=-seen @ measured.common,
+    )

@@ -20,7 +20,9 @@ def encode_jpeg(image: np.ndarray) -> bytes:
 
 
 def frame_jpegs(recording: Recording, frame: int) -> dict[str, bytes]:
-    """{camera name: JPEG} of a frame of a recording; empty where it has no images. Raises FileError for one that cannot be read."""
+    """{camera name: JPEG} of a frame of a recording; empty where it has no images. Raises FileError for one that cannot
+    be read.
+    """
     e = recording.exposures
     rows = [k for k in np.flatnonzero(e.frame == frame) if e.image[k]]
     return {e.camera[k]: encode_jpeg(read_image(recording.folder / e.image[k])) for k in rows}

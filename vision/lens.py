@@ -1,4 +1,6 @@
-"""OpenCV's lens: project with Jacobian, undistort. Points in the camera's frame (OpenCV axes: x right, y down, z ahead)."""
+"""OpenCV's lens: project with Jacobian, undistort. Points in the camera's frame (OpenCV axes: x right, y down, z
+ahead).
+"""
 
 import numpy as np
 
@@ -21,14 +23,20 @@ def project(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> n
     return (_on_sensor(uv, matrix, _tilt(*k[12:])) if tilted else uv).reshape(*np.shape(points)[:-1], 2)
 
 
-def project_jacobian(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def project_jacobian(
+    points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixels (..., 2), their Jacobian to the point (..., 2, 3) px/m and to the lens (..., 2, 4 + terms).
 
     Lens columns: fx fy cx cy (px/px), then the distortion terms in OpenCV's order.
     """
     flat, matrix, k = _flat(points, matrix, distortion)
     sensor, shape = len(distortion) == 14, np.shape(points)[:-1]
-    uv, to_point, to_lens = np.empty((len(flat), 2)), np.empty((len(flat), 2, 3)), np.empty((len(flat), 2, 4 + len(distortion)))
+    uv, to_point, to_lens = (
+        np.empty((len(flat), 2)),
+        np.empty((len(flat), 2, 3)),
+        np.empty((len(flat), 2, 4 + len(distortion))),
+    )
     projection_kernels.derivatives(flat, np.eye(3) if sensor else matrix, k, uv, to_point, to_lens)
     if sensor:
         _derivatives_on_sensor(uv, to_point, to_lens, matrix, k[12:])
@@ -54,7 +62,10 @@ def undistort(uv: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.
             break
         a, b, c, d = J[..., 0, 0], J[..., 0, 1], J[..., 1, 0], J[..., 1, 1]
         det = np.where(np.abs(a * d - b * c) > 1e-9, a * d - b * c, np.nan)
-        step = np.stack([d * error[..., 0] - b * error[..., 1], a * error[..., 1] - c * error[..., 0]], axis=-1) / det[..., None]
+        step = (
+            np.stack([d * error[..., 0] - b * error[..., 1], a * error[..., 1] - c * error[..., 0]], axis=-1)
+            / det[..., None]
+        )
         ideal = ideal + np.clip(step, -0.3, 0.3)
     lost = ~(np.abs(error).max(axis=-1, keepdims=True) < 1e-9)
     return np.where(lost, np.nan, ideal)
@@ -77,8 +88,12 @@ def _on_sensor(distorted: np.ndarray, matrix: np.ndarray, tilt: np.ndarray) -> n
     return np.stack(_apply_tilt(tilt, *distorted.T), axis=-1) * [matrix[0, 0], matrix[1, 1]] + matrix[:2, 2]
 
 
-def _derivatives_on_sensor(distorted: np.ndarray, to_point: np.ndarray, to_lens: np.ndarray, matrix: np.ndarray, tau: np.ndarray) -> None:
-    """Derivatives (n, 2, 3) and (n, 2, 18) of distorted coordinates (n, 2) become those of pixels, by a sensor tilted by tau (2,)."""
+def _derivatives_on_sensor(
+    distorted: np.ndarray, to_point: np.ndarray, to_lens: np.ndarray, matrix: np.ndarray, tau: np.ndarray
+) -> None:
+    """Derivatives (n, 2, 3) and (n, 2, 18) of distorted coordinates (n, 2) become those of pixels, by a sensor tilted
+    by tau (2,).
+    """
     tilt, focal = _tilt(*tau), np.array([matrix[0, 0], matrix[1, 1]])[:, None]
     J = _tilt_jacobian(tilt, *distorted.T)
     to_point[:] = focal * (J @ to_point)
@@ -96,7 +111,8 @@ def _tilt(tau_x: complex, tau_y: complex) -> np.ndarray:
     """(3, 3) map of a tilted sensor. Source: OpenCV computeTiltProjectionMatrix (Scheimpflug)."""
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
     R = np.array([[cy, 0 * cy, -sy], [0 * cy, 1 + 0 * cy, 0 * cy], [sy, 0 * cy, cy]]) @ np.array(
-        [[1 + 0 * cx, 0 * cx, 0 * cx], [0 * cx, cx, sx], [0 * cx, -sx, cx]])
+        [[1 + 0 * cx, 0 * cx, 0 * cx], [0 * cx, cx, sx], [0 * cx, -sx, cx]]
+    )
     lift = np.array([[R[2, 2], 0 * cx, -R[0, 2]], [0 * cx, R[2, 2], -R[1, 2]], [0 * cx, 0 * cx, 1 + 0 * cx]])
     return lift @ R
 

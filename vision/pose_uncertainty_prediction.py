@@ -1,4 +1,6 @@
-"""Poses that the cameras of a measured recording have yet to see: how sure they will be, and what errors they share with those measured already."""
+"""Poses that the cameras of a measured recording have yet to see: how sure they will be, and what errors they share
+with those measured already.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -21,22 +23,29 @@ LEAST = 2  # sightings of markers; one alone leaves two poses alike
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedUncertainty:
-    """seen : (n,) bool, poses of which cameras will see enough, m of them; covariance : (m, 6, 6) of each one's own error, m and rad, on the right
-    common : (m, 6, k) factor of what they share with each other and, by the same draws, with the poses of the Measurement."""
+    """seen : (n,) bool, poses of which cameras will see enough, m of them; covariance : (m, 6, 6) of each one's own
+    error, m and rad, on the right
+    common : (m, 6, k) factor of what they share with each other and, by the same draws, with the poses of the
+        Measurement."""
 
     seen: np.ndarray
     covariance: np.ndarray
     common: np.ndarray
 
 
-def predict_pose_uncertainty(measured: Measurement, design: Design, T_base_platform: RigidTransform) -> PredictedUncertainty:
-    """PredictedUncertainty of poses (n,), by cameras, lenses and corners' noise as a recording's Measurement has them. design : as its owner states
-    it
+def predict_pose_uncertainty(
+    measured: Measurement, design: Design, T_base_platform: RigidTransform
+) -> PredictedUncertainty:
+    """PredictedUncertainty of poses (n,), by cameras, lenses and corners' noise as a recording's Measurement has them.
+    design : as its owner states it
 
     Raises RigError for cameras that stand elsewhere in every frame, and where places of markers were adjusted
     """
     if measured.adjustment.unknowns.local_poses or measured.places_free:
-        raise RigError("poses that are not there yet are told of cameras that stand still, or sit in the hand, and of markers where they are stated")
+        raise RigError(
+            "poses that are not there yet are told of cameras that stand still, or sit in the hand, and of "
+            "markers where they are stated"
+        )
     body = T_base_platform.inv() if has_hand_cameras(design) else T_base_platform
     sightings, uv = _sightings(measured, body)
     share = _share(measured)
@@ -53,18 +62,26 @@ def predict_pose_uncertainty(measured: Measurement, design: Design, T_base_platf
 
 
 def _share(measured: Measurement) -> float:
-    """Share of the sightings that the recording's own poses let expect that were there: others had something before them."""
+    """Share of the sightings that the recording's own poses let expect that were there: others had something before
+    them.
+    """
     found, _ = _sightings(measured, measured.adjustment.state.platform)
     used = measured.used()
     return min(1.0, int((used.on_platform & (used.corner == 0)).sum()) / max(len(found.frame), 1))
 
 
 def _sightings(measured: Measurement, body: RigidTransform) -> tuple[Sightings, np.ndarray]:
-    """(Sightings of the moving body's markers, those measured, at poses (n,), were nothing in the way; their corners (k, 4, 2) px), in order."""
+    """(Sightings of the moving body's markers, those measured, at poses (n,), were nothing in the way; their corners
+    (k, 4, 2) px), in order.
+    """
     a = measured.adjustment
     state, markers = State(a.state.cameras, body, {}, a.state.placed), a.state.placed
     found = facing(state, markers)
-    found = found.take(np.isin(found.camera, list(a.unknowns.poses)) & np.isin(found.marker, a.unknowns.seen) & markers.on_platform[found.marker])
+    found = found.take(
+        np.isin(found.camera, list(a.unknowns.poses))
+        & np.isin(found.marker, a.unknowns.seen)
+        & markers.on_platform[found.marker]
+    )
     uv = predict_sightings(found, state, markers)
     whole = is_inside_image(found, uv, a.state.cameras)
     found, uv = found.take(whole), uv[whole]
@@ -72,16 +89,27 @@ def _sightings(measured: Measurement, body: RigidTransform) -> tuple[Sightings, 
     return found.take(order), uv[order]
 
 
-def _covariances(measured: Measurement, body: RigidTransform, sightings: Sightings, uv: np.ndarray,
-                 kept: tuple[np.ndarray, float]) -> tuple[np.ndarray, np.ndarray]:
-    """((m, 6, 6) were all that is shared known, (m, 6, s) factor of what that adds) of poses (m,). kept : ((n,) number of each frame among them,
-    share of the sightings that are there, so much less each tells)"""
+def _covariances(
+    measured: Measurement, body: RigidTransform, sightings: Sightings, uv: np.ndarray, kept: tuple[np.ndarray, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """((m, 6, 6) were all that is shared known, (m, 6, s) factor of what that adds) of poses (m,). kept : ((n,) number
+    of each frame among them, share of the sightings that are there, so much less each tells)"""
     (number, share), a, m = kept, measured.adjustment, len(body)
     markers, u = a.state.placed, a.unknowns
     sigma2 = float(np.median(np.trace(measured.weights, axis1=1, axis2=2))) / 2 / share
     row, corner = np.repeat(sightings.marker, 4), np.tile(np.arange(len(SQUARE)), len(sightings.marker))
-    corners = Observations(np.arange(m), number[np.repeat(sightings.frame, 4)], np.repeat(sightings.camera, 4), row, corner, uv.reshape(-1, 2),
-                           np.broadcast_to(sigma2 * np.eye(2), (len(row), 2, 2)), markers.corners[row, corner], markers.on_platform[row], True)
+    corners = Observations(
+        np.arange(m),
+        number[np.repeat(sightings.frame, 4)],
+        np.repeat(sightings.camera, 4),
+        row,
+        corner,
+        uv.reshape(-1, 2),
+        np.broadcast_to(sigma2 * np.eye(2), (len(row), 2, 2)),
+        markers.corners[row, corner],
+        markers.on_platform[row],
+        True,
+    )
     here: Unknowns = replace(u, used=np.ones((m, u.local), bool))
     estimate = Estimate(State(a.state.cameras, body, {}, markers), None, {})
     _, derivatives = linearise(corners, estimate, here, whitener(corners))

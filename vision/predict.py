@@ -77,8 +77,14 @@ class State:
 
 
 def predict(observations: ObservedCorners, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (n, 2) where the corners should be, and the points (n, 3) m in their camera's frame; z <= 0 is behind it."""
-    base, uv, ahead = base_points(observations, state), np.empty((len(observations), 2)), np.empty((len(observations), 3))
+    """Pixels (n, 2) where the corners should be, and the points (n, 3) m in their camera's frame; z <= 0 is behind
+    it.
+    """
+    base, uv, ahead = (
+        base_points(observations, state),
+        np.empty((len(observations), 2)),
+        np.empty((len(observations), 3)),
+    )
     for i, camera, rows in by_camera(observations, state):
         ahead[rows] = in_camera(base[rows], observations.frame[rows], state, i)
         uv[rows] = lens.project(ahead[rows], camera.matrix, camera.distortion)
@@ -99,7 +105,9 @@ class Sightings:
 
 
 def facing(state: State, markers: MarkerMap, steepest: float = STEEPEST) -> Sightings:
-    """Sightings of all markers that face a camera, lie ahead of it, and are not seen too obliquely (cosine of the tilt)."""
+    """Sightings of all markers that face a camera, lie ahead of it, and are not seen too obliquely (cosine of the
+    tilt).
+    """
     base, normals = _quads(state.platform, markers)
     out = []
     for i, camera in enumerate(state.cameras):
@@ -113,11 +121,19 @@ def facing(state: State, markers: MarkerMap, steepest: float = STEEPEST) -> Sigh
     return Sightings(*(np.concatenate(column) for column in zip(*out)))
 
 
-def predict_sightings(sightings: Sightings, state: State, markers: MarkerMap, t: np.ndarray | None = None, effects: Sequence[Effect] = (),
-        sensors: Sensors | None = None, run: Run | None = None) -> np.ndarray:
+def predict_sightings(
+    sightings: Sightings,
+    state: State,
+    markers: MarkerMap,
+    t: np.ndarray | None = None,
+    effects: Sequence[Effect] = (),
+    sensors: Sensors | None = None,
+    run: Run | None = None,
+) -> np.ndarray:
     """Corners (k, 4, 2) px of sightings, with all that the effects do to markers, cameras and the moment of exposure.
 
-    state : State; markers : MarkerMap as stated; t : (F,) s of the frames, for effects in time; sensors : Sensors or None
+    state : State; markers : MarkerMap as stated; t : (F,) s of the frames, for effects in time; sensors : Sensors or
+        None
     run : machine.Run with rates, needed where rows of a camera are exposed one after the other
     Raises RigError where an effect needs a sensor channel that is not there
     """
@@ -143,8 +159,11 @@ def predict_sightings(sightings: Sightings, state: State, markers: MarkerMap, t:
     return uv
 
 
-def visible_marker_counts(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> np.ndarray:
-    """(F,) how many markers are seen whole, of the platform's by cameras that stand, of the base's by those in the hand, at poses (F,).
+def visible_marker_counts(
+    cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
+) -> np.ndarray:
+    """(F,) how many markers are seen whole, of the platform's by cameras that stand, of the base's by those in the
+    hand, at poses (F,).
 
     What stands in the way is not looked at
     """
@@ -157,14 +176,18 @@ def visible_marker_counts(cameras: tuple[Camera, ...], T_base_platform: RigidTra
     return np.bincount(pairs[:, 0], minlength=len(T_base_platform))
 
 
-def is_inside_image(sightings: Sightings, uv: np.ndarray, cameras: Sequence[Camera], margin: float = INSIDE) -> np.ndarray:
+def is_inside_image(
+    sightings: Sightings, uv: np.ndarray, cameras: Sequence[Camera], margin: float = INSIDE
+) -> np.ndarray:
     """(k,) bool, whether all corners (k, 4, 2) px lie in their camera's image, by a margin (px)."""
     size = np.array([[camera.width, camera.height] for camera in cameras])[sightings.camera]
     return ((uv > margin) & (uv < size[:, None] - 1 - margin)).all(axis=(1, 2))
 
 
 def expected(camera: Camera, T_base_platform: RigidTransform, marker_map: MarkerMap) -> tuple[np.ndarray, np.ndarray]:
-    """Marker rows (k,) that a fixed camera should see whole, were nothing in the way, and their corners (k, 4, 2) px."""
+    """Marker rows (k,) that a fixed camera should see whole, were nothing in the way, and their corners (k, 4, 2)
+    px.
+    """
     to_camera = camera.pose.inv().as_matrix()
     matrix = np.where(marker_map.on_platform[:, None, None], to_camera @ T_base_platform.as_matrix(), to_camera)
     ahead = marker_map.corners @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
@@ -188,22 +211,30 @@ def _quads(platform: RigidTransform, markers: MarkerMap) -> tuple[np.ndarray, np
     return corners, normals
 
 
-def _view(state: State, i: int, t: np.ndarray, effects: Sequence[Effect],
-          sensors: Sensors | None) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+def _view(
+    state: State, i: int, t: np.ndarray, effects: Sequence[Effect], sensors: Sensors | None
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function (points (k, 4, 3) m in the base, frame (k,)) -> pixels (k, 4, 2) through camera i with its effects."""
     camera = state.cameras[i]
     mount, focal = np.zeros((len(t), 6)), np.ones(len(t))
 
     def channel(*names: str) -> np.ndarray:
         if sensors is None:
-            raise RigError(f"the model needs a sensor channel {' or '.join(map(repr, names))}, and the recording has no sensors.csv")
+            raise RigError(
+                f"the model needs a sensor channel {' or '.join(map(repr, names))}, and the recording has no "
+                "sensors.csv"
+            )
         return sensors.at(t, *names)
 
     for effect in effects:
         mount += effect.mount(camera, t, channel)
         focal *= effect.focal(camera, t, channel)
         camera = effect.camera(camera)
-    poses = state.moving[i] if i in state.moving else RigidTransform.from_matrix(np.broadcast_to(camera.pose.as_matrix(), (len(t), 4, 4)))
+    poses = (
+        state.moving[i]
+        if i in state.moving
+        else RigidTransform.from_matrix(np.broadcast_to(camera.pose.as_matrix(), (len(t), 4, 4)))
+    )
     matrix = (poses * exp(mount)).inv().as_matrix()
     centre = camera.matrix[:2, 2]
 
@@ -225,8 +256,16 @@ def _late(camera: Camera, effects: Sequence[Effect], v: np.ndarray) -> np.ndarra
     return late
 
 
-def _delayed(corners: np.ndarray, markers: MarkerMap, marker: np.ndarray, state: State, frame: np.ndarray, on: np.ndarray, run: Run,
-             late: np.ndarray) -> np.ndarray:
+def _delayed(
+    corners: np.ndarray,
+    markers: MarkerMap,
+    marker: np.ndarray,
+    state: State,
+    frame: np.ndarray,
+    on: np.ndarray,
+    run: Run,
+    late: np.ndarray,
+) -> np.ndarray:
     """Corners (k, 4, 3) m in the base, those on the platform where it is `late` (k, 4) s after its frame's exposure."""
     if run.rate is None or run.curvature is None:
         raise ValueError("image rows that are exposed late take a run with its rates; it has none")
@@ -248,7 +287,11 @@ def by_camera(observations: ObservedCorners, state: State) -> Iterator[tuple[int
 
 def body_points(observations: ObservedCorners, state: State) -> np.ndarray:
     """(n, 3) m, the observed points in their body's frame."""
-    return observations.points if state.markers is None else state.markers.corners[observations.marker, observations.corner]
+    return (
+        observations.points
+        if state.markers is None
+        else state.markers.corners[observations.marker, observations.corner]
+    )
 
 
 def base_points(observations: ObservedCorners, state: State) -> np.ndarray:

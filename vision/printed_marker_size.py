@@ -1,4 +1,6 @@
-"""The side that markers were really printed with, from a photograph in which something of known size lies in their plane: the sheet, or a ruler."""
+"""The side that markers were really printed with, from a photograph in which something of known size lies in their
+plane: the sheet, or a ruler.
+"""
 
 from dataclasses import dataclass
 
@@ -12,7 +14,9 @@ from rig.model.design import Camera, Design
 from vision.corners.marker_detection import detect_markers
 from vision.targets import MarkerMap, marker_map
 
-CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # of a square of side 1, from its top left, clockwise, y up
+CORNERS = np.array(
+    [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]
+)  # of a square of side 1, from its top left, clockwise, y up
 LEAST_SHARE = 0.1  # of the photograph, that the sheet must cover
 SAMPLES = 60  # places along a side of the sheet where its edge is looked for
 READ = 1.0  # px, standard deviation of an end of a ruler as somebody points at it
@@ -20,8 +24,10 @@ READ = 1.0  # px, standard deviation of an end of a ruler as somebody points at 
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """scale : (n,) true over nominal size, along each direction that was measured; directions : their names, as said to a user
-    uncertainty : (n,) standard, of scale; markers : how many; bend : px, by which a straight edge of the sheet is bent, NaN where none was seen"""
+    """scale : (n,) true over nominal size, along each direction that was measured; directions : their names, as said to
+    a user
+    uncertainty : (n,) standard, of scale; markers : how many; bend : px, by which a straight edge of the sheet is bent,
+        NaN where none was seen"""
 
     scale: tuple[float, ...]
     directions: tuple[str, ...]
@@ -31,12 +37,15 @@ class Printed:
 
 
 def print_scale_on_sheet(image: np.ndarray, design: Design, paper: tuple[float, float], tolerance: float) -> Printed:
-    """The markers' scale across and along a whole sheet. image : as cv2.imread gives it; paper : (width, height) m; tolerance : m, standard
-    uncertainty of both. Raises RigError where no marker of the rig or no whole sheet is seen"""
+    """The markers' scale across and along a whole sheet. image : as cv2.imread gives it; paper : (width, height) m;
+    tolerance : m, standard uncertainty of both. Raises RigError where no marker of the rig or no whole sheet is seen"""
     seen, side = _seen(image, design)
     ends, bend = _sheet(image, seen.reshape(-1, 2))
     best = None
-    for turn in (0, 1):  # which two of its corners are the ends of a short side, is told by the markers, which are square
+    for turn in (
+        0,
+        1,
+    ):  # which two of its corners are the ends of a short side, is told by the markers, which are square
         square = np.array([(0, paper[1]), (paper[0], paper[1]), (paper[0], 0), (0, 0)])
         H = cv2.getPerspectiveTransform(np.roll(ends, turn, axis=0).astype(np.float32), square.astype(np.float32))
         metric = cv2.perspectiveTransform(seen.reshape(1, -1, 2), H.astype(np.float64)).reshape(-1, 4, 2)
@@ -51,12 +60,18 @@ def print_scale_on_sheet(image: np.ndarray, design: Design, paper: tuple[float, 
     scale = tuple(float(part.mean()) for part in best[1])
     scatter = [part.std(ddof=1) / np.sqrt(len(part)) for part in best[1]]
     seen_as = [np.hypot(tolerance / paper[k], bend / best[2]) for k in (0, 1)]
-    return Printed(scale, ("across the sheet", "along the sheet"), tuple(float(np.hypot(a, b)) for a, b in zip(scatter, seen_as)), len(seen), bend)
+    return Printed(
+        scale,
+        ("across the sheet", "along the sheet"),
+        tuple(float(np.hypot(a, b)) for a, b in zip(scatter, seen_as)),
+        len(seen),
+        bend,
+    )
 
 
 def print_scale_by_ruler(image: np.ndarray, design: Design, ends: np.ndarray, length: float) -> Printed:
-    """The markers' scale along a ruler. ends : (2, 2) px of two of its lines; length : m between them. The markers are taken to be printed as
-    large one way as the other. Raises RigError where no marker of the rig is seen"""
+    """The markers' scale along a ruler. ends : (2, 2) px of two of its lines; length : m between them. The markers are
+    taken to be printed as large one way as the other. Raises RigError where no marker of the rig is seen"""
     seen, side = _seen(image, design)
     H = _plane(seen, side)
     back = np.linalg.inv(H)
@@ -69,7 +84,13 @@ def print_scale_by_ruler(image: np.ndarray, design: Design, ends: np.ndarray, le
     by_end = [nominal(ends + READ * step.reshape(2, 2)) - found for step in np.eye(4)]
     residual = _misfit(H, seen, side)
     own = residual / np.linalg.norm(seen[:, 1] - seen[:, 0], axis=-1).mean() / np.sqrt(len(seen))
-    return Printed((length / found,), ("along the ruler",), (float(np.hypot(np.linalg.norm(by_end) / found, own)),), len(seen), float("nan"))
+    return Printed(
+        (length / found,),
+        ("along the ruler",),
+        (float(np.hypot(np.linalg.norm(by_end) / found, own)),),
+        len(seen),
+        float("nan"),
+    )
 
 
 def _seen(image: np.ndarray, design: Design) -> tuple[np.ndarray, np.ndarray]:
@@ -77,7 +98,9 @@ def _seen(image: np.ndarray, design: Design) -> tuple[np.ndarray, np.ndarray]:
     markers = marker_map(design)
     height, width = image.shape[:2]
     matrix = np.array([[1.2 * max(width, height), 0, width / 2], [0, 1.2 * max(width, height), height / 2], [0, 0, 1]])
-    found = detect_markers(image, Camera("photograph", width, height, matrix, np.zeros(5), RigidTransform.identity()), markers)
+    found = detect_markers(
+        image, Camera("photograph", width, height, matrix, np.zeros(5), RigidTransform.identity()), markers
+    )
     if not len(found.marker):
         raise RigError("no marker of the rig is seen in the photograph")
     return found.corners.astype(np.float64), _sides(markers, found.marker)
@@ -89,7 +112,9 @@ def _sides(markers: MarkerMap, numbers: np.ndarray) -> np.ndarray:
 
 
 def _sheet(image: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, float]:
-    """((4, 2) px corners of the sheet around some points, clockwise from one of its own; px by which its edges are bent)."""
+    """((4, 2) px corners of the sheet around some points, clockwise from one of its own; px by which its edges are
+    bent).
+    """
     grey = image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
     grey = grey if grey.dtype == np.uint8 else (grey / 257).astype(np.uint8)
     bright = cv2.threshold(cv2.GaussianBlur(grey, (0, 0), 2), 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[1]
@@ -102,23 +127,38 @@ def _sheet(image: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, float]:
         if whole and all(cv2.pointPolygonTest(hull, (float(u), float(v)), False) > 0 for u, v in inside):
             fits = [_edge(grey, rough[k], rough[(k + 1) % 4]) for k in range(4)]
             lines = [line for line, _ in fits]
-            corners = np.array([np.linalg.solve(np.stack([lines[k - 1][:2], lines[k][:2]]), -np.array([lines[k - 1][2], lines[k][2]]))
-                                for k in range(4)])
-            turned = np.linalg.det(np.stack([corners[1] - corners[0], corners[2] - corners[1]])) < 0  # counter-clockwise as one looks at it
+            corners = np.array(
+                [
+                    np.linalg.solve(
+                        np.stack([lines[k - 1][:2], lines[k][:2]]), -np.array([lines[k - 1][2], lines[k][2]])
+                    )
+                    for k in range(4)
+                ]
+            )
+            turned = (
+                np.linalg.det(np.stack([corners[1] - corners[0], corners[2] - corners[1]])) < 0
+            )  # counter-clockwise as one looks at it
             return (corners[::-1] if turned else corners), max(bend for _, bend in fits)
-    raise RigError("no whole sheet is seen around the markers: lay it flat on a plain ground that is darker, all four corners in the photograph, "
-                   "or lay a ruler beside it and give --ruler")
+    raise RigError(
+        "no whole sheet is seen around the markers: lay it flat on a plain ground that is darker, all four "
+        "corners in the photograph, "
+        "or lay a ruler beside it and give --ruler"
+    )
 
 
 def _edge(grey: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, float]:
-    """((3,) line n u + m v + c = 0 px through the sheet's edge near a to b (2,) px; px RMS by which the edge leaves it)."""
+    """((3,) line n u + m v + c = 0 px through the sheet's edge near a to b (2,) px; px RMS by which the edge leaves
+    it).
+    """
     along = (b - a) / np.linalg.norm(b - a)
     normal = np.array([-along[1], along[0]])
     reach = max(4, int(0.01 * np.linalg.norm(b - a)))
     offsets = np.arange(-reach, reach + 0.5, 0.5)
     places = a + np.linspace(0.08, 0.92, SAMPLES)[:, None] * (b - a)
     points = (places[:, None] + offsets[:, None] * normal).astype(np.float32)
-    steps = np.abs(np.diff(cv2.remap(grey.astype(np.float32), points[..., 0], points[..., 1], cv2.INTER_LINEAR), axis=1))
+    steps = np.abs(
+        np.diff(cv2.remap(grey.astype(np.float32), points[..., 0], points[..., 1], cv2.INTER_LINEAR), axis=1)
+    )
     strong = np.where(steps > 0.5 * steps.max(axis=1, keepdims=True), steps, 0)
     at = (strong * (offsets[:-1] + 0.25)).sum(axis=1) / np.maximum(strong.sum(axis=1), 1e-9)
     found = places + at[:, None] * normal
@@ -128,7 +168,9 @@ def _edge(grey: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, f
 
 
 def _plane(seen: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """(3, 3) homography from the paper (m, as large as stated) to the image, in which all markers are squares of their sides."""
+    """(3, 3) homography from the paper (m, as large as stated) to the image, in which all markers are squares of their
+    sides.
+    """
     first = cv2.getPerspectiveTransform((side[0] * CORNERS).astype(np.float32), seen[0].astype(np.float32))
     start = cv2.perspectiveTransform(seen.reshape(1, -1, 2), np.linalg.inv(first)).reshape(-1, 4, 2)
     top = start[:, 1] - start[:, 0]
@@ -144,10 +186,14 @@ def _plane(seen: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 
 def _projected(p: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """(m, 4, 2) px of squares: 8 numbers of the homography, then x, y (m) and turn (rad) of all but the first, which is the origin."""
+    """(m, 4, 2) px of squares: 8 numbers of the homography, then x, y (m) and turn (rad) of all but the first, which is
+    the origin.
+    """
     H, places = np.append(p[:8], 1.0).reshape(3, 3), np.vstack([np.zeros(3), p[8:].reshape(-1, 3)])
     c, s = np.cos(places[:, 2]), np.sin(places[:, 2])
-    turned = side[:, None, None] * np.einsum("mij,kj->mki", np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2), CORNERS)
+    turned = side[:, None, None] * np.einsum(
+        "mij,kj->mki", np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2), CORNERS
+    )
     points = np.concatenate([turned + places[:, None, :2], np.ones((len(side), 4, 1))], axis=-1) @ H.T
     return points[..., :2] / points[..., 2:]
 

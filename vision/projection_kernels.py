@@ -1,4 +1,6 @@
-"""What is seen, point by point, compiled: carried by the platform, through a lens without a tilted sensor, and how pixels change with both."""
+"""What is seen, point by point, compiled: carried by the platform, through a lens without a tilted sensor, and how
+pixels change with both.
+"""
 
 import numpy as np
 
@@ -7,7 +9,9 @@ from rig.compute.numba_kernels import njit
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def project(points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: np.ndarray) -> None:
-    """Into uv (n, 2) px the images of points (n, 3) m in the camera's frame; matrix : (3, 3) px; k : (14,) terms as OpenCV orders them."""
+    """Into uv (n, 2) px the images of points (n, 3) m in the camera's frame; matrix : (3, 3) px; k : (14,) terms as
+    OpenCV orders them.
+    """
     for n in range(len(points)):
         x, y = points[n, 0] / points[n, 2], points[n, 1] / points[n, 2]
         xx, xy, yy = x * x, x * y, y * y
@@ -19,8 +23,12 @@ def project(points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: np.ndarra
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def derivatives(points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: np.ndarray, to_point: np.ndarray, to_lens: np.ndarray) -> None:
-    """The same, and into to_point (n, 2, 3) px/m and to_lens (n, 2, 4 + terms) how they change with points, fx fy cx cy and terms."""
+def derivatives(
+    points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: np.ndarray, to_point: np.ndarray, to_lens: np.ndarray
+) -> None:
+    """The same, and into to_point (n, 2, 3) px/m and to_lens (n, 2, 4 + terms) how they change with points, fx fy cx cy
+    and terms.
+    """
     fx, fy, terms = matrix[0, 0], matrix[1, 1], to_lens.shape[2] - 4
     row = np.zeros((2, 14))
     for n in range(len(points)):
@@ -33,7 +41,9 @@ def derivatives(points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: np.nd
         xd = x * radial + 2 * k[2] * xy + k[3] * (r2 + 2 * xx) + r2 * (k[8] + r2 * k[9])
         yd = y * radial + k[2] * (r2 + 2 * yy) + 2 * k[3] * xy + r2 * (k[10] + r2 * k[11])
         uv[n, 0], uv[n, 1] = fx * xd + matrix[0, 2], fy * yd + matrix[1, 2]
-        slope = ((k[0] + r2 * (2 * k[1] + 3 * r2 * k[4])) - radial * (k[5] + r2 * (2 * k[6] + 3 * r2 * k[7]))) / denominator  # radial's, to r2
+        slope = (
+            (k[0] + r2 * (2 * k[1] + 3 * r2 * k[4])) - radial * (k[5] + r2 * (2 * k[6] + 3 * r2 * k[7]))
+        ) / denominator  # radial's, to r2
         thin_x, thin_y = k[8] + 2 * r2 * k[9], k[10] + 2 * r2 * k[11]
         cross = 2 * xy * slope + 2 * k[2] * x + 2 * k[3] * y
         a, b = radial + 2 * xx * slope + 2 * k[2] * y + 6 * k[3] * x + 2 * x * thin_x, cross + 2 * y * thin_x
@@ -55,7 +65,9 @@ def derivatives(points: np.ndarray, matrix: np.ndarray, k: np.ndarray, uv: np.nd
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def carried(points: np.ndarray, T: np.ndarray, frame: np.ndarray, some: np.ndarray, out: np.ndarray) -> None:
-    """Into out (n, 3) m some (n,) of the points (n, 3) m moved by T (F, 4, 4) of their frame (n,), the others as they are."""
+    """Into out (n, 3) m some (n,) of the points (n, 3) m moved by T (F, 4, 4) of their frame (n,), the others as they
+    are.
+    """
     for n in range(len(points)):
         for i in range(3):
             out[n, i] = points[n, i]

@@ -26,11 +26,13 @@ FRAMES = 8  # on which other lenses are tried
 PLACES = ("auto", "stated", "free")
 
 
-def measured(recording: Recording, places: str = "auto", progress: Callable[[str, int, int], None] | None = None) -> Measurement:
+def measured(
+    recording: Recording, places: str = "auto", progress: Callable[[str, int, int], None] | None = None
+) -> Measurement:
     """Measurement of a recording, as `rig measure` makes it: poses with covariance, cameras adjusted.
 
-    places : whether the markers' places on their bodies are adjusted too: "stated", "free", or "auto", where the stated ones contradict
-    what is seen; progress : called with (label, done, of), or None
+    places : whether the markers' places on their bodies are adjusted too: "stated", "free", or "auto", where the stated
+    ones contradict what is seen; progress : called with (label, done, of), or None
     Raises NotEnoughData for a recording with neither corners nor images
 
     >>> import rig, vision
@@ -43,16 +45,22 @@ def measured(recording: Recording, places: str = "auto", progress: Callable[[str
     return measure_recording(recording, progress=progress, places=places)[0]
 
 
-def measure_recording(recording: Recording, free: Sequence[str] = ("poses", "lenses"), detect_anew: bool = False,
-                      progress: Callable[[str, int, int], None] | None = None, places: str = "stated",
-                      look: Callable[[Corners], None] | None = None) -> tuple[Measurement, Collected | None]:
+def measure_recording(
+    recording: Recording,
+    free: Sequence[str] = ("poses", "lenses"),
+    detect_anew: bool = False,
+    progress: Callable[[str, int, int], None] | None = None,
+    places: str = "stated",
+    look: Callable[[Corners], None] | None = None,
+) -> tuple[Measurement, Collected | None]:
     """(Measurement, Collected or None) of a recording.
 
-    free : what is adjusted, see vision.bundle.bundle_adjustment; places : whether the markers' places on their bodies are adjusted too: "stated",
-    "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of the frames, or most of the corners' scatter
-    comes from them
+    free : what is adjusted, see vision.bundle.bundle_adjustment; places : whether the markers' places on their bodies
+    are adjusted too: "stated", "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of
+    the frames, or most of the corners' scatter comes from them
     detect_anew : read the images even where corners.csv is there
-    progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None; what it raises ends it
+    progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None;
+        what it raises ends it
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
     if not has_hand_cameras(recording.design):
@@ -61,13 +69,21 @@ def measure_recording(recording: Recording, free: Sequence[str] = ("poses", "len
     return invert_measurement(measured), collected
 
 
-def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, progress: Callable[[str, int, int], None] | None, places: str,
-              look: Callable[[Corners], None] | None) -> tuple[Measurement, Collected | None]:
+def _measured(
+    recording: Recording,
+    free: Sequence[str],
+    detect_anew: bool,
+    progress: Callable[[str, int, int], None] | None,
+    places: str,
+    look: Callable[[Corners], None] | None,
+) -> tuple[Measurement, Collected | None]:
     """The same by cameras that stand still or go their own ways."""
     design = recording.design
     if not design.cameras or not design.targets:
-        raise NotEnoughData(f"{recording.folder}: rig.toml has {len(design.cameras)} cameras and {len(design.targets)} targets; "
-                            "measuring takes at least one of each")
+        raise NotEnoughData(
+            f"{recording.folder}: rig.toml has {len(design.cameras)} cameras and {len(design.targets)} targets; "
+            "measuring takes at least one of each"
+        )
     if not any(target.body == "platform" for target in design.targets):
         raise NotEnoughData(f"{recording.folder}: rig.toml has no target on the platform, so its pose cannot be seen")
     if places not in PLACES:
@@ -78,22 +94,31 @@ def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, prog
     def said(label: str) -> Callable[[int, int], None] | None:
         return (lambda done, of: progress(label, done, of)) if progress else None
 
-    def solved(corners: Corners, correlation: np.ndarray | None = None, look: Callable[[Corners], None] | None = None) -> Measurement:
+    def solved(
+        corners: Corners, correlation: np.ndarray | None = None, look: Callable[[Corners], None] | None = None
+    ) -> Measurement:
         if look:
             look(corners)
         observed = observations_from_corners(corners, frames, design, markers, correlation)
         loose = is_on_remounted_cube(observed, design, markers)
         if markers.stage.any():
             return solve(observed.take(~loose), design, markers, free, progress, t, places)
-        return measure_without_remounted(observed, loose, lambda held: solve(held, design, markers, free, progress, t, places))
+        return measure_without_remounted(
+            observed, loose, lambda held: solve(held, design, markers, free, progress, t, places)
+        )
 
     if recording.corners is not None and not detect_anew:
         return solved(recording.corners, look=look), None
     if not recording.has_images:
-        raise NotEnoughData(f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is nothing to measure")
+        raise NotEnoughData(
+            f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is "
+            "nothing to measure"
+        )
     found = collect_corners(recording, markers, said("reading images"))
     if not len(found.corners.frame):
-        raise NotEnoughData(f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}")
+        raise NotEnoughData(
+            f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}"
+        )
     measured = solved(found.corners, found.correlation, look)
     again = search_missed_markers(recording, found, measured, markers, said("looking again"))
     if len(again.corners.frame) > len(found.corners.frame):
@@ -107,14 +132,28 @@ def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, prog
     return measured, found
 
 
-def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequence[str], progress: Callable[[str, int, int], None] | None,
-          t: np.ndarray, places: str) -> Measurement:
-    """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at. t : (F,) s"""
+def solve(
+    observed: Observations,
+    design: Design,
+    markers: MarkerMap,
+    free: Sequence[str],
+    progress: Callable[[str, int, int], None] | None,
+    t: np.ndarray,
+    places: str,
+) -> Measurement:
+    """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at.
+    t : (F,) s
+    """
     if markers.stage.any():
         chain_stages.refuse_free_places(places)
         return chain_stages.separate_stage_measurements(
             measure(
-                chain_stages.separate_stage_frames(observed, markers), design, markers, free, progress, chain_stages.stage_frame_times(t, markers)
+                chain_stages.separate_stage_frames(observed, markers),
+                design,
+                markers,
+                free,
+                progress,
+                chain_stages.stage_frame_times(t, markers),
             ),
             markers,
         )
@@ -146,13 +185,21 @@ def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequ
 
 
 def _contradicts(measured: Measurement) -> bool:
-    """Whether corners contradict what is stated: frames that show enough are refused, or many corners of those solved set aside."""
+    """Whether corners contradict what is stated: frames that show enough are refused, or many corners of those solved
+    set aside.
+    """
     solved = np.isin(measured.observations.frames[measured.observations.frame], measured.frames)
-    return len(unsolved_frames(measured)) > REFUSED * len(measured.observations.frames) or bool((~measured.inliers[solved]).mean() > ASIDE)
+    return len(unsolved_frames(measured)) > REFUSED * len(measured.observations.frames) or bool(
+        (~measured.inliers[solved]).mean() > ASIDE
+    )
 
 
-def _other_lenses(observed: Observations, design: Design, markers: MarkerMap, free: Sequence[str]) -> tuple[Camera, ...] | None:
-    """Cameras from whose lenses a few frames agree with what is stated, where the stated lenses lead nowhere; None where no such are found."""
+def _other_lenses(
+    observed: Observations, design: Design, markers: MarkerMap, free: Sequence[str]
+) -> tuple[Camera, ...] | None:
+    """Cameras from whose lenses a few frames agree with what is stated, where the stated lenses lead nowhere; None
+    where no such are found.
+    """
     if "lenses" not in free:
         return None
     rich = np.bincount(observed.frame, minlength=len(observed.frames))
@@ -192,7 +239,12 @@ def _why_none(recording: Recording, found: Collected, markers: MarkerMap) -> str
     e = recording.exposures
     images = [(frame, camera) for frame, camera, name in zip(e.frame, e.camera, e.image) if name]
     if found.left_out:
-        return f"{len(images)} images that could be placed: " + "; ".join(sorted({one.reason for one in found.left_out})[:5])
-    read, some = image_reader(recording), {round(k) for k in np.linspace(0, len(images) - 1, min(2 * LOOKED_AT, len(images)))}
+        return f"{len(images)} images that could be placed: " + "; ".join(
+            sorted({one.reason for one in found.left_out})[:5]
+        )
+    read, some = (
+        image_reader(recording),
+        {round(k) for k in np.linspace(0, len(images) - 1, min(2 * LOOKED_AT, len(images)))},
+    )
     why = no_marker_reason([image for k in sorted(some) if (image := read(*images[k])) is not None], markers)
     return f"{len(images)} images" + (f"; of {len(some)} that were looked at again, {why}" if why else "")

@@ -1,4 +1,6 @@
-"""Measuring without the cubes that were put back: their places are known only to what remounting may do, so their corners hold no pose."""
+"""Measuring without the cubes that were put back: their places are known only to what remounting may do, so their
+corners hold no pose.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,16 +20,27 @@ def is_on_remounted_cube(observations: Observations, design: Design, markers: Ma
     return np.array([name in names for name in markers.target])[observations.marker]
 
 
-def measure_without_remounted(observations: Observations, loose: np.ndarray, measure: Callable[[Observations], Measurement]) -> Measurement:
-    """Measurement of the corners that are not loose (n,); these are among its observations again, and none of its inliers.
+def measure_without_remounted(
+    observations: Observations, loose: np.ndarray, measure: Callable[[Observations], Measurement]
+) -> Measurement:
+    """Measurement of the corners that are not loose (n,); these are among its observations again, and none of its
+    inliers.
 
     measure : of Observations. Raises what it raises
     """
     if not loose.any():
         return measure(observations)
     found = measure(observations.take(~loose))
-    covariance, inliers, residuals = observations.covariance * found.factor, np.zeros(len(loose), bool), np.full((len(loose), 2), np.nan)
-    covariance[~loose], inliers[~loose], residuals[~loose] = found.observations.covariance, found.inliers, found.residuals
+    covariance, inliers, residuals = (
+        observations.covariance * found.factor,
+        np.zeros(len(loose), bool),
+        np.full((len(loose), 2), np.nan),
+    )
+    covariance[~loose], inliers[~loose], residuals[~loose] = (
+        found.observations.covariance,
+        found.inliers,
+        found.residuals,
+    )
     solved = np.isin(observations.frames[observations.frame], found.frames)
     weights = covariance.copy()
     weights[solved & ~loose] = found.weights

@@ -11,17 +11,23 @@ from rig.model.design import FACES, Design, Marker, Target
 from rig.model.pose import transform_points
 
 _OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
-SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])  # corners 0..3, clockwise from the top left
+SQUARE = np.array(
+    [[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]]
+)  # corners 0..3, clockwise from the top left
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerMap:
     """All markers of a rig, one row each.
 
-    id : (m,), as printed; on_platform : (m,) bool, on what moves: the platform, or a stage of a chain below it; stage : (m,) number (from 1) of
-    that stage, 0 for the base's and the platform's own; T_body_marker : RigidTransform (m,); side, margin : (m,) m; dictionary, target : m names
-    shift : (m,) added to an identity where the same print is another row, as that of a cube that was put back turned; 0 for all by default
-    corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose and side
+    id : (m,), as printed; on_platform : (m,) bool, on what moves: the platform, or a stage of a chain below it;
+        stage : (m,) number (from 1) of
+    that stage, 0 for the base's and the platform's own; T_body_marker : RigidTransform (m,); side, margin : (m,) m;
+    dictionary, target : m names
+    shift : (m,) added to an identity where the same print is another row, as that of a cube that was put back turned; 0
+        for all by default
+    corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose and
+        side
     """
 
     id: np.ndarray
@@ -60,7 +66,10 @@ def markers(target: Target) -> tuple[Marker, ...]:
         return target.listed
     edge, side = target.edge, target.marker
     if edge is None or side is None:
-        raise ValueError(f"expected a target that lists markers or a cube with edge and marker, got {target.name!r} with {edge} and {side}")
+        raise ValueError(
+            f"expected a target that lists markers or a cube with edge and marker, got {target.name!r} with "
+            f"{edge} and {side}"
+        )
     seat = target.seat
     return tuple(Marker(number, side, seat * face_pose(face, edge), (edge - side) / 2) for face, number in target.faces)
 
@@ -84,16 +93,23 @@ def marker_map(design: Design) -> MarkerMap:
     if not rows:
         raise ValueError(f"design {design.name!r} has no targets")
     return MarkerMap(
-        id=np.array([marker.id for marker, _ in rows]), on_platform=np.array([target.body != "base" for _, target in rows]),
-        T_body_marker=RigidTransform.concatenate([marker.pose for marker, _ in rows]), side=np.array([marker.side for marker, _ in rows]),
-        margin=np.array([marker.margin for marker, _ in rows]), dictionary=[target.dictionary for _, target in rows],
-        target=[target.name for _, target in rows], stage=np.array([target.stage for _, target in rows]),
-        shift=np.array([target.shift for _, target in rows]))
+        id=np.array([marker.id for marker, _ in rows]),
+        on_platform=np.array([target.body != "base" for _, target in rows]),
+        T_body_marker=RigidTransform.concatenate([marker.pose for marker, _ in rows]),
+        side=np.array([marker.side for marker, _ in rows]),
+        margin=np.array([marker.margin for marker, _ in rows]),
+        dictionary=[target.dictionary for _, target in rows],
+        target=[target.name for _, target in rows],
+        stage=np.array([target.stage for _, target in rows]),
+        shift=np.array([target.shift for _, target in rows]),
+    )
 
 
 @cache
 def marker_cells(name: str, number: int) -> np.ndarray:
-    """(n + 4, n + 4) cells of a marker of a dictionary (OpenCV name), 1 white, with its black border and a ring of white."""
+    """(n + 4, n + 4) cells of a marker of a dictionary (OpenCV name), 1 white, with its black border and a ring of
+    white.
+    """
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     bits = cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) > 127
     return np.pad(bits, 1, constant_values=True).astype(np.float64)

@@ -44,8 +44,13 @@ class Certificate(Contents):
         )
 
 
-def certificate_of(calibration: Calibration, held: Sequence[tuple[Recording, Sampled]], asked: Asked, provenance: dict[str, Any],
-              rng: np.random.Generator) -> Certificate:
+def certificate_of(
+    calibration: Calibration,
+    held: Sequence[tuple[Recording, Sampled]],
+    asked: Asked,
+    provenance: dict[str, Any],
+    rng: np.random.Generator,
+) -> Certificate:
     """Certificate of a Calibration by recordings held out. rng : numpy Generator, for the draws of shared errors
 
     Raises NotEnoughData where these have too few configurations at rest
@@ -55,8 +60,14 @@ def certificate_of(calibration: Calibration, held: Sequence[tuple[Recording, Sam
     promise = pose_error_promise(poses, asked.coverage, asked.confidence, scale, units, rng)
     again = pose_repeatability(poses)
     at = poses.first
-    contributions = uncertainty_budget(poses, _model(calibration, poses), again, [(s.samples, s.measurement) for _, s in held], asked.scale,
-                           thermometer_covariance(calibration, [(recording, s.samples) for recording, s in held]))
+    contributions = uncertainty_budget(
+        poses,
+        _model(calibration, poses),
+        again,
+        [(s.samples, s.measurement) for _, s in held],
+        asked.scale,
+        thermometer_covariance(calibration, [(recording, s.samples) for recording, s in held]),
+    )
     recordings = [recording for recording, _ in held]
     circumstances = conditions(poses, recordings, [s.source for _, s in held])
     duty = duty_of(poses, recordings, recordings[0].design, circumstances.payload, asked.rated_load)
@@ -93,13 +104,16 @@ def combined_held_out_poses(calibration: Calibration, held: Sequence[tuple[Recor
 
 def _model(calibration: Calibration, poses: HeldPoses) -> np.ndarray:
     """(n, 6, 6) of the parameters alone: what axes and poses scatter shows in the poses themselves."""
-    geometry = Calibration(calibration.correction, calibration.covariance, np.zeros_like(calibration.scatter), (), (), None, {})
+    geometry = Calibration(
+        calibration.correction, calibration.covariance, np.zeros_like(calibration.scatter), (), (), None, {}
+    )
     return pose_covariance(geometry, poses.T_base_platform, poses.commanded)
 
 
 def _units(calibration: Calibration, poses: HeldPoses) -> tuple[float, float]:
-    """(m, rad) in which errors count for a pose's depth: RMS errors of the poses that the calibration itself held out, or, of one that held out
-    none, what its parameters and measuring lead to expect. Neither has seen an error of `poses`."""
+    """(m, rad) in which errors count for a pose's depth: RMS errors of the poses that the calibration itself held out,
+    or, of one that held out none, what its parameters and measuring lead to expect. Neither has seen an error of
+    `poses`."""
     if calibration.held_out is not None:
         after = calibration.held_out.after
         if after.position[0] > 0 and after.rotation[0] > 0:
@@ -114,6 +128,10 @@ def _judged(poses: HeldPoses, asked: Asked, rng: np.random.Generator) -> tuple[C
         raise NotEnoughData("no rotation was measured, so none can be held against a tolerance")
     units = tuple(Unit(POSITION if quantity == "position" else ROTATION, size) for quantity, size in asked.tolerances)
     enough = len(poses.first) >= tolerance_limits.least_sample_size(asked.coverage, tolerance_conformity.GUARD)
-    depth = depth_bound(poses, poses.first, units, (asked.coverage, tolerance_conformity.GUARD), asked.scale or 0.0, rng) if enough else None
+    depth = (
+        depth_bound(poses, poses.first, units, (asked.coverage, tolerance_conformity.GUARD), asked.scale or 0.0, rng)
+        if enough
+        else None
+    )
     beyond = [int((np.linalg.norm(poses.errors[poses.first][:, unit.of], axis=1) > unit.size).sum()) for unit in units]
     return tolerance_conformity.tolerance_conformity(asked.tolerances, depth, asked.scale is not None, beyond)

@@ -20,8 +20,10 @@ from rig.report.verdict import Evidence
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """coverage, confidence : of the promise; tolerances : {"position": m, "rotation": rad} to judge against, either or none
-    scale : relative standard uncertainty of the targets' scale, None where nobody certified it; scale_source : who did, in words
+    """coverage, confidence : of the promise; tolerances : {"position": m, "rotation": rad} to judge against, either or
+    none
+    scale : relative standard uncertainty of the targets' scale, None where nobody certified it; scale_source : who did,
+        in words
     rated_load : kg that the machine is made for, None where not stated."""
 
     coverage: float = 0.95
@@ -34,11 +36,13 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contents:
-    """What is certified. machine : its kind; calibrated_from : recording, in words; asked : Asked; promise, cells : whole volume and boxes of it
-    errors : (n, 6) m and rad of the poses that count, for drawing; before, after : Figures by the owner's model and calibrated, of those
+    """What is certified. machine : its kind; calibrated_from : recording, in words; asked : Asked; promise,
+    cells : whole volume and boxes of it
+    errors : (n, 6) m and rad of the poses that count, for drawing; before, after : Figures by the owner's model and
+        calibrated, of those
     provenance : {what: value} of inputs' hashes, versions, seed and arguments; confounds : of the held-out recordings
-    known : Evidence of the calibration, what these recordings say of its claim included; claims : AgainstClaim of each recording, none where no
-    factor is claimed."""
+    known : Evidence of the calibration, what these recordings say of its claim included; claims : AgainstClaim of each
+    recording, none where no factor is claimed."""
 
     machine: str
     asked: Asked

@@ -1,4 +1,6 @@
-"""certificate.json (schema "certificate/1"): a certificate for programs, in m, rad and s, as `certificate.schema.json` beside this file has it."""
+"""certificate.json (schema "certificate/1"): a certificate for programs, in m, rad and s, as `certificate.schema.json`
+beside this file has it.
+"""
 
 import json
 from dataclasses import asdict
@@ -36,9 +38,22 @@ def certificate_dict(c: Certificate) -> dict[str, Any]:
         ],
         "machine": c.machine,
         "promise": _promise(c.promise),
-        "scale": {"certified": c.asked.scale is not None, "relative_standard_uncertainty": c.asked.scale, "source": c.asked.scale_source},
-        "volume": {"position_low_m": v.low, "position_high_m": v.high, "rotation_rad": v.turned, "axes": v.axes, "commands": v.commands},
-        "cells": [{"position_low_m": cell.low, "position_high_m": cell.high, "promise": _promise(cell.promise)} for cell in c.cells],
+        "scale": {
+            "certified": c.asked.scale is not None,
+            "relative_standard_uncertainty": c.asked.scale,
+            "source": c.asked.scale_source,
+        },
+        "volume": {
+            "position_low_m": v.low,
+            "position_high_m": v.high,
+            "rotation_rad": v.turned,
+            "axes": v.axes,
+            "commands": v.commands,
+        },
+        "cells": [
+            {"position_low_m": cell.low, "position_high_m": cell.high, "promise": _promise(cell.promise)}
+            for cell in c.cells
+        ],
         "held_out": {"before": _figures(c.before), "after": _figures(c.after)},
         "repeatability": asdict(c.repeatability),
         "iso9283": asdict(c.iso9283),
@@ -46,7 +61,12 @@ def certificate_dict(c: Certificate) -> dict[str, Any]:
         "conformity": [asdict(k) for k in c.conformity],
         "budget": _budget(c.budget),
         "conditions": asdict(c.conditions),
-        "claim": {"kept": all(one.found.kept for one in c.claims), "recordings": [_against_claim(one) for one in c.claims]} if c.claims else None,
+        "claim": {
+            "kept": all(one.found.kept for one in c.claims),
+            "recordings": [_against_claim(one) for one in c.claims],
+        }
+        if c.claims
+        else None,
         "verdict": certificate_verdict(c).tree(),
         **({} if c.confounds is None else {"confounds": c.confounds.tree()}),
         **c.provenance,
@@ -60,24 +80,56 @@ def certificate_text(c: Certificate) -> str:
 
 
 def _promise(p: Promise) -> dict[str, Any]:
-    return {"position_m": p.position.upper, "rotation_rad": p.turned, "coverage": p.coverage,
-            "confidence": p.confidence, "n": p.n, "position": asdict(p.position),
-            "rotation": None if p.rotation is None else asdict(p.rotation)}
+    return {
+        "position_m": p.position.upper,
+        "rotation_rad": p.turned,
+        "coverage": p.coverage,
+        "confidence": p.confidence,
+        "n": p.n,
+        "position": asdict(p.position),
+        "rotation": None if p.rotation is None else asdict(p.rotation),
+    }
 
 
 def _against_claim(one: AgainstClaim) -> dict[str, Any]:
-    parts = {name: {"rms": part.rms, "beyond_noise": beyond, "claimed": claimed, "of_allowed": part.of_allowed, "limit": part.limit,
-                    "kept": part.kept} for name, (part, beyond, claimed) in one.parts.items()}
-    return {"recording": one.recording, "n": one.found.n, "kept": one.found.kept, "position": parts.get("position"),
-            "rotation": parts.get("rotation"), "offset": one.found.offset and asdict(one.found.offset)}
+    parts = {
+        name: {
+            "rms": part.rms,
+            "beyond_noise": beyond,
+            "claimed": claimed,
+            "of_allowed": part.of_allowed,
+            "limit": part.limit,
+            "kept": part.kept,
+        }
+        for name, (part, beyond, claimed) in one.parts.items()
+    }
+    return {
+        "recording": one.recording,
+        "n": one.found.n,
+        "kept": one.found.kept,
+        "position": parts.get("position"),
+        "rotation": parts.get("rotation"),
+        "offset": one.found.offset and asdict(one.found.offset),
+    }
 
 
 def _budget(b: Budget) -> dict[str, Any]:
-    return {"k": b.machine.k[0], "coverage": COVERAGE, "rows": [asdict(row) for row in b.rows],
-            "machine": [b.machine.position, b.machine.rotation], "measuring": [b.measuring.position, b.measuring.rotation],
-            "machine_k": b.machine.k, "measuring_k": b.measuring.k}
+    return {
+        "k": b.machine.k[0],
+        "coverage": COVERAGE,
+        "rows": [asdict(row) for row in b.rows],
+        "machine": [b.machine.position, b.machine.rotation],
+        "measuring": [b.measuring.position, b.measuring.rotation],
+        "machine_k": b.machine.k,
+        "measuring_k": b.measuring.k,
+    }
 
 
 def _figures(f: Figures) -> dict[str, Any]:
     names = ("rms", "p95", "max")
-    return {"n": f.n, "position_m": dict(zip(names, f.position)), "rotation_rad": dict(zip(names, f.rotation)), "bias": f.bias}
+    return {
+        "n": f.n,
+        "position_m": dict(zip(names, f.position)),
+        "rotation_rad": dict(zip(names, f.rotation)),
+        "bias": f.bias,
+    }

@@ -46,7 +46,14 @@ class _Paper:
             if self.y < BOTTOM:
                 self.turn()
             assert self.figure is not None  # from the first turn on
-            self.figure.text(LEFT, self.y, row, fontsize=size, fontweight="bold" if bold else "normal", family="monospace" if mono else None)
+            self.figure.text(
+                LEFT,
+                self.y,
+                row,
+                fontsize=size,
+                fontweight="bold" if bold else "normal",
+                family="monospace" if mono else None,
+            )
             self.y -= (SMALL if mono else LINE) * size / (7 if mono else 9.5)
         if not mono:
             self.y -= 0.004
@@ -61,7 +68,13 @@ class _Paper:
         cells = [[str(cell) for cell in row] for row in (header, *rows)]
         widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
         for row in cells:
-            self.line("  ".join(cell.ljust(wide) if k == 0 else cell.rjust(wide) for k, (cell, wide) in enumerate(zip(row, widths))), 7, mono=True)
+            self.line(
+                "  ".join(
+                    cell.ljust(wide) if k == 0 else cell.rjust(wide) for k, (cell, wide) in enumerate(zip(row, widths))
+                ),
+                7,
+                mono=True,
+            )
         self.y -= 0.008
 
     def drawn(self, high: float) -> tuple[Figure, tuple[float, float, float, float]]:
@@ -106,24 +119,61 @@ def _promise(paper: _Paper, c: Certificate, title: str) -> None:
     axes.legend(fontsize=8)
     if c.cells:
         paper.head("Part by part")
-        paper.table(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"),
-                    [(*(f"{low * 1e3:.0f} to {high * 1e3:.0f}" for low, high in zip(cell.low, cell.high)), f"{cell.promise.position.upper * 1e6:.1f}",
-                      "" if cell.promise.rotation is None else f"{cell.promise.rotation.upper * 1e6:.1f}", cell.promise.n) for cell in c.cells])
+        paper.table(
+            ("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"),
+            [
+                (
+                    *(f"{low * 1e3:.0f} to {high * 1e3:.0f}" for low, high in zip(cell.low, cell.high)),
+                    f"{cell.promise.position.upper * 1e6:.1f}",
+                    "" if cell.promise.rotation is None else f"{cell.promise.rotation.upper * 1e6:.1f}",
+                    cell.promise.n,
+                )
+                for cell in c.cells
+            ],
+        )
 
 
 def _standards(paper: _Paper, c: Certificate) -> None:
     paper.head("ISO 9283")
     paper.line(certificate_sentences.iso9283_line(c))
     if c.iso9283.repeated:
-        paper.table(("pose at, mm", "visits", "AP, um", "RP, um"),
-                    [(" ".join(f"{value * 1e3:.1f}" for value in row.place), row.visits, f"{row.AP * 1e6:.1f}", f"{row.RP * 1e6:.1f}")
-                     for row in c.iso9283.repeated])
+        paper.table(
+            ("pose at, mm", "visits", "AP, um", "RP, um"),
+            [
+                (
+                    " ".join(f"{value * 1e3:.1f}" for value in row.place),
+                    row.visits,
+                    f"{row.AP * 1e6:.1f}",
+                    f"{row.RP * 1e6:.1f}",
+                )
+                for row in c.iso9283.repeated
+            ],
+        )
     if c.iso230:
         unit = "um" if c.iso230[0].unit == "m" else "urad"
         paper.head(f"ISO 230-2, {unit}")
-        paper.table(("axis", *(name for name, _ in certificate_sentences.iso230_figures(c.iso230[0])), "u", "positions", "cycles"),
-                    [(a.axis, *("" if value is None else f"{value * 1e6:.1f}" for _, value in certificate_sentences.iso230_figures(a)),
-                      f"{a.u * 1e6:.1f}", a.positions, a.cycles) for a in c.iso230])
+        paper.table(
+            (
+                "axis",
+                *(name for name, _ in certificate_sentences.iso230_figures(c.iso230[0])),
+                "u",
+                "positions",
+                "cycles",
+            ),
+            [
+                (
+                    a.axis,
+                    *(
+                        "" if value is None else f"{value * 1e6:.1f}"
+                        for _, value in certificate_sentences.iso230_figures(a)
+                    ),
+                    f"{a.u * 1e6:.1f}",
+                    a.positions,
+                    a.cycles,
+                )
+                for a in c.iso230
+            ],
+        )
 
 
 def _rest(paper: _Paper, c: Certificate) -> None:
@@ -147,10 +197,16 @@ def _rest(paper: _Paper, c: Certificate) -> None:
     paper.head("Conditions")
     k = c.conditions
     load = "not logged" if k.payload is None else f"{k.payload[0]:g} to {k.payload[1]:g} kg"
-    paper.line(f"Recordings: {', '.join(name for name, _ in k.recordings)}. {k.poses} poses at rest, {k.moving} exposures left out since the "
-               f"machine moved; approach {k.approach}; payload {load}; warm-up "
-               f"{k.warm_up / 60:.1f} min; duration {k.duration / 60:.1f} min; measured by {k.instrument}; frame and scale held by {k.frame}.")
-    paper.table(("logged", "least", "greatest"), [(name, f"{low:.2f}", f"{high:.2f}") for name, low, high in k.channels])
+    paper.line(
+        f"Recordings: {', '.join(name for name, _ in k.recordings)}. {k.poses} poses at rest, {k.moving} "
+        "exposures left out since the "
+        f"machine moved; approach {k.approach}; payload {load}; warm-up "
+        f"{k.warm_up / 60:.1f} min; duration {k.duration / 60:.1f} min; measured by {k.instrument}; frame "
+        f"and scale held by {k.frame}."
+    )
+    paper.table(
+        ("logged", "least", "greatest"), [(name, f"{low:.2f}", f"{high:.2f}") for name, low, high in k.channels]
+    )
     paper.head("Where this came from")
     for name, value in flattened_rows(c.provenance):
         paper.line(f"{name}: {value}", 6.5)

@@ -28,10 +28,15 @@ def scale_line(c: Contents) -> str:
     """Whose scale the certificate rests on."""
     holder = c.conditions.frame
     if c.asked.scale is None:
-        return (f"Nobody certified the scale: lengths are in units of {holder}, and an error of theirs is in every figure here "
-                f"({_far(c) * 1e-4 * 1e6:.0f} um at the volume's far end for each 0.1 mm/m).")
+        return (
+            f"Nobody certified the scale: lengths are in units of {holder}, and an error of theirs is in "
+            "every figure here "
+            f"({_far(c) * 1e-4 * 1e6:.0f} um at the volume's far end for each 0.1 mm/m)."
+        )
     by = f", by {c.asked.scale_source}" if c.asked.scale_source else ", as stated; by whom is not said"
-    return f"Scale held by {holder}, standard uncertainty {c.asked.scale * 1e6:.3g} um/m{by}; it is part of the promise."
+    return (
+        f"Scale held by {holder}, standard uncertainty {c.asked.scale * 1e6:.3g} um/m{by}; it is part of the promise."
+    )
 
 
 def _far(c: Contents) -> float:
@@ -63,9 +68,13 @@ def volume_line(c: Contents) -> str:
 def basis_lines(c: Contents) -> list[str]:
     """On what the promise rests, in a few lines."""
     p, r = c.promise, c.repeatability
-    lines = [f"From {p.n} distinct configurations, none of which took part in fitting; as measured, noise and all, the limit is "
-             f"{micrometre_text(p.position.measured)}" + ("" if p.rotation is None else f" and {microradian_text(p.rotation.measured)}")
-             + f"; half of the poses lie nearer than {micrometre_text(_median(c))}."]
+    lines = [
+        f"From {p.n} distinct configurations, none of which took part in fitting; as measured, noise and "
+        "all, the limit is "
+        f"{micrometre_text(p.position.measured)}"
+        + ("" if p.rotation is None else f" and {microradian_text(p.rotation.measured)}")
+        + f"; half of the poses lie nearer than {micrometre_text(_median(c))}."
+    ]
     lines += [claim_line(one) for one in c.claims]
     if p.position.shared or p.position.scale:
         lines.append(
@@ -79,12 +88,14 @@ def basis_lines(c: Contents) -> list[str]:
         lines.append(
             f"Repeatability, the floor: {micrometre_text(r.position)}"
             + ("" if r.rotation is None else f" and {microradian_text(r.rotation)}")
-            + f" RMS over {r.visits} visits to {r.poses} poses, measuring included ({micrometre_text(r.noise[0])}){one}. "
+            + f" RMS over {r.visits} visits to {r.poses} poses, measuring included "
+            f"({micrometre_text(r.noise[0])}){one}. "
             f"The error is {ratio:.2f} times it."
         )
     else:
         lines.append(
-            f"Repeatability is not known: no configuration was visited twice. A measured pose is uncertain by {micrometre_text(r.noise[0])}."
+            "Repeatability is not known: no configuration was visited twice. A measured pose is uncertain "
+            f"by {micrometre_text(r.noise[0])}."
         )
     if c.confounds is not None:
         lines.append(_sentence(c.confounds.line()))
@@ -100,8 +111,14 @@ def claim_line(one: AgainstClaim) -> str:
     said = []
     for name, (_, beyond, (middle, low, high)) in one.parts.items():
         size = micrometre_text if name == "position" else microradian_text
-        said.append(f"{name} error {size(beyond)} RMS beyond measuring noise, claimed {size(middle)} ({size(low)} to {size(high)})")
-    return f"The calibration's claim is {stands(one.found)} by {one.recording}: {'; '.join(said)}{rigid_motion_text(one.found)}."
+        said.append(
+            f"{name} error {size(beyond)} RMS beyond measuring noise, claimed {size(middle)} ({size(low)} to "
+            f"{size(high)})"
+        )
+    return (
+        f"The calibration's claim is {stands(one.found)} by {one.recording}: "
+        f"{'; '.join(said)}{rigid_motion_text(one.found)}."
+    )
 
 
 def _sentence(line: str) -> str:
@@ -127,7 +144,10 @@ def conformity_lines(c: Contents) -> list[str]:
     elif first.verdict == FAILS:
         why = f"even the lower limit, {_each(c, 'lower')}, is beyond it"
     elif first.given_scale == CONFORMS:
-        why = (f"nobody certified the scale; if {c.conditions.frame} hold, it conforms, as even the upper limit, {_each(c, 'upper')}, is within it")
+        why = (
+            f"nobody certified the scale; if {c.conditions.frame} hold, it conforms, as even the upper limit, "
+            f"{_each(c, 'upper')}, is within it"
+        )
     else:
         why = f"it lies between the limits {_each(c, 'lower')} and {_each(c, 'upper')}"
     both = " and ".join(f"{k.quantity} within {sizes[k.quantity](k.tolerance)}" for k in c.conformity)
@@ -139,14 +159,19 @@ def conformity_lines(c: Contents) -> list[str]:
 
 
 def _each(c: Contents, limit: str) -> str:
-    return " with ".join((micrometre_text if k.quantity == "position" else microradian_text)(getattr(k, limit)) for k in c.conformity)
+    return " with ".join(
+        (micrometre_text if k.quantity == "position" else microradian_text)(getattr(k, limit)) for k in c.conformity
+    )
 
 
 def iso9283_line(c: Contents) -> str:
     """What of ISO 9283 there is."""
     t = c.iso9283
     n, mean, most = t.random
-    random = f"Over all {n} poses, one visit each, AP is {micrometre_text(mean)} in the mean and {micrometre_text(most)} at the most."
+    random = (
+        f"Over all {n} poses, one visit each, AP is {micrometre_text(mean)} in the mean and "
+        f"{micrometre_text(most)} at the most."
+    )
     if not t.repeated:
         return f"ISO 9283 asks for {POSES} poses of {VISITS} visits; no pose was visited often enough for RP. {random}"
     least = min(row.visits for row in t.repeated)
@@ -156,14 +181,30 @@ def iso9283_line(c: Contents) -> str:
 
 def iso230_figures(axis: AxisTest) -> list[tuple[str, float | None]]:
     """(symbol of ISO 230-2:2014, value in m or rad) of one axis."""
-    return [("B", axis.B), ("mean B", axis.B_mean), ("M", axis.M), ("E", axis.E), ("E↑", axis.E_up), ("E↓", axis.E_down),
-            ("R", axis.R), ("R↑", axis.R_up), ("R↓", axis.R_down), ("A", axis.A), ("A↑", axis.A_up), ("A↓", axis.A_down)]
+    return [
+        ("B", axis.B),
+        ("mean B", axis.B_mean),
+        ("M", axis.M),
+        ("E", axis.E),
+        ("E↑", axis.E_up),
+        ("E↓", axis.E_down),
+        ("R", axis.R),
+        ("R↑", axis.R_up),
+        ("R↓", axis.R_down),
+        ("A", axis.A),
+        ("A↑", axis.A_up),
+        ("A↓", axis.A_down),
+    ]
 
 
 def expanded_uncertainty_text(total: Expanded) -> str:
     """A total of the budget with its coverage factors."""
     position = f"U = {micrometre_text(total.position)} (k = {total.k[0]:.2f})"
-    return position if total.rotation is None else f"{position} and {microradian_text(total.rotation)} (k = {total.k[1]:.2f})"
+    return (
+        position
+        if total.rotation is None
+        else f"{position} and {microradian_text(total.rotation)} (k = {total.k[1]:.2f})"
+    )
 
 
 def coverage_factor_text(row: Contribution) -> str:

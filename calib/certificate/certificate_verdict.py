@@ -1,4 +1,6 @@
-"""The verdict on a certificate: the evidence of its calibration, what was promised, and the tolerances it was held against."""
+"""The verdict on a certificate: the evidence of its calibration, what was promised, and the tolerances it was held
+against.
+"""
 
 from dataclasses import replace
 
@@ -8,8 +10,10 @@ from calib.certify.calibration_evidence import confound_sentences
 from calib.certify.tolerance_conformity import CONFORMS, FAILS
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 
-SCALE = Missing("nobody certified the scale of the lengths",
-                "Have the base targets' scale certified and state it: `--scale-uncertainty 20e-6 --scale-source TEXT`")
+SCALE = Missing(
+    "nobody certified the scale of the lengths",
+    "Have the base targets' scale certified and state it: `--scale-uncertainty 20e-6 --scale-source TEXT`",
+)
 TWICE = "Visit some configurations twice, `--plan sobol:40,repeat:20`: then the floor, repeatability, is known"
 AGAIN = "Determine now and then whether it still holds: `rig watch calibration.json VISIT`"
 
@@ -23,7 +27,19 @@ def certificate_verdict(c: Certificate) -> Verdict:
     missing = [*known.missing, *([SCALE] if c.asked.scale is None else [])]
     if verdicts - {CONFORMS, FAILS}:
         missing.append(Missing("whether all tolerances are kept cannot be said from these poses"))
-    confounds = [f"these recordings: {text}" for text in confound_sentences(c.confounds)] if c.known is None else known.confounds
+    confounds = (
+        [f"these recordings: {text}" for text in confound_sentences(c.confounds)]
+        if c.known is None
+        else known.confounds
+    )
     steps = (*([TWICE] if c.repeatability.position is None else []), AGAIN)
-    return judge_evidence(replace(known, statement="; ".join(line.removesuffix(".") for line in said), steps=steps, confounds=tuple(confounds),
-                         missing=tuple(missing), refuted=(*failed, *known.refuted)))
+    return judge_evidence(
+        replace(
+            known,
+            statement="; ".join(line.removesuffix(".") for line in said),
+            steps=steps,
+            confounds=tuple(confounds),
+            missing=tuple(missing),
+            refuted=(*failed, *known.refuted),
+        )
+    )

@@ -1,7 +1,8 @@
-"""A certificate as a digital calibration certificate: XML after PTB's DCC 3.3.0, values in the D-SI's units with their uncertainties.
+"""A certificate as a digital calibration certificate: XML after PTB's DCC 3.3.0, values in the D-SI's units with their
+uncertainties.
 
-No package carries the schema files; a test holds what is written to those that a folder named by DCC_SCHEMAS has. Who calibrated, for whom and
-where is for the owner to state; what is not stated stands as "not stated".
+No package carries the schema files; a test holds what is written to those that a folder named by DCC_SCHEMAS has. Who
+calibrated, for whom and where is for the owner to state; what is not stated stands as "not stated".
 Source: Physikalisch-Technische Bundesanstalt, DCC 3.3.0 (https://ptb.de/dcc/v3.3.0) and D-SI 2.2 (https://ptb.de/si).
 """
 
@@ -13,7 +14,19 @@ from scipy.special import ndtri
 
 from calib.certificate import certificate_sentences
 from calib.certificate.certificate import Certificate
-from calib.certificate.digital_si_values import METRE, ONE, RADIAN, SI, UNIFORM, UNITS, Expanded, Interval, Standard, Uncertainty, si_element
+from calib.certificate.digital_si_values import (
+    METRE,
+    ONE,
+    RADIAN,
+    SI,
+    UNIFORM,
+    UNITS,
+    Expanded,
+    Interval,
+    Standard,
+    Uncertainty,
+    si_element,
+)
 from calib.certify import uncertainty_budget
 from calib.certify.pose_error_promise import Promise
 from calib.certify.tolerance_conformity import CONFORMS, OPEN
@@ -29,7 +42,9 @@ NOWHERE = "ZZ"  # ISO 3166-1 leaves it to its users
 
 @dataclass(frozen=True, slots=True)
 class Issuer:
-    """Who calibrated, who answers for it, for whom, the country's two letters (ISO 3166-1), and who made the machine."""
+    """Who calibrated, who answers for it, for whom, the country's two letters (ISO 3166-1), and who made the
+    machine.
+    """
 
     laboratory: str = NOT_STATED
     person: str = NOT_STATED
@@ -42,7 +57,9 @@ def certificate_xml(c: Certificate, issuer: Issuer) -> str:
     """The XML of a certificate."""
     for prefix, name in (("dcc", DCC), ("si", SI), ("xsi", INSTANCE)):
         ET.register_namespace(prefix, name)
-    root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION, f"{{{INSTANCE}}}schemaLocation": SCHEMA})
+    root = ET.Element(
+        f"{{{DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION, f"{{{INSTANCE}}}schemaLocation": SCHEMA}
+    )
     _administrative(_sub(root, "administrativeData"), c, issuer)
     _result(_sub(_sub(root, "measurementResults"), "measurementResult"), c)
     ET.indent(root)
@@ -78,13 +95,22 @@ def _administrative(part: ET.Element, c: Certificate, issuer: Issuer) -> None:
         _sub(software, "release", release)
     core = _sub(part, "coreData")
     day = c.provenance["created"][:10]
-    for name, said in (("countryCodeISO3166_1", issuer.country), ("usedLangCodeISO639_1", "en"), ("mandatoryLangCodeISO639_1", "en"),
-                       ("uniqueIdentifier", c.provenance["id"]), ("beginPerformanceDate", day), ("endPerformanceDate", day),
-                       ("performanceLocation", "other"), ("issueDate", day)):
+    for name, said in (
+        ("countryCodeISO3166_1", issuer.country),
+        ("usedLangCodeISO639_1", "en"),
+        ("mandatoryLangCodeISO639_1", "en"),
+        ("uniqueIdentifier", c.provenance["id"]),
+        ("beginPerformanceDate", day),
+        ("endPerformanceDate", day),
+        ("performanceLocation", "other"),
+        ("issueDate", day),
+    ):
         _sub(core, name, said)
     item = _sub(_sub(part, "items"), "item")
     _content(item, "name", f"{c.machine} as calibrated")
-    _contact(item, "manufacturer", issuer.manufacturer, issuer.country, located=False)  # DCC up to 3.2 does not do without
+    _contact(
+        item, "manufacturer", issuer.manufacturer, issuer.country, located=False
+    )  # DCC up to 3.2 does not do without
     known = _sub(_sub(item, "identifications"), "identification")
     _sub(known, "issuer", "other")
     _sub(known, "value", next(iter(next(iter(c.provenance["inputs_sha256"].values())).values())))
@@ -116,10 +142,19 @@ def _statements(part: ET.Element, c: Certificate) -> None:
 
 def _result(part: ET.Element, c: Certificate) -> None:
     _content(part, "name", "pose error of the calibrated machine")
-    _content(part, "description", certificate_sentences.promise_line(c), certificate_sentences.volume_line(c), *certificate_sentences.basis_lines(c))
+    _content(
+        part,
+        "description",
+        certificate_sentences.promise_line(c),
+        certificate_sentences.volume_line(c),
+        *certificate_sentences.basis_lines(c),
+    )
     methods = _sub(part, "usedMethods")
-    for name, norm in (("one-sided tolerance limits of held-out poses, without a distribution", None),
-                       ("pose accuracy and repeatability", "ISO 9283"), ("positioning of single axes", "ISO 230-2")):
+    for name, norm in (
+        ("one-sided tolerance limits of held-out poses, without a distribution", None),
+        ("pose accuracy and repeatability", "ISO 9283"),
+        ("positioning of single axes", "ISO 230-2"),
+    ):
         method = _sub(methods, "usedMethod")
         _content(method, "name", name)
         if norm:
@@ -127,27 +162,58 @@ def _result(part: ET.Element, c: Certificate) -> None:
     _conditions(part, c)
     results = _sub(part, "results")
     p = c.promise
-    exact = [("share of poses", p.coverage, ONE, None), ("confidence", p.confidence, ONE, None), ("configurations", p.n, ONE, None)]
+    exact = [
+        ("share of poses", p.coverage, ONE, None),
+        ("confidence", p.confidence, ONE, None),
+        ("configurations", p.n, ONE, None),
+    ]
     _quantities(results, "promise", (certificate_sentences.promise_line(c),), [*_bounds(c, p), *exact])
     for k, cell in enumerate(c.cells):
-        corners: list[Row] = [(f"{word} {axis}", value, METRE, None) for word, corner in (("least", cell.low), ("greatest", cell.high))
-                              for axis, value in zip("xyz", corner)]
+        corners: list[Row] = [
+            (f"{word} {axis}", value, METRE, None)
+            for word, corner in (("least", cell.low), ("greatest", cell.high))
+            for axis, value in zip("xyz", corner)
+        ]
         _quantities(results, f"promise in part {k + 1} of the volume", (), [*_bounds(c, cell.promise), *corners])
     r = c.repeatability
     freedom = max(r.visits - r.poses, 1)  # of each of three directions
-    _quantities(results, "repeatability", ("RMS distance of visits from their middle, measuring included",),
-                [(name, value, unit, None if value is None else Standard(value / (6 * freedom) ** 0.5))
-                 for name, value, unit in (("position", r.position, METRE), ("rotation", r.rotation, RADIAN))])
+    _quantities(
+        results,
+        "repeatability",
+        ("RMS distance of visits from their middle, measuring included",),
+        [
+            (name, value, unit, None if value is None else Standard(value / (6 * freedom) ** 0.5))
+            for name, value, unit in (("position", r.position, METRE), ("rotation", r.rotation, RADIAN))
+        ],
+    )
     for axis in c.iso230:
-        _quantities(results, f"ISO 230-2 of {axis.axis}", (f"{axis.positions} positions, {axis.cycles} cycles",
-                                                           "the uncertainty is that of one reading"),
-                    [(name, value, UNITS[axis.unit], Standard(axis.u)) for name, value in certificate_sentences.iso230_figures(axis)])
-    totals = [(name, *total) for name, total in (("pose as commanded", _total(c.budget.machine)), ("pose as measured", _total(c.budget.measuring)))]
+        _quantities(
+            results,
+            f"ISO 230-2 of {axis.axis}",
+            (f"{axis.positions} positions, {axis.cycles} cycles", "the uncertainty is that of one reading"),
+            [
+                (name, value, UNITS[axis.unit], Standard(axis.u))
+                for name, value in certificate_sentences.iso230_figures(axis)
+            ],
+        )
+    totals = [
+        (name, *total)
+        for name, total in (
+            ("pose as commanded", _total(c.budget.machine)),
+            ("pose as measured", _total(c.budget.measuring)),
+        )
+    ]
     known = [(row.name, row.position, row.rotation, row.k) for row in c.budget.rows if row.k is not None]
-    _quantities(results, "expanded uncertainty", ("contributions to the error of a pose: its length lies within, with the coverage stated",),
-                [(f"{name}, {what}", None if U is None else 0.0, unit, None if U is None else Expanded(U, factor, COVERAGE))
-                 for name, position, rotation, k in [*known, *totals]
-                 for what, U, unit, factor in (("position", position, METRE, k[0]), ("rotation", rotation, RADIAN, k[1]))])
+    _quantities(
+        results,
+        "expanded uncertainty",
+        ("contributions to the error of a pose: its length lies within, with the coverage stated",),
+        [
+            (f"{name}, {what}", None if U is None else 0.0, unit, None if U is None else Expanded(U, factor, COVERAGE))
+            for name, position, rotation, k in [*known, *totals]
+            for what, U, unit, factor in (("position", position, METRE, k[0]), ("rotation", rotation, RADIAN, k[1]))
+        ],
+    )
 
 
 Row = tuple[str, float | None, str, Uncertainty]  # label, value, unit, uncertainty
@@ -160,27 +226,46 @@ def _total(total: uncertainty_budget.Expanded) -> tuple[float, float | None, tup
 def _bounds(c: Certificate, p: Promise) -> list[Row]:
     """What is promised, and the quantile of the errors that it bounds, both with the interval that holds them."""
     rows: list[Row] = []
-    for what, bound, unit, rms in (("position", p.position, METRE, c.after.position[0]), ("rotation", p.rotation, RADIAN, c.after.rotation[0])):
+    for what, bound, unit, rms in (
+        ("position", p.position, METRE, c.after.position[0]),
+        ("rotation", p.rotation, RADIAN, c.after.rotation[0]),
+    ):
         if bound is None:
             continue
         both = f"no distribution assumed; confidence {p.confidence:g} of this and all others of the promise at once"
         spread = (bound.upper - bound.lower) / (2 * ndtri(p.confidence))
-        rows += [(f"bound of the {what} error", bound.upper, unit, Interval(0.0, bound.upper, rms, p.coverage, both)),
-                 (f"quantile of the {what} error", bound.estimate, unit,
-                  Interval(bound.lower, bound.upper, spread, 2 * p.confidence - 1, "no distribution assumed"))]
+        rows += [
+            (f"bound of the {what} error", bound.upper, unit, Interval(0.0, bound.upper, rms, p.coverage, both)),
+            (
+                f"quantile of the {what} error",
+                bound.estimate,
+                unit,
+                Interval(bound.lower, bound.upper, spread, 2 * p.confidence - 1, "no distribution assumed"),
+            ),
+        ]
     return rows
 
 
 def _conditions(part: ET.Element, c: Certificate) -> None:
     k = c.conditions
-    known = [(name, low, high, UNITS[name.rsplit("_", 1)[-1]]) for name, low, high in k.channels if name.rsplit("_", 1)[-1] in UNITS]
+    known = [
+        (name, low, high, UNITS[name.rsplit("_", 1)[-1]])
+        for name, low, high in k.channels
+        if name.rsplit("_", 1)[-1] in UNITS
+    ]
     if k.payload is not None:
         known.append(("payload", *k.payload, UNITS["kg"]))
     listed = _sub(part, "influenceConditions")
     for name, low, high, unit in [*known, ("warm-up", k.warm_up, k.warm_up, UNITS["s"])]:
         condition = _sub(listed, "influenceCondition")
         _content(condition, "name", name.replace("_", " "))
-        _quantity(_sub(condition, "data"), "at the exposures", (low + high) / 2, unit, Interval(low, high, (high - low) / 12**0.5, 1.0, UNIFORM))
+        _quantity(
+            _sub(condition, "data"),
+            "at the exposures",
+            (low + high) / 2,
+            unit,
+            Interval(low, high, (high - low) / 12**0.5, 1.0, UNIFORM),
+        )
 
 
 def _quantities(results: ET.Element, name: str, lines: Sequence[str], rows: Sequence[Row]) -> None:

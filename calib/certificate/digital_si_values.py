@@ -32,7 +32,9 @@ class Expanded:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """low, high : between which the quantity lies with probability `coverage`; standard : its standard uncertainty; in the value's unit"""
+    """low, high : between which the quantity lies with probability `coverage`; standard : its standard uncertainty; in
+    the value's unit
+    """
 
     low: float
     high: float
@@ -56,12 +58,19 @@ def si_element(value: float, unit: str, uncertainty: Uncertainty) -> ET.Element:
         rows = {"valueStandardMU": _scientific(uncertainty.uncertainty)}
         kind = "standardMU"
     elif isinstance(uncertainty, Expanded):
-        rows = {"valueExpandedMU": _scientific(uncertainty.uncertainty), "coverageFactor": f"{uncertainty.k:.4f}",
-                "coverageProbability": f"{uncertainty.coverage:.6f}"}
+        rows = {
+            "valueExpandedMU": _scientific(uncertainty.uncertainty),
+            "coverageFactor": f"{uncertainty.k:.4f}",
+            "coverageProbability": f"{uncertainty.coverage:.6f}",
+        }
         kind = "expandedMU"
     else:
-        rows = {"valueStandardMU": _scientific(uncertainty.standard), "intervalMin": _scientific(uncertainty.low),
-                "intervalMax": _scientific(uncertainty.high), "coverageProbability": f"{uncertainty.coverage:.6f}"}
+        rows = {
+            "valueStandardMU": _scientific(uncertainty.standard),
+            "intervalMin": _scientific(uncertainty.low),
+            "intervalMax": _scientific(uncertainty.high),
+            "coverageProbability": f"{uncertainty.coverage:.6f}",
+        }
         kind = "coverageIntervalMU"
     parent = ET.SubElement(within, _name(kind))
     for name, text in (*rows.items(), ("distribution", uncertainty.distribution)):

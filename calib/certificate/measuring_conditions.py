@@ -12,7 +12,8 @@ from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
 
 @dataclass(frozen=True, slots=True)
 class Volume:
-    """Where the poses that count lie. low, high : (3,) m of the platform's position; turned : rad, the greatest rotation away from their middle one
+    """Where the poses that count lie. low, high : (3,) m of the platform's position; turned : rad, the greatest
+    rotation away from their middle one
     axes : names; commands : (axes, 2) m or rad, least and greatest of each."""
 
     low: tuple[float, ...]
@@ -24,10 +25,13 @@ class Volume:
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """recordings : ((name, source of its poses), ..); poses : at rest; configurations : of these, each of which counts once
+    """recordings : ((name, source of its poses), ..); poses : at rest; configurations : of these, each of which counts
+    once
     moving : exposures left out since the machine moved; rest : s nothing moved before each
-    channels : ((name, least, greatest), ..) logged at the exposures; payload : (least, greatest) kg, None where not logged
-    approach : in words; warm_up : s from the first command to the first exposure, the least over the recordings; duration : s of them all
+    channels : ((name, least, greatest), ..) logged at the exposures; payload : (least, greatest) kg, None where not
+        logged
+    approach : in words; warm_up : s from the first command to the first exposure, the least over the recordings;
+        duration : s of them all
     instrument : what measured, in words; frame : what holds the base frame and its scale, in words."""
 
     recordings: tuple[tuple[str, str], ...]
@@ -49,8 +53,13 @@ def volume(poses: HeldPoses, mechanism: Hexapod | Arm) -> Volume:
     T = poses.T_base_platform[poses.first]
     places, commands = T.translation, poses.commanded[poses.first]
     turned = float((T.rotation.mean().inv() * T.rotation).magnitude().max()) if poses.rotations else None
-    return Volume(tuple(places.min(axis=0).tolist()), tuple(places.max(axis=0).tolist()), turned, mechanism.axes,
-                  tuple((float(low), float(high)) for low, high in zip(commands.min(axis=0), commands.max(axis=0))))
+    return Volume(
+        tuple(places.min(axis=0).tolist()),
+        tuple(places.max(axis=0).tolist()),
+        turned,
+        mechanism.axes,
+        tuple((float(low), float(high)) for low, high in zip(commands.min(axis=0), commands.max(axis=0))),
+    )
 
 
 def conditions(poses: HeldPoses, recordings: Sequence[Recording], sources: Sequence[str]) -> Conditions:
@@ -60,20 +69,42 @@ def conditions(poses: HeldPoses, recordings: Sequence[Recording], sources: Seque
         for name in recording.sensors.channels if recording.sensors is not None else ():
             if not LIMB.fullmatch(name) and recording.sensors is not None:
                 logged.setdefault(name, []).append(recording.sensors.at(poses.t[poses.recording == k], name))
-    channels = tuple((name, float(np.concatenate(v).min()), float(np.concatenate(v).max())) for name, v in logged.items())
+    channels = tuple(
+        (name, float(np.concatenate(v).min()), float(np.concatenate(v).max())) for name, v in logged.items()
+    )
     payload = next(((low, high) for name, low, high in channels if name == PAYLOAD), None)
     first = [float(poses.t[poses.recording == k].min(initial=np.inf)) for k in range(len(recordings))]
     spans = [float(np.ptp(recording.exposures.times()[1])) for recording in recordings]
     design = recordings[0].design
     if design.instrument is not None:
-        seen, frame = f"an outside instrument, position to {design.instrument.position_sigma * 1e6:.3g} um", "the instrument's own"
+        seen, frame = (
+            f"an outside instrument, position to {design.instrument.position_sigma * 1e6:.3g} um",
+            "the instrument's own",
+        )
     else:
         seen = f"{len(design.cameras)} cameras" if design.cameras else "poses.csv"
         based = any(target.body == "base" for target in design.targets)
-        frame = "the base targets' stated places" if based else "the cameras' stated places" if design.cameras else "poses.csv"
-    return Conditions(tuple((recording.name, source) for recording, source in zip(recordings, sources)), len(poses),
-                      len(poses.first), poses.moving, REST, tuple(c for c in channels if c[0] != PAYLOAD), payload, _approach(poses), min(first),
-                      sum(spans), seen, frame)
+        frame = (
+            "the base targets' stated places"
+            if based
+            else "the cameras' stated places"
+            if design.cameras
+            else "poses.csv"
+        )
+    return Conditions(
+        tuple((recording.name, source) for recording, source in zip(recordings, sources)),
+        len(poses),
+        len(poses.first),
+        poses.moving,
+        REST,
+        tuple(c for c in channels if c[0] != PAYLOAD),
+        payload,
+        _approach(poses),
+        min(first),
+        sum(spans),
+        seen,
+        frame,
+    )
 
 
 def _approach(poses: HeldPoses) -> str:

@@ -1,4 +1,5 @@
-"""One more pass of the method on a machine that is corrected already: maps in the configuration space, in pose space or in both, in parts of either.
+"""One more pass of the method on a machine that is corrected already: maps in the configuration space, in pose space or
+in both, in parts of either.
 
 Source: configuration-space patent, [0035]
 """
@@ -16,8 +17,8 @@ from calib.certify.platform_certification import Certified, Progress, model_cova
 from calib.certify.workspace_claim import extension_scatter, sample_workspace
 from calib.correct.correction import Correction
 from calib.correct.interpolation.field import Field
-from calib.correct.interpolation.restricted_map import Part, Within
 from calib.correct.interpolation.repeated_passes import Passes
+from calib.correct.interpolation.restricted_map import Part, Within
 from calib.correct.pose_space_map import PoseMap, pose_coordinates
 from calib.correct.summand_extension import (
     correction_with_map,
@@ -39,8 +40,10 @@ SPACES = (CONFIGURATION, POSE, BOTH)
 
 
 class Pass(NamedTuple):
-    """What is asked of a pass. kind : one of `interpolation_methods.ALL`, or AUTO; space : of SPACES; configurations : Part of the configuration
-    space in which it holds, poses : Part of pose space, in the coordinates of `pose_coordinate_indices`; None for all of it."""
+    """What is asked of a pass. kind : one of `interpolation_methods.ALL`, or AUTO; space : of SPACES;
+    configurations : Part of the configuration
+    space in which it holds, poses : Part of pose space, in the coordinates of `pose_coordinate_indices`; None for all
+        of it."""
 
     kind: str
     space: str = CONFIGURATION
@@ -48,37 +51,57 @@ class Pass(NamedTuple):
     poses: Part | None = None
 
 
-def certify_additional_pass(samples: Samples, before: Calibration, asked: Pass, rng: np.random.Generator,
-                 progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...], int]:
-    """(Certified, what was tried, samples that took part): a pass by samples measured anew. In both spaces the pose map is of what the other leaves.
+def certify_additional_pass(
+    samples: Samples, before: Calibration, asked: Pass, rng: np.random.Generator, progress: Progress | None = None
+) -> tuple[Certified, tuple[Tried, ...], int]:
+    """(Certified, what was tried, samples that took part): a pass by samples measured anew. In both spaces the pose map
+    is of what the other leaves.
 
     Raises NotEnoughData where a part holds no samples; the rest as `certify_extended`
     """
     correction, said = before.correction, progress or silent_progress
     some = samples.take(_within(samples, correction, asked))
     found = geometry_of(samples, correction.nominal, True)
-    if asked.configurations is not None or asked.poses is not None:  # beyond the part the machine is known as it was before
+    if (
+        asked.configurations is not None or asked.poses is not None
+    ):  # beyond the part the machine is known as it was before
         found = replace(found, covariance=before.covariance, scatter=before.scatter)
-    basis = correction.nominal, configuration_numbers(some.commanded, axis_ranges(correction.nominal)), replace(found, mechanism=correction.fitted)
+    basis = (
+        correction.nominal,
+        configuration_numbers(some.commanded, axis_ranges(correction.nominal)),
+        replace(found, mechanism=correction.fitted),
+    )
 
     def struts(of: Samples) -> Stand:
-        return Stand(pass_residual_summands(of, correction), lambda field: correction_with_pass(correction, _part(field, asked.configurations)),
-                     lambda field, at: stated_position_variance(field, at, correction.nominal))
+        return Stand(
+            pass_residual_summands(of, correction),
+            lambda field: correction_with_pass(correction, _part(field, asked.configurations)),
+            lambda field, at: stated_position_variance(field, at, correction.nominal),
+        )
 
     done, tried = certify_extension_of(
-        some, basis, struts if asked.space != POSE else _posed(lambda of: correction, asked.poses), asked.kind, rng, said
+        some,
+        basis,
+        struts if asked.space != POSE else _posed(lambda of: correction, asked.poses),
+        asked.kind,
+        rng,
+        said,
     )
     if asked.space == BOTH:
-        done, more = certify_extension_of(some, basis, _posed(_again(done.correction, correction, asked), asked.poses), asked.kind, rng, said)
+        done, more = certify_extension_of(
+            some, basis, _posed(_again(done.correction, correction, asked), asked.poses), asked.kind, rng, said
+        )
         tried = (*tried, *more)
-    found = replace(found, mechanism=correction.fitted, residuals=pass_residual_summands(samples, done.correction).values)
+    found = replace(
+        found, mechanism=correction.fitted, residuals=pass_residual_summands(samples, done.correction).values
+    )
     done = replace(done, label=configuration_numbers(samples.commanded, axis_ranges(correction.nominal)), found=found)
     return _with_covariance(done, before, rng), tried, len(some)
 
 
 def _with_covariance(done: Certified, before: Calibration, rng: np.random.Generator) -> Certified:
-    """The Certified with the covariance of the calibration before it, as great as configurations held out show errors to be now: a pass takes away
-    no more than it moves, and nothing that those do not tell from noise."""
+    """The Certified with the covariance of the calibration before it, as great as configurations held out show errors
+    to be now: a pass takes away no more than it moves, and nothing that those do not tell from noise."""
     if done.left is None:
         return done
     commands, T = sample_workspace(done.correction)
@@ -94,9 +117,14 @@ def _with_covariance(done: Certified, before: Calibration, rng: np.random.Genera
 
 def _posed(base: Callable[[Samples], Correction], part: Part | None) -> Callable[[Samples], Stand]:
     """The stand of a map in pose space on a Correction by some samples."""
+
     def stand(of: Samples) -> Stand:
         on = base(of)
-        return Stand(pass_residual_poses(of, on), lambda field: correction_with_map(on, _part(field, part)), lambda field, at: _said(field, at, on))
+        return Stand(
+            pass_residual_poses(of, on),
+            lambda field: correction_with_map(on, _part(field, part)),
+            lambda field, at: _said(field, at, on),
+        )
 
     return stand
 
@@ -108,7 +136,9 @@ def _again(done: Correction, before: Correction, asked: Pass) -> Callable[[Sampl
     if extension is before.extension or field is None:
         return lambda of: before
     own = field.field if isinstance(field, Within) else field
-    return lambda of: correction_with_pass(before, _part(fit_summand_field(pass_residual_summands(of, before), own.kind, own), asked.configurations))
+    return lambda of: correction_with_pass(
+        before, _part(fit_summand_field(pass_residual_summands(of, before), own.kind, own), asked.configurations)
+    )
 
 
 def _said(field: Field, at: Samples, on: Correction) -> float:

@@ -1,4 +1,6 @@
-"""What speaks for and against a calibration, as evidence for the one judgement of it that every page and command shows."""
+"""What speaks for and against a calibration, as evidence for the one judgement of it that every page and command
+shows.
+"""
 
 import math
 from collections.abc import Sequence
@@ -18,14 +20,25 @@ from calib.samples.pose_samples import Samples
 from rig.report.refutations import Refutation
 from rig.report.verdict import LOOK, Evidence, Missing, State, Verdict, judge_evidence
 
-MORE = "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that tell most"
-ONWARD = ("Take another recording and hold the calibration against it: `rig certify calibration.json OTHER-REC --out certificate.html`",
-          "Compute commands that bring the poses you want: `rig correct calibration.json --poses wanted.csv --out commands.csv`")
-TAKE_IN = ("Determine what is left out: `rig diagnose REC --out found`; take it in: `rig calibrate REC --diagnosis found --out calibration.json`")
+MORE = (
+    "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that "
+    "tell most"
+)
+ONWARD = (
+    "Take another recording and hold the calibration against it: `rig certify calibration.json OTHER-REC "
+    "--out certificate.html`",
+    "Compute commands that bring the poses you want: `rig correct calibration.json --poses wanted.csv --out "
+    "commands.csv`",
+)
+TAKE_IN = (
+    "Determine what is left out: `rig diagnose REC --out found`; take it in: `rig calibrate REC --diagnosis "
+    "found --out calibration.json`"
+)
 
 
 class OfCalibrations(NamedTuple):
-    """What is known of calibrations made from a recording, which holds for all else that is learnt from it. refuted : which are, and by what, and
+    """What is known of calibrations made from a recording, which holds for all else that is learnt from it.
+    refuted : which are, and by what, and
     unexplained : what they leave so, a sentence each"""
 
     refuted: tuple[str, ...] = ()
@@ -40,9 +53,15 @@ def calibration_verdict(calibration: Calibration, refutations: Sequence[Refutati
     return judge_evidence(calibration_evidence(calibration, refutations))
 
 
-def calibration_evidence(calibration: Calibration, refutations: Sequence[Refutation] = (), statement: str | None = None,
-             steps: Sequence[str] = ONWARD) -> Evidence:
-    """Evidence for a calibration. refutations : of its file, by later recordings; statement : in place of its own; steps : where it is good"""
+def calibration_evidence(
+    calibration: Calibration,
+    refutations: Sequence[Refutation] = (),
+    statement: str | None = None,
+    steps: Sequence[str] = ONWARD,
+) -> Evidence:
+    """Evidence for a calibration. refutations : of its file, by later recordings; statement : in place of its own;
+    steps : where it is good
+    """
     claim = calibration.claim
     said = "this calibration claims nothing" if claim is None else claim_lines(claim)[0]
     missing, refuted = list(_missing(calibration)), [one.line for one in refutations if one.state == State.BAD]
@@ -68,15 +87,21 @@ def calibration_evidence(calibration: Calibration, refutations: Sequence[Refutat
     )
 
 
-def evidence_with_verification(known: Evidence, found: Verification | None, by: str = "", look: str | None = None) -> Evidence:
+def evidence_with_verification(
+    known: Evidence, found: Verification | None, by: str = "", look: str | None = None
+) -> Evidence:
     """Evidence with what a held-out recording says of the claim. found : Verification, None where no factor is claimed
 
-    by : the recording, where the sentence names it; look : the step where the claim is refuted, that of known by default
+    by : the recording, where the sentence names it; look : the step where the claim is refuted, that of known by
+        default
     """
     if found is None:
         return known
     if found.offset is not None and found.offset.kept:
-        moved = Missing(f"the {WHERE[found.offset.of]} stands elsewhere", "Seat targets and instrument anew, or state where they stand in rig.toml")
+        moved = Missing(
+            f"the {WHERE[found.offset.of]} stands elsewhere",
+            "Seat targets and instrument anew, or state where they stand in rig.toml",
+        )
         return replace(known, missing=(*known.missing, moved))
     if found.refutes:
         said = f"the claim is NOT kept{by and f' by {by}'}: {refutation_sentence(found)}"
@@ -86,27 +111,39 @@ def evidence_with_verification(known: Evidence, found: Verification | None, by: 
 
 
 def of_samples(calibration: Calibration, samples: Samples, rng: np.random.Generator) -> Verification | None:
-    """Verification of a Calibration's claim by samples as `Calibration.told` gives them, None where no factor is claimed."""
+    """Verification of a Calibration's claim by samples as `Calibration.told` gives them, None where no factor is
+    claimed.
+    """
     if calibration.claim is None or calibration.claim.after is None:
         return None
     label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
     return verify_claim(calibration.correction.predict(samples.effective), samples, label, calibration.claim, rng)
 
 
-def with_design(known: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], which: str) -> Evidence:
-    """Evidence for a calibration with what the designs of held-out recordings confound, where its own recording's is not known.
+def with_design(
+    known: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], which: str
+) -> Evidence:
+    """Evidence for a calibration with what the designs of held-out recordings confound, where its own recording's is
+    not known.
 
     Only what that does not separate can have gone into the correction. which : the recordings, in words
     """
     if calibration.confounds is not None:
         return known
     return replace(
-        known, confounds=tuple(dict.fromkeys([*known.confounds, *(f"{which}: {said}" for one in confounds for said in confound_sentences(one))]))
+        known,
+        confounds=tuple(
+            dict.fromkeys(
+                [*known.confounds, *(f"{which}: {said}" for one in confounds for said in confound_sentences(one))]
+            )
+        ),
     )
 
 
 def error_to_claim_ratio(held: HeldOut | None, claim: Claim | None) -> float | None:
-    """Held-out RMS error over what claim and noise allow, the greater of position's and rotation's; None where nothing was held out or claimed."""
+    """Held-out RMS error over what claim and noise allow, the greater of position's and rotation's; None where nothing
+    was held out or claimed.
+    """
     if held is None or claim is None or claim.after is None:
         return None
     found = []

@@ -1,10 +1,14 @@
-"""Whether a recording's poses keep a calibration's claim: whitened squares against the claim's upper end, position and rotation apart.
+"""Whether a recording's poses keep a calibration's claim: whitened squares against the claim's upper end, position and
+rotation apart.
 
-Of n poses the machine's error may be as large as the claim's upper end, the instrument's own errors are drawn anew in every pose and so average
-out, its shared errors are drawn once. The squares are whitened by all three together, so that a shared error costs its own few degrees of freedom
-and widens nothing else. Their distribution, the machine's error being the same in each visit of one configuration, is drawn.
-A base (or an instrument) that stands elsewhere moves all poses by one rigid motion: it is estimated, and the claim tested without it.
-Source: docs/mathematics.md (21); Rao, Linear Statistical Inference, 2nd ed., 3b (quadratic forms); 4a (generalised least squares)
+Of n poses the machine's error may be as large as the claim's upper end, the instrument's own errors are drawn anew in
+every pose and so average out, its shared errors are drawn once. The squares are whitened by all three together, so that
+a shared error costs its own few degrees of freedom and widens nothing else. Their distribution, the machine's error
+being the same in each visit of one configuration, is drawn.
+A base (or an instrument) that stands elsewhere moves all poses by one rigid motion: it is estimated, and the claim
+tested without it.
+Source: docs/mathematics.md (21); Rao, Linear Statistical Inference, 2nd ed., 3b (quadratic forms); 4a (generalised
+    least squares)
 """
 
 import math
@@ -30,8 +34,9 @@ TINY = 1e-9  # m or rad, claims below which weigh as this
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Position or rotation. rms : m or rad as measured; claimed : upper end of the claim; of_allowed : RMS of the whitened squares, 1 where the error
-    is what claim and noise allow; limit : up to which chance goes; noticed : m or rad, an error of the machine that would have passed it"""
+    """Position or rotation. rms : m or rad as measured; claimed : upper end of the claim; of_allowed : RMS of the
+    whitened squares, 1 where the error is what claim and noise allow; limit : up to which chance goes; noticed : m or
+    rad, an error of the machine that would have passed it"""
 
     rms: float
     claimed: float
@@ -47,7 +52,8 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """A rigid motion common to all poses. of : "base" or "platform", which of the two stands elsewhere; position : m; rotation : rad, its lengths
+    """A rigid motion common to all poses. of : "base" or "platform", which of the two stands elsewhere; position : m;
+    rotation : rad, its lengths
     kept : whether the claim is kept without it"""
 
     of: str
@@ -58,7 +64,8 @@ class Offset:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """A claim held against n poses. position, rotation : Part, None where it was not measured or nothing is claimed of it
+    """A claim held against n poses. position, rotation : Part, None where it was not measured or nothing is claimed of
+    it
     offset : Offset that explains why the claim is not kept, None where it is kept or no such motion explains it
     unexplained : whether the claim names something that it leaves so"""
 
@@ -71,7 +78,9 @@ class Verification:
     @property
     def parts(self) -> dict[str, Part]:
         """{"position" | "rotation": Part} of what was judged."""
-        return {name: part for name, part in (("position", self.position), ("rotation", self.rotation)) if part is not None}
+        return {
+            name: part for name, part in (("position", self.position), ("rotation", self.rotation)) if part is not None
+        }
 
     @property
     def kept(self) -> bool:
@@ -82,7 +91,8 @@ class Verification:
     def refutes(self) -> bool:
         """Whether the claim is not kept, and no rigid motion of all poses explains it.
 
-        What a claim names as unexplained differs with the day and the plan: it is refuted by more than REFUTES times what it and noise allow.
+        What a claim names as unexplained differs with the day and the plan: it is refuted by more than REFUTES times
+        what it and noise allow.
         """
         if self.kept or not self.parts or (self.offset is not None and self.offset.kept):
             return False
@@ -94,7 +104,9 @@ class Verification:
         return max((part.of_allowed / part.limit for part in self.parts.values()), default=math.nan)
 
 
-def verify_claim(predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator) -> Verification:
+def verify_claim(
+    predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator
+) -> Verification:
     """Verification of a Claim by poses predicted (n,) and measured.
 
     samples : Samples, the poses as measured; label : (n,) configuration of each pose; rng : numpy Generator
@@ -102,27 +114,46 @@ def verify_claim(predicted: RigidTransform, samples: Samples, label: np.ndarray,
     """
     if claim.after is None:
         raise ValueError("no factor is claimed, so there is nothing to verify")
-    found = replace(_verified(pose_errors(predicted, samples), samples, label, claim, rng), unexplained=bool(claim.unexplained))
-    return found if found.kept or not found.parts else replace(found, offset=_offset(predicted, samples, label, claim, found.of_limit, rng))
+    found = replace(
+        _verified(pose_errors(predicted, samples), samples, label, claim, rng), unexplained=bool(claim.unexplained)
+    )
+    return (
+        found
+        if found.kept or not found.parts
+        else replace(found, offset=_offset(predicted, samples, label, claim, found.of_limit, rng))
+    )
 
 
-def _verified(errors: np.ndarray, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator) -> Verification:
+def _verified(
+    errors: np.ndarray, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator
+) -> Verification:
     """Verification by errors (n, 6), without a rigid motion."""
     assert claim.after is not None
-    parts = [_part(errors, samples.covariance, samples.common, label, rows, three[2], rng)
-             for rows, three in zip(_parts(errors, claim), claim.after)]
+    parts = [
+        _part(errors, samples.covariance, samples.common, label, rows, three[2], rng)
+        for rows, three in zip(_parts(errors, claim), claim.after)
+    ]
     return Verification(len(errors), parts[0], parts[1])
 
 
 def _parts(errors: np.ndarray, claim: Claim) -> list[list[int]]:
     """Rows of the tangent that are judged, of position and of rotation."""
     assert claim.after is not None
-    return [[i for i in part if np.isfinite(errors[:, i]).all() and np.abs(errors[:, i]).any()] if three[2] > 0 else []
-            for part, three in zip((range(3), range(3, 6)), claim.after)]
+    return [
+        [i for i in part if np.isfinite(errors[:, i]).all() and np.abs(errors[:, i]).any()] if three[2] > 0 else []
+        for part, three in zip((range(3), range(3, 6)), claim.after)
+    ]
 
 
-def _part(errors: np.ndarray, own: np.ndarray, common: np.ndarray, label: np.ndarray, rows: list[int], claimed: float,
-          rng: np.random.Generator) -> Part | None:
+def _part(
+    errors: np.ndarray,
+    own: np.ndarray,
+    common: np.ndarray,
+    label: np.ndarray,
+    rows: list[int],
+    claimed: float,
+    rng: np.random.Generator,
+) -> Part | None:
     """Part of rows of the tangent; None of no rows."""
     if not rows:
         return None
@@ -134,7 +165,11 @@ def _part(errors: np.ndarray, own: np.ndarray, common: np.ndarray, label: np.nda
     machine = rng.normal(size=(draws, int(label.max()) + 1, d))[:, label] * (claimed / math.sqrt(d))
     noise = np.einsum("nij,qnj->qni", root, rng.normal(size=(draws, n, d)))
     noise = noise + np.einsum("nik,qk->qni", B, rng.normal(size=(draws, B.shape[2])))
-    alone, crossed, own_squares = whiten.squares(machine, machine), whiten.squares(machine, noise), whiten.squares(noise, noise)
+    alone, crossed, own_squares = (
+        whiten.squares(machine, machine),
+        whiten.squares(machine, noise),
+        whiten.squares(noise, noise),
+    )
 
     def squares(times: float) -> np.ndarray:
         return times**2 * alone + 2 * times * crossed + own_squares
@@ -172,9 +207,12 @@ class _Whitener:
         return np.asarray(alone - ((z @ self.core) * w).sum(axis=1))
 
 
-def _offset(predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, whole: float, rng: np.random.Generator) -> Offset | None:
-    """The rigid motion, of the base or of what is measured on the platform, that explains why a claim is not kept: without it the claim is kept, or
-    less than half of what was beyond it is left. None where neither does. whole : `Verification.of_limit` with it"""
+def _offset(
+    predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, whole: float, rng: np.random.Generator
+) -> Offset | None:
+    """The rigid motion, of the base or of what is measured on the platform, that explains why a claim is not kept:
+    without it the claim is kept, or less than half of what was beyond it is left. None where neither does.
+    whole : `Verification.of_limit` with it"""
     if samples.measured not in ("pose", "position") or len(samples) < FEWEST:
         return None
     found: list[tuple[float, Offset]] = []
@@ -195,9 +233,14 @@ def _without(of: str, predicted: RigidTransform, samples: Samples, claim: Claim)
     for _ in range(STEPS):
         e = pose_errors(predicted, moved)
         rows = np.flatnonzero(np.isfinite(e).all(axis=0))
-        weight = np.linalg.inv(samples.total_covariance()[:, rows][:, :, rows] + np.diag(np.maximum(sizes[rows], TINY) ** 2))
+        weight = np.linalg.inv(
+            samples.total_covariance()[:, rows][:, :, rows] + np.diag(np.maximum(sizes[rows], TINY) ** 2)
+        )
         A = (adjoint(predicted.inv()) if of == "base" else np.broadcast_to(np.eye(6), (len(e), 6, 6)))[:, rows]
-        information, right = np.einsum("nia,nij,njb->ab", A, weight, A), np.einsum("nia,nij,nj->a", A, weight, e[:, rows])
+        information, right = (
+            np.einsum("nia,nij,njb->ab", A, weight, A),
+            np.einsum("nia,nij,nj->a", A, weight, e[:, rows]),
+        )
         step = exp(np.linalg.lstsq(information, right, rcond=1e-10)[0])
         T = samples.T_base_platform
         motion = step * motion if of == "base" else motion * step

@@ -1,9 +1,11 @@
-"""How large each component of struts' deviations is: draws from what the struts' closures and experience with machines leave open.
+"""How large each component of struts' deviations is: draws from what the struts' closures and experience with machines
+leave open.
 
-Three kinds of machines are weighed: a sound one; one whose struts, most of them, have one component alone, of one size; and one whose struts
-have each their own. A strut's closures are normal, with the variances of the poses, of its own parameters and of its components; that a component
-is absent has a probability of its own, so that what nothing shows is mostly 0. Source: George and McCulloch, Variable selection via Gibbs
-sampling, J. Am. Stat. Assoc. 88, 1993; Kass and Raftery, Bayes factors, J. Am. Stat. Assoc. 90, 1995
+Three kinds of machines are weighed: a sound one; one whose struts, most of them, have one component alone, of one size;
+and one whose struts have each their own. A strut's closures are normal, with the variances of the poses, of its own
+parameters and of its components; that a component is absent has a probability of its own, so that what nothing shows is
+mostly 0. Source: George and McCulloch, Variable selection via Gibbs sampling, J. Am. Stat. Assoc. 88, 1993; Kass and
+Raftery, Bayes factors, J. Am. Stat. Assoc. 90, 1995
 """
 
 from collections.abc import Callable
@@ -25,7 +27,8 @@ LARGEST = 120  # samples by which sizes are found; more are thinned out for that
 
 
 class Closures(NamedTuple):
-    """Of one strut at n samples. values : (n,) m; covariance : (n, n) m^2, of poses and parameters; unit : m, standard deviation of the noise
+    """Of one strut at n samples. values : (n,) m; covariance : (n, n) m^2, of poses and parameters; unit : m, standard
+    deviation of the noise
     parts : its Components"""
 
     values: np.ndarray
@@ -47,15 +50,24 @@ def draw_component_sizes(
     unit = float(np.sqrt(np.mean([one.unit**2 for one in struts])))
     names = {part.name: part.likely for one in struts for part in one.parts}
     total = sum(names.values())
-    gains = {name: np.stack([problem.alone(name, SMALL * unit) for problem in problems]) for name in names}  # (axes, sizes) each
+    gains = {
+        name: np.stack([problem.alone(name, SMALL * unit) for problem in problems]) for name in names
+    }  # (axes, sizes) each
     with np.errstate(divide="ignore", over="ignore"):
         odds = {name: SHARED * np.exp(np.minimum(gain, 600.0)) for name, gain in gains.items()}
-        alike = {name: np.log(1 - SHARED + odd).sum(axis=0) + np.log(ALIKE * names[name] / total / len(SMALL)) for name, odd in odds.items()}
+        alike = {
+            name: np.log(1 - SHARED + odd).sum(axis=0) + np.log(ALIKE * names[name] / total / len(SMALL))
+            for name, odd in odds.items()
+        }
         chains = [problem.sampled(rng) for problem in problems]
         # the share of draws without any component, over what it was before, is p(closures | none) / p(closures)
-        mixed = np.log(MIXED) - sum(np.log((~draws.any(axis=1)).mean() / problem.none) for draws, problem in zip(chains, problems))
+        mixed = np.log(MIXED) - sum(
+            np.log((~draws.any(axis=1)).mean() / problem.none) for draws, problem in zip(chains, problems)
+        )
     first = next(iter(names))  # scatter
-    if max(mixed, *(one.max() for one in alike.values())) < np.log(SOUND) + CLEARLY:  # no strut by itself says more than that all is sound
+    if (
+        max(mixed, *(one.max() for one in alike.values())) < np.log(SOUND) + CLEARLY
+    ):  # no strut by itself says more than that all is sound
         together = scattered(SMALL * unit) + np.log(ALIKE * names[first] / total / len(SMALL))
         odds[first] = np.where(together > alike[first], np.inf, odds[first])
         alike[first] = np.maximum(alike[first], together)
@@ -96,25 +108,34 @@ class _Problem:
         return np.asarray((L[:, n, :n] ** 2).sum(axis=1) + 2 * np.log(np.einsum("kii->ki", L[:, :n, :n])).sum(axis=1))
 
     def alone(self, name: str, size: np.ndarray) -> np.ndarray:
-        """(k,) by how much the log likelihood grows with one component alone, of sizes (k,) m; nothing where the strut has none of that name."""
+        """(k,) by how much the log likelihood grows with one component alone, of sizes (k,) m; nothing where the strut
+        has none of that name.
+        """
         state = np.full((1 + len(size), len(self.parts)), -np.inf)
         state[1:, [part.name == name for part in self.parts]] = np.log(size / self.unit)[:, None]
         cost = self.cost(state)
         return np.asarray(0.5 * (cost[0] - cost[1:]))
 
     def sampled(self, rng: np.random.Generator) -> np.ndarray:
-        """(draws, components) m of the sizes of the strut's own components: Metropolis steps, one component at a time."""
+        """(draws, components) m of the sizes of the strut's own components: Metropolis steps, one component at a
+        time.
+        """
         likely, (low, high) = [part.likely for part in self.parts], np.log([LEAST, MOST])
         state = np.full((CHAINS, len(likely)), -np.inf)  # logarithms, none of what is absent
         gains = np.stack([self.alone(part.name, SMALL * self.unit) for part in self.parts])
-        best = np.argsort(-gains.max(axis=1))[: CHAINS // 2]  # every two chains begin with one that explains much by itself
+        best = np.argsort(-gains.max(axis=1))[
+            : CHAINS // 2
+        ]  # every two chains begin with one that explains much by itself
         for chain, j in enumerate([*best, *best]):
             state[chain, j] = np.log(np.clip(SMALL[gains[j].argmax()], LEAST, MOST))
         cost, draws = self.cost(state), []
         for sweep in range(STEPS):
             for j in rng.permutation(len(likely)):
-                new = np.where(rng.random(CHAINS) < 0.5, state[:, j] + WALK * rng.normal(size=CHAINS),
-                               np.where(rng.random(CHAINS) < likely[j], rng.uniform(low, high, CHAINS), -np.inf))
+                new = np.where(
+                    rng.random(CHAINS) < 0.5,
+                    state[:, j] + WALK * rng.normal(size=CHAINS),
+                    np.where(rng.random(CHAINS) < likely[j], rng.uniform(low, high, CHAINS), -np.inf),
+                )
                 inside = ~np.isfinite(new) | ((new >= low) & (new <= high))
                 asked = np.flatnonzero(inside & (new != state[:, j]))  # most stay absent
                 if not len(asked):

@@ -1,4 +1,6 @@
-"""Distinct configurations among samples: repeats of one, from whichever side it was approached, are one witness of the geometry."""
+"""Distinct configurations among samples: repeats of one, from whichever side it was approached, are one witness of the
+geometry.
+"""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -10,7 +12,9 @@ from rig.model.mechanism_kinds import Struts
 from rig.model.pose import exp, pose_difference
 
 SAME = 1e-3  # of an axis' range, within which commands are one configuration
-LEAST = 8  # distinct configurations from which a factor is claimed, or has an interval; fewer cannot say whether the model holds elsewhere
+# distinct configurations from which a factor is claimed, or has an interval; fewer cannot say whether the model holds
+# elsewhere
+LEAST = 8
 
 
 def configuration_numbers(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
@@ -40,16 +44,20 @@ def configuration_folds(label: np.ndarray, count: int) -> np.ndarray:
 
 
 def mean_sample_per_configuration(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Samples:
-    """Samples with one row for each configuration: the mean of its repeats, weighted by their covariance, at the mean of their commands.
+    """Samples with one row for each configuration: the mean of its repeats, weighted by their covariance, at the mean
+    of their commands.
 
-    samples : Samples; label : (n,) from `configuration_numbers`; to_pose : (n, 6, axes) change of each pose's tangent with the commands
+    samples : Samples; label : (n,) from `configuration_numbers`; to_pose : (n, 6, axes) change of each pose's tangent
+        with the commands
     """
     count = label.max() + 1
     if count == len(samples):
         return samples
     first, size = np.unique(label, return_index=True)[1], np.bincount(label)
-    commanded, effective = (np.stack([np.bincount(label, weights=column) for column in values.T], axis=1) / size[:, None]
-                            for values in (samples.commanded, samples.effective))
+    commanded, effective = (
+        np.stack([np.bincount(label, weights=column) for column in values.T], axis=1) / size[:, None]
+        for values in (samples.commanded, samples.effective)
+    )
     moved = samples.T_base_platform * exp(np.einsum("nij,nj->ni", to_pose, effective[label] - samples.effective))
     apart = pose_difference(RigidTransform.from_matrix(moved.as_matrix()[first][label]), moved)
     unseen = np.isinf(samples.covariance)  # rotations that nothing measured
@@ -60,5 +68,12 @@ def mean_sample_per_configuration(samples: Samples, label: np.ndarray, to_pose: 
     np.add.at(common, label, weight @ samples.common)
     covariance = inverse_covariance(total)
     poses = moved[first] * exp((covariance @ mean[..., None])[..., 0])
-    return Samples(samples.frame[first], samples.t[first], commanded, poses, np.where(unseen[first], np.inf, covariance), covariance @ common,
-                   effective - commanded)
+    return Samples(
+        samples.frame[first],
+        samples.t[first],
+        commanded,
+        poses,
+        np.where(unseen[first], np.inf, covariance),
+        covariance @ common,
+        effective - commanded,
+    )

@@ -1,4 +1,6 @@
-"""What an extension over the configuration space promises, from configurations it was not fitted to; of several ways the best one there."""
+"""What an extension over the configuration space promises, from configurations it was not fitted to; of several ways
+the best one there.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -6,10 +8,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calib.certify.distinct_configurations import axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
-from calib.certify.held_out_error_statistics import draw_common_error_squares, held_out_error_statistics, parameter_squares_without
+from calib.certify.distinct_configurations import (
+    axis_ranges,
+    configuration_folds,
+    configuration_numbers,
+    mean_sample_per_configuration,
+)
+from calib.certify.held_out_error_statistics import (
+    draw_common_error_squares,
+    held_out_error_statistics,
+    parameter_squares_without,
+)
 from calib.certify.held_out_errors import HeldOut, compare_errors, is_significant_gain, pose_errors
-from calib.certify.platform_certification import FOLDS, SURELY, Certified, Progress, of_geometry, silent_progress, sizes_beyond, with_drawn
+from calib.certify.platform_certification import (
+    FOLDS,
+    SURELY,
+    Certified,
+    Progress,
+    of_geometry,
+    silent_progress,
+    sizes_beyond,
+    with_drawn,
+)
 from calib.certify.workspace_claim import (
     DRAWS,
     LEAST,
@@ -28,7 +48,12 @@ from calib.correct.interpolation.field import Field, Known
 from calib.correct.interpolation.gaussian_process import RadialMap
 from calib.correct.interpolation.grid import lattice_of_configurations
 from calib.correct.interpolation.weighted_fields import Weighted
-from calib.correct.summand_extension import correction_with_field, fit_summand_field, geometry_of, geometry_residual_summands
+from calib.correct.summand_extension import (
+    correction_with_field,
+    fit_summand_field,
+    geometry_of,
+    geometry_residual_summands,
+)
 from calib.models.platform.identification import Identified, identify, inverse_strut_jacobian, pose_jacobian
 from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.errors import RigError
@@ -44,14 +69,17 @@ NONE = "none"  # of the ways: the geometry, or the owner's model, as it is
 
 
 class Asked(NamedTuple):
-    """kind : one of `interpolation_methods.ALL`, or AUTO; alone : whether on the owner's model instead of on top of a fitted geometry."""
+    """kind : one of `interpolation_methods.ALL`, or AUTO; alone : whether on the owner's model instead of on top of a
+    fitted geometry.
+    """
 
     kind: str
     alone: bool
 
 
 class Stand(NamedTuple):
-    """known : what is to be extended, of some samples; correct : the Correction that it stands on with a Field of that on top, or None
+    """known : what is to be extended, of some samples; correct : the Correction that it stands on with a Field of that
+    on top, or None
     said : mean square (m^2) by which a Field says that positions of other samples may be off."""
 
     known: Known
@@ -60,7 +88,9 @@ class Stand(NamedTuple):
 
 
 class Tried(NamedTuple):
-    """A way to extend: held_out : HeldOut, or None; reason : why it could not be tried, or not be taken, or None; chosen : whether it was taken."""
+    """A way to extend: held_out : HeldOut, or None; reason : why it could not be tried, or not be taken, or None;
+    chosen : whether it was taken.
+    """
 
     kind: str
     held_out: HeldOut | None
@@ -68,19 +98,25 @@ class Tried(NamedTuple):
     chosen: bool
 
 
-def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.random.Generator,
-                     progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...]]:
+def certify_extended(
+    samples: Samples, nominal: Struts, asked: Asked, rng: np.random.Generator, progress: Progress | None = None
+) -> tuple[Certified, tuple[Tried, ...]]:
     """(Certified, what was tried): calibrated on all samples, and what was left at configurations held out.
 
-    Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST configurations
-    beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses' covariance, if that is a significant gain
-    against doing without. Raises RigError where the way asked for does not take these samples
+    Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST
+    configurations beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses'
+    covariance, if that is a significant gain against doing without. Raises RigError where the way asked for does not
+    take these samples
     """
     said = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_ranges(nominal))
     said("fitting the geometry", 0, 1)
     found = geometry_of(samples, nominal, asked.alone)
-    sizes = None if asked.alone or label.max() + 1 < LEAST else sizes_beyond(samples, of_geometry(nominal, found, label), rng)
+    sizes = (
+        None
+        if asked.alone or label.max() + 1 < LEAST
+        else sizes_beyond(samples, of_geometry(nominal, found, label), rng)
+    )
     said("fitting the geometry", 1, 1)
 
     def stand(some: Samples) -> Stand:
@@ -102,11 +138,16 @@ def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.ra
 
 
 def with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -> Certified:
-    """The Certified of an extension, its scatter no less than what was left at configurations held out, that freed of the parameters' errors."""
+    """The Certified of an extension, its scatter no less than what was left at configurations held out, that freed of
+    the parameters' errors.
+    """
     if done.left is None:
         return done
     correction, found = done.correction, done.found
-    J, out = pose_jacobian(samples.T_base_platform, correction.fitted), inverse_strut_jacobian(samples.T_base_platform, correction.fitted)
+    J, out = (
+        pose_jacobian(samples.T_base_platform, correction.fitted),
+        inverse_strut_jacobian(samples.T_base_platform, correction.fitted),
+    )
     noise = samples.covariance + (out * found.scatter**2) @ np.swapaxes(out, 1, 2)
     part = configuration_folds(done.label, min(FOLDS, done.label.max() + 1))
     left = replace(done.left, parameters=parameter_squares_without(J, found.covariance, noise, part))
@@ -117,8 +158,15 @@ def with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) ->
     return replace(done, left=left, found=replace(found, scatter=np.maximum(found.scatter, own)))
 
 
-def certify_extension_of(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], stand: Callable[[Samples], "Stand"], kind: str,
-                rng: np.random.Generator, said: Progress, against: str | None = None) -> tuple[Certified, tuple[Tried, ...]]:
+def certify_extension_of(
+    samples: Samples,
+    basis: tuple[Struts | Arm, np.ndarray, Any],
+    stand: Callable[[Samples], "Stand"],
+    kind: str,
+    rng: np.random.Generator,
+    said: Progress,
+    against: str | None = None,
+) -> tuple[Certified, tuple[Tried, ...]]:
     """(Certified, what was tried): what one way, or of all ways the best, makes of what a stand leaves.
 
     basis : nominal, label (n,) of the samples, the geometry; against : why none is to be taken of all ways, or None
@@ -139,8 +187,14 @@ def certify_extension_of(samples: Samples, basis: tuple[Struts | Arm, np.ndarray
     outcome = None if not splits else _held_out(samples, stand, fields, splits, said)
     auto = kind == AUTO
     kind = kind if not auto else NONE if outcome is None or against is not None else _best(outcome)
-    held = {} if outcome is None else {name: compare_errors(outcome.before, errors, outcome.samples.total_covariance(), rng, label[outcome.rows])
-                                       for name, errors in outcome.after.items()}
+    held = (
+        {}
+        if outcome is None
+        else {
+            name: compare_errors(outcome.before, errors, outcome.samples.total_covariance(), rng, label[outcome.rows])
+            for name, errors in outcome.after.items()
+        }
+    )
     tried = [Tried(name, held.get(name), against if auto and name != NONE else None, name == kind) for name in fields]
     tried += [Tried(name, None, reason, False) for name, reason in refused.items()]
     field = fields[kind]
@@ -153,12 +207,16 @@ def certify_extension_of(samples: Samples, basis: tuple[Struts | Arm, np.ndarray
             field, left = replace(field, misfit=field.misfit * scale), replace(left, scale=scale)
         elif isinstance(field, RadialMap):
             field, left = replace(field, inflation=max(1.0, scale)), replace(left, scale=max(1.0, scale))
-    again = held_out_error_statistics(pose_errors(correct(field).predict(samples.effective), samples), samples, label).beyond()
+    again = held_out_error_statistics(
+        pose_errors(correct(field).predict(samples.effective), samples), samples, label
+    ).beyond()
     return Certified(correct(field), found, label, held[kind], left=replace(left, fitted=float(again[0]))), tuple(tried)
 
 
 def _without(samples: Samples, nominal: Struts, found: Identified, field: Field, alone: bool) -> Identified:
-    """The Identified once its field is taken off: what the field corrects is no scatter of the struts and widens no parameter."""
+    """The Identified once its field is taken off: what the field corrects is no scatter of the struts and widens no
+    parameter.
+    """
     taken = field.value(samples.commanded)
     if not alone:
         again = identify(samples, nominal, taken, found.prior)
@@ -167,8 +225,10 @@ def _without(samples: Samples, nominal: Struts, found: Identified, field: Field,
 
 
 class _Outcome(NamedTuple):
-    """Of the rows (m,) held out, as Samples: before (m, 6), and after, by each way, (m, 6); beside : whether what was fitted was as dense;
-    said : m^2, mean square by which the fields that each way made without these rows say that their positions may be off."""
+    """Of the rows (m,) held out, as Samples: before (m, 6), and after, by each way, (m, 6); beside : whether what was
+    fitted was as dense;
+    said : m^2, mean square by which the fields that each way made without these rows say that their positions may be
+        off."""
 
     beside: bool
     said: dict[str, float]
@@ -196,8 +256,13 @@ def _splits(samples: Samples, label: np.ndarray, nominal: Struts | Arm) -> list[
     return [(on & ~plane, plane) for plane in planes[::every]]
 
 
-def _held_out(samples: Samples, stand: Callable[[Samples], "Stand"], fields: dict[str, Field | None],
-              splits: list[tuple[np.ndarray, np.ndarray]], said: Progress) -> _Outcome:
+def _held_out(
+    samples: Samples,
+    stand: Callable[[Samples], "Stand"],
+    fields: dict[str, Field | None],
+    splits: list[tuple[np.ndarray, np.ndarray]],
+    said: Progress,
+) -> _Outcome:
     rows, before, after = [], [], {name: list[np.ndarray]() for name in fields}
     squares = dict.fromkeys(fields, 0.0)
     said("holding configurations out", 0, len(splits))
@@ -215,7 +280,14 @@ def _held_out(samples: Samples, stand: Callable[[Samples], "Stand"], fields: dic
     at = np.concatenate(rows)
     dense = all(fitted.sum() >= len(samples) * (1 - 1 / FOLDS) - 1 for fitted, _ in splits) or len(splits) == 1
     means = {name: total / len(at) for name, total in squares.items()}
-    return _Outcome(dense, means, at, samples.take(at), np.concatenate(before), {name: np.concatenate(errors) for name, errors in after.items()})
+    return _Outcome(
+        dense,
+        means,
+        at,
+        samples.take(at),
+        np.concatenate(before),
+        {name: np.concatenate(errors) for name, errors in after.items()},
+    )
 
 
 def stated_position_variance(field: Field, samples: Samples, nominal: Struts) -> float:
@@ -227,20 +299,33 @@ def stated_position_variance(field: Field, samples: Samples, nominal: Struts) ->
 def _best(outcome: _Outcome) -> str:
     """The way that leaves least, if that is a significant gain against doing without."""
     covariance = outcome.samples.total_covariance()
-    weight = inverse_covariance(np.where(np.isinf(covariance), 1.0, covariance))  # what was not measured has no error to weigh
-    loss = {name: np.einsum("ni,nij,nj->n", e, weight, e) for name, e in ((name, np.nan_to_num(errors)) for name, errors in outcome.after.items())}
+    weight = inverse_covariance(
+        np.where(np.isinf(covariance), 1.0, covariance)
+    )  # what was not measured has no error to weigh
+    loss = {
+        name: np.einsum("ni,nij,nj->n", e, weight, e)
+        for name, e in ((name, np.nan_to_num(errors)) for name, errors in outcome.after.items())
+    }
     best = min(loss, key=lambda name: loss[name].mean())
     return best if is_significant_gain(loss[NONE] - loss[best]) else NONE
 
 
 def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a correction that stands on the owner's model alone: its field's error estimate all over the workspace, and the shared errors."""
+    """Claim of a correction that stands on the owner's model alone: its field's error estimate all over the workspace,
+    and the shared errors.
+    """
     correction: Correction = done.correction
     kinematics = mechanisms.kinematics_of(correction.nominal)
-    each = mean_sample_per_configuration(samples, done.label, inverse_strut_jacobian(samples.T_base_platform, correction.nominal))
-    ways = ([] if correction.extension is None else [correction.extension.kind]) + [f"{one.field.kind} in pose space" for one in correction.posed]
+    each = mean_sample_per_configuration(
+        samples, done.label, inverse_strut_jacobian(samples.T_base_platform, correction.nominal)
+    )
+    ways = ([] if correction.extension is None else [correction.extension.kind]) + [
+        f"{one.field.kind} in pose space" for one in correction.posed
+    ]
     way = " and ".join(ways) or "nothing at all"
-    told = ConfigurationInformation(len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}")
+    told = ConfigurationInformation(
+        len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}"
+    )
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes free of each other"
     if len(each) < LEAST:
         return claim_of_too_few_configurations(told, middle)
@@ -251,8 +336,14 @@ def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Gen
     stated = float(extension_scatter(correction, commands, inverse_strut_jacobian(T, correction.fitted))[0])
     own = done.left.own_draws(stated, DRAWS, rng) + draw_common_error_squares(samples, DRAWS, rng)
     known = done.found.covariance  # of what an earlier pass left, where this one does not hold
-    draws = rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh") if known.any() else np.zeros((DRAWS, len(known)))
-    return claim_of_drawn_machines(Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle), draws, each, told, rng)
+    draws = (
+        rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh")
+        if known.any()
+        else np.zeros((DRAWS, len(known)))
+    )
+    return claim_of_drawn_machines(
+        Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle), draws, each, told, rng
+    )
 
 
 def claim_without_held_out_data(told: ConfigurationInformation, workspace: str) -> Claim:

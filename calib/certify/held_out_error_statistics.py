@@ -1,8 +1,10 @@
-"""What errors at held-out configurations say of the errors anywhere: their mean square beyond what measuring adds, and how sure that is.
+"""What errors at held-out configurations say of the errors anywhere: their mean square beyond what measuring adds, and
+how sure that is.
 
-Nothing is assumed of where the errors come from, so that what no model has (friction, play, sag, gears) is in it. Few configurations tell a mean
-square badly, and badly told it is more often too small: draws are of the mean square over chi-square, its degrees of freedom those that the squares
-themselves scatter by (Satterthwaite), never more than INDEPENDENT a configuration. docs/mathematics.md (21)
+Nothing is assumed of where the errors come from, so that what no model has (friction, play, sag, gears) is in it. Few
+configurations tell a mean square badly, and badly told it is more often too small: draws are of the mean square over
+chi-square, its degrees of freedom those that the squares themselves scatter by (Satterthwaite), never more than
+INDEPENDENT a configuration. docs/mathematics.md (21)
 Source: Satterthwaite, An approximate distribution of estimates of variance components, Biometrics 1946
 """
 
@@ -14,19 +16,26 @@ import numpy as np
 from calib.certify.held_out_errors import autocorrelation_factor
 from calib.samples.pose_samples import Samples
 
-INDEPENDENT = 1.5  # degrees of freedom that a configuration is worth at the most: the three of a position would be of noise alone
+INDEPENDENT = (
+    1.5  # degrees of freedom that a configuration is worth at the most: the three of a position would be of noise alone
+)
 TRUSTED = 20  # degrees of freedom that the stated covariance of measured poses is worth
 LEAST_FREEDOM = 3.0
-ALL_OWN = 0.99  # share of a combination's information in the samples held out, from which the others count as telling nearly nothing of it
-ELSEWHERE = 0.5  # by which the logarithm of errors' mean square elsewhere may differ: what a model lacks goes by the place, of which few are known
+# share of a combination's information in the samples held out, from which the others count as telling nearly nothing of
+# it
+ALL_OWN = 0.99
+# by which the logarithm of errors' mean square elsewhere may differ: what a model lacks goes by the place, of which few
+# are known
+ELSEWHERE = 0.5
 DRAWS = 1000
 PARTS = (slice(0, 3), slice(3, 6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldErrors:
-    """Of c configurations held out: squares (c, 2) m^2 and rad^2, mean over each one's visits, NaN where none was measured; noise (c, 2), what
-    measuring adds to these; stated : m^2, mean square by which the correction itself said that these positions may be off, 0 where it said nothing
+    """Of c configurations held out: squares (c, 2) m^2 and rad^2, mean over each one's visits, NaN where none was
+    measured; noise (c, 2), what measuring adds to these; stated : m^2, mean square by which the correction itself said
+    that these positions may be off, 0 where it said nothing
     scale : by which what it says was multiplied since; fitted : m^2, what it leaves at the poses it was fitted to
     parameters : (2,) m^2 and rad^2, mean square that comes of fitted parameters.
 
@@ -40,8 +49,8 @@ class HeldErrors:
     parameters: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
     def elsewhere(self, stated: float, count: int, rng: np.random.Generator) -> np.ndarray:
-        """(count, 1) draws of the errors' mean square where the correction says that positions may be off by `stated` (m^2), over that of those
-        held out.
+        """(count, 1) draws of the errors' mean square where the correction says that positions may be off by `stated`
+        (m^2), over that of those held out.
 
         What depends on the place grows as that does; what is left where it was fitted as well, as friction, does not.
         """
@@ -64,8 +73,8 @@ class HeldErrors:
         return out
 
     def own_draws(self, stated: float, count: int, rng: np.random.Generator) -> np.ndarray:
-        """(count, 2) m^2 and rad^2, draws of the mean square that no model corrects, where the correction says that positions may be off by `stated`
-        (m^2): beyond what comes of the parameters."""
+        """(count, 2) m^2 and rad^2, draws of the mean square that no model corrects, where the correction says that
+        positions may be off by `stated` (m^2): beyond what comes of the parameters."""
         return np.maximum(self.draws(count, rng) - self.parameters, 0.0) * self.elsewhere(stated, count, rng)
 
     def own(self, stated: float, rng: np.random.Generator) -> np.ndarray:
@@ -78,7 +87,9 @@ class HeldErrors:
         return np.asarray(np.where(np.quantile(draws, 0.25, axis=0) > 0, draws.mean(axis=0), 0.0))
 
     def unnoticed(self) -> float:
-        """m^2, mean square of position errors that so many poses held out do not tell from the noise of measuring them."""
+        """m^2, mean square of position errors that so many poses held out do not tell from the noise of measuring
+        them.
+        """
         return float(self.noise[:, 0].mean() * np.sqrt(2 / degrees_of_freedom(self.squares[:, 0])))
 
     def beyond(self) -> np.ndarray:
@@ -89,7 +100,8 @@ class HeldErrors:
 def held_out_error_statistics(
     errors: np.ndarray, samples: Samples, label: np.ndarray, stated: float = 0.0, parameters: np.ndarray | None = None
 ) -> HeldErrors:
-    """HeldErrors of errors (n, 6) m and rad, NaN where not measured. samples : Samples that they are of; label : (n,) configuration of each
+    """HeldErrors of errors (n, 6) m and rad, NaN where not measured. samples : Samples that they are of; label : (n,)
+    configuration of each
     stated, parameters : as there, nothing by default"""
     label = np.unique(label, return_inverse=True)[1]
     size = np.bincount(label)
@@ -100,12 +112,19 @@ def held_out_error_statistics(
         return np.stack([np.bincount(label, weights=column) for column in each.T], axis=1) / size[:, None]
 
     first = np.argsort(np.unique(label, return_index=True)[1])
-    return HeldErrors(means(errors**2)[first], means(np.where(np.isinf(variances), np.nan, variances))[first], stated,
-                      parameters=np.zeros(2) if parameters is None else parameters)
+    return HeldErrors(
+        means(errors**2)[first],
+        means(np.where(np.isinf(variances), np.nan, variances))[first],
+        stated,
+        parameters=np.zeros(2) if parameters is None else parameters,
+    )
 
 
-def standardised_residuals(residuals: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """(n, 6) m and rad, residuals of a linear fit freed of what it took into itself: as great as errors at its configurations are in the mean.
+def standardised_residuals(
+    residuals: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, label: np.ndarray
+) -> np.ndarray:
+    """(n, 6) m and rad, residuals of a linear fit freed of what it took into itself: as great as errors at its
+    configurations are in the mean.
 
     residuals : (n, 6); label : (n,) configuration of each sample; the rest as `parameter_squares_without`
     Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.1, by blocks
@@ -117,10 +136,14 @@ def standardised_residuals(residuals: np.ndarray, jacobian: np.ndarray, covarian
     return out
 
 
-def parameter_squares_without(jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """(2,) m^2 and rad^2, mean square of pose errors by parameters that were fitted without the samples of the same part.
+def parameter_squares_without(
+    jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, part: np.ndarray
+) -> np.ndarray:
+    """(2,) m^2 and rad^2, mean square of pose errors by parameters that were fitted without the samples of the same
+    part.
 
-    jacobian : (n, 6, p) of poses with the parameters; covariance : (p, p) of the parameters of a fit of all samples; noise : (n, 6, 6) by which that
+    jacobian : (n, 6, p) of poses with the parameters; covariance : (p, p) of the parameters of a fit of all samples;
+        noise : (n, 6, 6) by which that
     fit weighed them; part : (n,) which are held out together
     Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.2, by blocks
     """
@@ -130,10 +153,11 @@ def parameter_squares_without(jacobian: np.ndarray, covariance: np.ndarray, nois
     return np.asarray(out.mean(axis=0).reshape(2, 3).sum(axis=1))
 
 
-def _leverages(jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray,
-               part: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Of each part (its samples (n,) bool, roots of their noise (m, 6, 6), directions (6 m, 6 m) of their whitened poses, and of each direction the
-    share, 0 to ALL_OWN, of what is known of it that these samples tell themselves)."""
+def _leverages(
+    jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, part: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Of each part (its samples (n,) bool, roots of their noise (m, 6, 6), directions (6 m, 6 m) of their whitened
+    poses, and of each direction the share, 0 to ALL_OWN, of what is known of it that these samples tell themselves)."""
     for each in np.unique(part):
         own = part == each
         L = np.linalg.cholesky(noise[own])
@@ -143,13 +167,17 @@ def _leverages(jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray,
 
 
 def degrees_of_freedom(squares: np.ndarray) -> float:
-    """Degrees of freedom of the mean of squares (c,), in order of time, as they scatter and as neighbours say the same."""
+    """Degrees of freedom of the mean of squares (c,), in order of time, as they scatter and as neighbours say the
+    same.
+    """
     variance = squares.var(ddof=1) / len(squares) * autocorrelation_factor(squares)
     most = INDEPENDENT * len(squares)
     return float(np.clip(2 * squares.mean() ** 2 / max(variance, 1e-300), LEAST_FREEDOM, most))
 
 
 def draw_common_error_squares(samples: Samples, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count, 2) m^2 and rad^2, draws of the mean square of what all poses of samples share: whoever measured them carries it into what is fitted."""
+    """(count, 2) m^2 and rad^2, draws of the mean square of what all poses of samples share: whoever measured them
+    carries it into what is fitted.
+    """
     drawn = np.einsum("nik,kd->dni", samples.common, rng.normal(size=(samples.common.shape[2], count)))
     return np.stack([(drawn[..., part] ** 2).sum(axis=2).mean(axis=1) for part in PARTS], axis=1)

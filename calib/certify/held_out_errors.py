@@ -1,4 +1,6 @@
-"""Pose errors at configurations that nothing was fitted to: their figures, before and after, and how sure their ratio is."""
+"""Pose errors at configurations that nothing was fitted to: their figures, before and after, and how sure their ratio
+is.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +20,8 @@ GAIN = 2.0  # standard errors by which a correction must pay on held-out poses t
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Pose errors: n; RMS, 95th percentile and greatest of the error's length in position (m) and rotation (rad); bias (6,);
+    """Pose errors: n; RMS, 95th percentile and greatest of the error's length in position (m) and rotation (rad); bias
+    (6,);
     mean : of the length in position (m) and rotation (rad)."""
 
     n: int
@@ -30,7 +33,8 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """before : with the owner's model; after : corrected; both against the measured poses, which were not used in fitting
+    """before : with the owner's model; after : corrected; both against the measured poses, which were not used in
+    fitting
 
     floor : (m, rad) RMS standard uncertainty of the measured poses themselves
     ratio : before / after in position, where that was not measured in rotation, on these poses,
@@ -48,16 +52,28 @@ class HeldOut:
 
 def error_figures(errors: np.ndarray) -> Figures:
     """Figures of pose errors (n, 6), position (m) and rotation (rad), NaN where these were not measured."""
+
     def three(parts: np.ndarray) -> tuple[float, float, float]:
         length = np.linalg.norm(parts, axis=1)
         return float(np.sqrt(np.mean(length**2))), float(np.quantile(length, 0.95)), float(length.max())
 
     position, rotation = (float(np.linalg.norm(parts, axis=1).mean()) for parts in (errors[:, :3], errors[:, 3:]))
-    return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()), (position, rotation))
+    return Figures(
+        len(errors),
+        three(errors[:, :3]),
+        three(errors[:, 3:]),
+        tuple(errors.mean(axis=0).tolist()),
+        (position, rotation),
+    )
 
 
-def compare_errors(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.ndarray, rng: np.random.Generator,
-            label: np.ndarray | None = None) -> HeldOut:
+def compare_errors(
+    errors_before: np.ndarray,
+    errors_after: np.ndarray,
+    covariance: np.ndarray,
+    rng: np.random.Generator,
+    label: np.ndarray | None = None,
+) -> HeldOut:
     """HeldOut of the errors (n, 6) on the same poses; covariance : (n, 6, 6) of the measured poses.
 
     label : (n,) configuration of each pose, each its own by default; rng : numpy Generator, for the bootstrap
@@ -77,33 +93,40 @@ def compare_errors(errors_before: np.ndarray, errors_after: np.ndarray, covarian
 
 
 def errors_before_and_after(correction: Correction[Any, Any], samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's; NaN where a
-    rotation was not measured, or is not the machine's to give."""
+    """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's; NaN
+    where a rotation was not measured, or is not the machine's to give."""
     nominal = mechanisms.kinematics_of(correction.nominal).forward(samples.commanded, correction.nominal)
     return pose_errors(nominal, samples), pose_errors(correction.predict(samples.effective), samples)
 
 
 def pose_errors(T_base_platform: RigidTransform, samples: Samples) -> np.ndarray:
-    """(n, 6) measured poses against these (n,), NaN as `errors_before_and_after` and for positions that were not measured; of a wire's length along
-    x."""
+    """(n, 6) measured poses against these (n,), NaN as `errors_before_and_after` and for positions that were not
+    measured; of a wire's length along x."""
     if samples.measured == "distance":
         error = np.full((len(samples), 6), np.nan)
         error[:, 0] = samples.T_base_platform.translation[:, 0] - np.linalg.norm(T_base_platform.translation, axis=1)
         error[:, 1:3] = 0.0
         return error
-    error, spread = pose_difference(T_base_platform, samples.T_base_platform), samples.covariance[:, [3, 4, 5], [3, 4, 5]]
+    error, spread = (
+        pose_difference(T_base_platform, samples.T_base_platform),
+        samples.covariance[:, [3, 4, 5], [3, 4, 5]],
+    )
     error[:, 3:][np.isinf(spread) | (spread == 0)] = np.nan
     error[:, :3][np.isinf(samples.covariance[:, [0, 1, 2], [0, 1, 2]])] = np.nan
     return error
 
 
 def is_significant_gain(gain: np.ndarray) -> bool:
-    """Whether what each held-out pose gains (n,), in order of time, is beyond chance by GAIN standard errors, neighbours taken for alike."""
+    """Whether what each held-out pose gains (n,), in order of time, is beyond chance by GAIN standard errors,
+    neighbours taken for alike.
+    """
     return bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / autocorrelation_factor(gain)))
 
 
 def autocorrelation_factor(series: np.ndarray) -> float:
-    """How many neighbours in time say the same in a series (n,): 1 + 2 x the sum of the autocorrelations before they first turn negative."""
+    """How many neighbours in time say the same in a series (n,): 1 + 2 x the sum of the autocorrelations before they
+    first turn negative.
+    """
     centred = series - series.mean()
     total = (centred**2).sum()
     factor = 1.0

@@ -1,7 +1,8 @@
-"""Poses of recordings that a calibration was not made from: their errors, what measuring them adds, and which of them count.
+"""Poses of recordings that a calibration was not made from: their errors, what measuring them adds, and which of them
+count.
 
-Only exposures of a machine at rest count, and of each configuration the first visit alone speaks for poses at large: the others are
-repeats, from which repeatability is read.
+Only exposures of a machine at rest count, and of each configuration the first visit alone speaks for poses at large:
+the others are repeats, from which repeatability is read.
 """
 
 from collections.abc import Sequence
@@ -24,10 +25,12 @@ class HeldPoses:
     """n poses at rest, of r recordings.
 
     recording : (n,) index of each one's; frame, t : (n,), (n,) s; commanded : (n, axes) m or rad
-    before : (n, axes) sign of each axis' last move, 0 where it never moved; step : (n, axes) bool, which axes the machine's last move moved
-    T_base_platform : RigidTransform (n,) measured; errors : (n, 6) of them against the calibrated machine's, NaN where a rotation was not
-    measured, m and rad; plain : the same against the owner's model; own : (n, 6, 6) noise of each; common : of each recording the
-    (n, 6, k) factor of what it shares, 0 for the others' poses
+    before : (n, axes) sign of each axis' last move, 0 where it never moved; step : (n, axes) bool, which axes the
+        machine's last move moved
+    T_base_platform : RigidTransform (n,) measured; errors : (n, 6) of them against the calibrated machine's, NaN where
+    a rotation was not measured, m and rad; plain : the same against the owner's model; own : (n, 6, 6) noise of each;
+        common : of each
+    recording the (n, 6, k) factor of what it shares, 0 for the others' poses
     label : (n,) configuration; moving : how many exposures were left out since the machine moved
     """
 
@@ -50,8 +53,8 @@ class HeldPoses:
 
     @property
     def first(self) -> np.ndarray:
-        """(c,) indices of each configuration's first visit, those left out that one axis alone came to: a ladder tells of an axis, and would
-        crowd the middle of the volume."""
+        """(c,) indices of each configuration's first visit, those left out that one axis alone came to: a ladder tells
+        of an axis, and would crowd the middle of the volume."""
         at = np.flatnonzero(self.step.sum(axis=1) != 1)
         return at[np.unique(self.label[at], return_index=True)[1]]
 
@@ -70,13 +73,19 @@ def is_at_rest(commands: Commands, t: np.ndarray) -> np.ndarray:
     earlier = np.maximum(t - REST, commands.t[0])
     between = np.searchsorted(commands.t, t) - np.searchsorted(commands.t, earlier)
     same = np.isclose(commands.at(t), commands.at(earlier), rtol=0, atol=1e-9).all(axis=1)
-    knots = np.array([np.ptp(commands.values[k - b : k], axis=0).max(initial=0.0) if b else 0.0
-                      for k, b in zip(np.searchsorted(commands.t, t), between)])
+    knots = np.array(
+        [
+            np.ptp(commands.values[k - b : k], axis=0).max(initial=0.0) if b else 0.0
+            for k, b in zip(np.searchsorted(commands.t, t), between)
+        ]
+    )
     return same & (knots < 1e-9)
 
 
 def last_moves(commands: Commands, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(before (n, axes) sign of each axis' last move before times t (n,) s, step (n, axes) whether it was part of the machine's last)."""
+    """(before (n, axes) sign of each axis' last move before times t (n,) s, step (n, axes) whether it was part of the
+    machine's last).
+    """
     moves = np.sign(np.where(np.abs(np.diff(commands.values, axis=0)) > 1e-9, np.diff(commands.values, axis=0), 0.0))
     rows = np.where(moves != 0, np.arange(1, len(moves) + 1)[:, None], 0)
     last = np.vstack([np.zeros((1, moves.shape[1]), int), np.maximum.accumulate(rows, axis=0)])  # 0: never moved
@@ -96,8 +105,13 @@ def held_poses(correction: Correction, parts: Sequence[tuple[Samples, Commands, 
     kept = [np.flatnonzero(is_at_rest(commands, samples.t)) for samples, commands, _, _ in parts]
     moving = sum(len(samples) - len(k) for k, (samples, *_) in zip(kept, parts))
     if not sum(map(len, kept)):
-        raise NotEnoughData(f"none of {moving} exposures is of a machine at rest for {REST:g} s; a certificate speaks for poses that are held")
-    each = [(samples.take(k), commands, plain[k], errors[k]) for k, (samples, commands, plain, errors) in zip(kept, parts)]
+        raise NotEnoughData(
+            f"none of {moving} exposures is of a machine at rest for {REST:g} s; a certificate speaks for "
+            "poses that are held"
+        )
+    each = [
+        (samples.take(k), commands, plain[k], errors[k]) for k, (samples, commands, plain, errors) in zip(kept, parts)
+    ]
     sizes = [len(samples) for samples, *_ in each]
     ends = np.cumsum(sizes)
     common = []

@@ -1,9 +1,11 @@
-"""ISO 230-2 of each axis from ladders: accuracy A, repeatability R, reversal B, systematic deviation E and its mean M of positions come to from
-both sides by that axis alone; A, R and E of either side as well.
+"""ISO 230-2 of each axis from ladders: accuracy A, repeatability R, reversal B, systematic deviation E and its mean M
+of positions come to from both sides by that axis alone; A, R and E of either side as well.
 
-An axis' deviation is what the calibrated machine would have had to be commanded beyond the command for the pose that was measured. The standard
-requires five positions at least, each come to five times from either side; what a recording has short of that is reported with its counts.
-docs/mathematics.md (29); ISO 230-2:2014, clause 3, whose symbols these are, up standing for an arrow up (the axis had lengthened).
+An axis' deviation is what the calibrated machine would have had to be commanded beyond the command for the pose that
+was measured. The standard requires five positions at least, each come to five times from either side; what a recording
+has short of that is reported with its counts.
+docs/mathematics.md (29); ISO 230-2:2014, clause 3, whose symbols these are, up standing for an arrow up (the axis had
+lengthened).
 """
 
 from dataclasses import dataclass
@@ -28,7 +30,8 @@ class AxisTest:
     M : mean bidirectional deviation, the range of the two directions' common means
     A, R : bidirectional accuracy and repeatability; A_up, A_down, R_up, R_down : of one direction
     each A and R None where some position was come to once alone from a side
-    u : standard uncertainty of one deviation from measuring; formal : whether there are as many as the standard asks for."""
+    u : standard uncertainty of one deviation from measuring; formal : whether there are as many as the standard asks
+        for."""
 
     axis: str
     unit: str
@@ -62,7 +65,15 @@ def iso230(correction: Correction, poses: HeldPoses) -> tuple[AxisTest, ...]:
     out = []
     for axis, name in enumerate(mechanisms.axis_places(mechanism)):
         rows = np.flatnonzero(alone & poses.step[:, axis])
-        found = _test(name, mechanisms.axis_units(mechanism)[axis], poses, rows, axis, deviation[:, axis], float(noise[:, axis].mean()))
+        found = _test(
+            name,
+            mechanisms.axis_units(mechanism)[axis],
+            poses,
+            rows,
+            axis,
+            deviation[:, axis],
+            float(noise[:, axis].mean()),
+        )
         if found is not None:
             out.append(found)
     return tuple(out)
@@ -77,10 +88,14 @@ def _to_axes(correction: Correction, poses: HeldPoses) -> np.ndarray:
     return strut_jacobian(poses.T_base_platform, correction.fitted)
 
 
-def _test(name: str, unit: str, poses: HeldPoses, rows: np.ndarray, axis: int, deviation: np.ndarray, u: float) -> AxisTest | None:
+def _test(
+    name: str, unit: str, poses: HeldPoses, rows: np.ndarray, axis: int, deviation: np.ndarray, u: float
+) -> AxisTest | None:
     means, spreads, counts = [], [], []
     for label in np.unique(poses.label[rows]):
-        sides = [deviation[rows[(poses.label[rows] == label) & (poses.before[rows, axis] == sign)]] for sign in (1.0, -1.0)]
+        sides = [
+            deviation[rows[(poses.label[rows] == label) & (poses.before[rows, axis] == sign)]] for sign in (1.0, -1.0)
+        ]
         if all(len(side) for side in sides):
             means.append([side.mean() for side in sides])
             spreads.append([side.std(ddof=1) if len(side) > 1 else np.nan for side in sides])
@@ -90,8 +105,21 @@ def _test(name: str, unit: str, poses: HeldPoses, rows: np.ndarray, axis: int, d
     mean, s = np.array(means), np.array(spreads)
     cycles = min(counts)
     E_up, E_down = np.ptp(mean, axis=0).tolist()
-    return AxisTest(name, unit, len(mean), cycles, *reversal_values(mean), float(np.ptp(mean)), E_up, E_down, float(np.ptp(mean.mean(axis=1))),
-                    *axis_accuracy(mean, s), *axis_repeatability(mean, s), u, len(mean) >= POSITIONS and cycles >= CYCLES)
+    return AxisTest(
+        name,
+        unit,
+        len(mean),
+        cycles,
+        *reversal_values(mean),
+        float(np.ptp(mean)),
+        E_up,
+        E_down,
+        float(np.ptp(mean.mean(axis=1))),
+        *axis_accuracy(mean, s),
+        *axis_repeatability(mean, s),
+        u,
+        len(mean) >= POSITIONS and cycles >= CYCLES,
+    )
 
 
 def reversal_values(mean: np.ndarray) -> tuple[float, float]:

@@ -1,9 +1,11 @@
-"""ISO 9283: pose accuracy AP and pose repeatability RP of poses that were visited again, and what keeps them from being the standard's.
+"""ISO 9283: pose accuracy AP and pose repeatability RP of poses that were visited again, and what keeps them from being
+the standard's.
 
-Of each pose that was visited k times from commands alike: AP, the barycentre's distance from where the pose should be; l_j, the visits' distances
-from the barycentre; RP = mean of l + 3 s_l; for rotations AP and RP = 3 s axis by axis. They are the standard's where the test is: five poses on
-a diagonal plane of a cube, one after the other in one order, thirty times, each come to from one side, at full load and full speed. What of that
-is not met is named. docs/mathematics.md (27); ISO 9283:1998, 6.8 to 7.2.
+Of each pose that was visited k times from commands alike: AP, the barycentre's distance from where the pose should be;
+l_j, the visits' distances from the barycentre; RP = mean of l + 3 s_l; for rotations AP and RP = 3 s axis by axis. They
+are the standard's where the test is: five poses on a diagonal plane of a cube, one after the other in one order, thirty
+times, each come to from one side, at full load and full speed. What of that is not met is named. docs/mathematics.md
+(27); ISO 9283:1998, 6.8 to 7.2.
 """
 
 from collections.abc import Sequence
@@ -24,7 +26,8 @@ PLANE = 1 / 3  # cosine between the diagonals of a plane through opposite edges 
 
 @dataclass(frozen=True, slots=True)
 class RepeatedPose:
-    """place : (3,) m; visits; AP, RP : m; AP_axes, RP_axes : (3,) rad about x y z of the platform, None where no rotation was measured
+    """place : (3,) m; visits; AP, RP : m; AP_axes, RP_axes : (3,) rad about x y z of the platform, None where no
+    rotation was measured
     approaches : from how many sides it was come to."""
 
     place: tuple[float, ...]
@@ -40,7 +43,8 @@ class RepeatedPose:
 class Iso9283:
     """repeated : RepeatedPose of poses with FEWEST visits at least
     formal : whether the test is the standard's; not_met : what of it is not, in words
-    random : AP over all distinct poses, one visit each: n, mean, greatest (m), and the same of rotations (rad) or None."""
+    random : AP over all distinct poses, one visit each: n, mean, greatest (m), and the same of rotations (rad) or
+        None."""
 
     repeated: tuple[RepeatedPose, ...]
     formal: bool
@@ -51,7 +55,8 @@ class Iso9283:
 
 @dataclass(frozen=True, slots=True)
 class Duty:
-    """speed : m/s or rad/s, the least over the visits of the fastest axis on the way there, None where commands do not show it; rated_speed
+    """speed : m/s or rad/s, the least over the visits of the fastest axis on the way there, None where commands do not
+    show it; rated_speed
     load : (least, greatest) kg at the exposures, None where not logged; rated_load : kg; each None where not stated."""
 
     speed: float | None
@@ -69,21 +74,42 @@ def iso9283(poses: HeldPoses, duty: Duty) -> Iso9283:
         mean = errors.mean(axis=0)
         far = np.linalg.norm(errors[:, :3] - mean[:3], axis=1)
         place = tuple(poses.T_base_platform[at].translation.mean(axis=0).tolist())
-        turn = (tuple(mean[3:].tolist()), tuple((3 * errors[:, 3:].std(axis=0, ddof=1)).tolist())) if poses.rotations else (None, None)
-        rows.append(RepeatedPose(place, len(at), len(np.unique(poses.before[at], axis=0)), float(np.linalg.norm(mean[:3])),
-                                 float(far.mean() + 3 * far.std(ddof=1)), *turn))
+        turn = (
+            (tuple(mean[3:].tolist()), tuple((3 * errors[:, 3:].std(axis=0, ddof=1)).tolist()))
+            if poses.rotations
+            else (None, None)
+        )
+        rows.append(
+            RepeatedPose(
+                place,
+                len(at),
+                len(np.unique(poses.before[at], axis=0)),
+                float(np.linalg.norm(mean[:3])),
+                float(far.mean() + 3 * far.std(ddof=1)),
+                *turn,
+            )
+        )
     first = poses.errors[poses.first]
     lengths, turned = np.linalg.norm(first[:, :3], axis=1), np.linalg.norm(first[:, 3:], axis=1)
     missing = unmet_requirements(poses, duty)
-    return Iso9283(tuple(rows), not missing, missing, (len(first), float(lengths.mean()), float(lengths.max())),
-                   (float(turned.mean()), float(turned.max())) if poses.rotations else None)
+    return Iso9283(
+        tuple(rows),
+        not missing,
+        missing,
+        (len(first), float(lengths.mean()), float(lengths.max())),
+        (float(turned.mean()), float(turned.max())) if poses.rotations else None,
+    )
 
 
 def unmet_requirements(poses: HeldPoses, duty: Duty) -> tuple[str, ...]:
-    """What the standard requires of the test and these HeldPoses do not show, one sentence each, without its full stop."""
+    """What the standard requires of the test and these HeldPoses do not show, one sentence each, without its full
+    stop.
+    """
     order = np.lexsort((poses.t, poses.recording))
     label, recording = poses.label[order], poses.recording[order]
-    fresh = np.append(True, (label[1:] != label[:-1]) | (recording[1:] != recording[:-1]))  # exposures without a move between are one visit
+    fresh = np.append(
+        True, (label[1:] != label[:-1]) | (recording[1:] != recording[:-1])
+    )  # exposures without a move between are one visit
     visits = order[fresh]
     often = np.flatnonzero(np.bincount(poses.label[visits]) >= VISITS)
     if len(often) != POSES:
@@ -103,7 +129,9 @@ def unmet_requirements(poses: HeldPoses, duty: Duty) -> tuple[str, ...]:
 
 
 def _places(places: np.ndarray) -> tuple[str, ...]:
-    """What is wrong with the five places (5, 3) m: one in the middle, four at the corners of a diagonal plane of a cube about it."""
+    """What is wrong with the five places (5, 3) m: one in the middle, four at the corners of a diagonal plane of a cube
+    about it.
+    """
     from_middle = places - places.mean(axis=0)
     centre = int(np.argmin(np.linalg.norm(from_middle, axis=1)))
     arms = np.delete(places - places[centre], centre, axis=0)
@@ -129,13 +157,25 @@ def _duty(duty: Duty) -> list[str]:
     if duty.rated_speed is None:
         out.append("the rated speed is not stated")
     elif duty.speed is None or duty.speed < FULL * duty.rated_speed:
-        reached = "commands do not show the speed" if duty.speed is None else f"some poses were come to at {duty.speed / duty.rated_speed:.0%} of it"
+        reached = (
+            "commands do not show the speed"
+            if duty.speed is None
+            else f"some poses were come to at {duty.speed / duty.rated_speed:.0%} of it"
+        )
         out.append(f"the rated speed was not reached: {reached}")
     return out
 
 
-def duty_of(poses: HeldPoses, recordings: Sequence[Recording], design: Design, load: tuple[float, float] | None, rated_load: float | None) -> Duty:
-    """Duty of HeldPoses. recordings : in the order of poses.recording; load : as logged, kg; rated_load : kg, as stated"""
+def duty_of(
+    poses: HeldPoses,
+    recordings: Sequence[Recording],
+    design: Design,
+    load: tuple[float, float] | None,
+    rated_load: float | None,
+) -> Duty:
+    """Duty of HeldPoses. recordings : in the order of poses.recording; load : as logged, kg; rated_load : kg, as
+    stated
+    """
     top = design.actuator.max_speed
     return Duty(_least_speed(poses, recordings), top, load, rated_load)
 

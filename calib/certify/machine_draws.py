@@ -1,7 +1,8 @@
-"""Machines drawn as recorded poses leave them: parameters, what struts do beyond them, and the poses' shared errors, all together.
+"""Machines drawn as recorded poses leave them: parameters, what struts do beyond them, and the poses' shared errors,
+all together.
 
-What the design of a recording confounds is drawn together: where play, time or a function of the configuration stand for a parameter, one
-draw has the one and the next the other. docs/mathematics.md (21)
+What the design of a recording confounds is drawn together: where play, time or a function of the configuration stand
+for a parameter, one draw has the one and the next the other. docs/mathematics.md (21)
 """
 
 from collections.abc import Callable
@@ -11,7 +12,15 @@ import numpy as np
 
 from calib.certify.deviation_component_sizes import Closures, draw_component_sizes
 from calib.certify.possible_machines import Machines
-from calib.certify.strut_deviation_kernels import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component, deviation_components, scaled_commands
+from calib.certify.strut_deviation_kernels import (
+    CONDITION,
+    CONFIGURATION,
+    PLACE,
+    SAMPLE,
+    Component,
+    deviation_components,
+    scaled_commands,
+)
 from calib.models.platform.identification import Identified, loop_jacobian, parameters, strut_jacobian
 from calib.models.platform.stated_geometry_accuracy import Tolerance, parameter_widths
 from calib.samples.pose_samples import Samples
@@ -19,29 +28,43 @@ from rig.model import mechanisms
 from rig.model.mechanism_kinds import Struts
 
 ALIKE = 0.12  # by which share what a law leaves in use is more or less than these functions of it have it
-WILD = 0.05  # share of poses that may be left out as wild; where more agree with no geometry, the machine is counted as doing so
-SEEN, SEEING = ("time", "temperature"), 0.5  # what is rather seen than done, where cameras look, and the probability of that
+# share of poses that may be left out as wild; where more agree with no geometry, the machine is counted as doing so
+WILD = 0.05
+SEEN, SEEING = (
+    ("time", "temperature"),
+    0.5,
+)  # what is rather seen than done, where cameras look, and the probability of that
 COUNT, EACH = 128, 8  # draws of sizes, and machines drawn for each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sizes:
-    """inliers : (n,) bool, the samples that are counted; components : per strut its Components; draws : per strut (COUNT, its components) m, of their
-    sizes; the same row of all struts is one machine."""
+    """inliers : (n,) bool, the samples that are counted; components : per strut its Components; draws : per strut
+    (COUNT, its components) m, of their sizes; the same row of all struts is one machine."""
 
     inliers: np.ndarray
     components: list[list[Component]]
     draws: list[np.ndarray]
 
     def of_place(self) -> np.ndarray:
-        """(axes,) probability that a strut's deviation has a function of place, as these samples tell it from everything else."""
-        return np.array([(draws[:, [part.over == PLACE for part in own]] > 0).any(axis=1).mean() for own, draws in zip(self.components, self.draws)])
+        """(axes,) probability that a strut's deviation has a function of place, as these samples tell it from
+        everything else.
+        """
+        return np.array(
+            [
+                (draws[:, [part.over == PLACE for part in own]] > 0).any(axis=1).mean()
+                for own, draws in zip(self.components, self.draws)
+            ]
+        )
 
 
-def deviation_sizes(found: Identified, known: Tolerance, samples: Samples, label: np.ndarray, nominal: Struts, rng: np.random.Generator) -> Sizes:
+def deviation_sizes(
+    found: Identified, known: Tolerance, samples: Samples, label: np.ndarray, nominal: Struts, rng: np.random.Generator
+) -> Sizes:
     """Sizes of what struts do beyond their geometry.
 
-    found : Identified, of a geometry alone; known : Tolerance; samples : Samples, each visit one; label : (n,) configurations
+    found : Identified, of a geometry alone; known : Tolerance; samples : Samples, each visit one; label : (n,)
+        configurations
     """
     counted = found.inliers if (~found.inliers).mean() <= WILD else np.ones(len(samples), bool)
     samples, label = samples.take(counted), np.unique(label[counted], return_inverse=True)[1]
@@ -55,7 +78,8 @@ def deviation_sizes(found: Identified, known: Tolerance, samples: Samples, label
 
 
 def _scattered(found: Identified, model: "_Closures", counted: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """(k,) sizes, m -> (k,) by how much the log likelihood of all struts' closures together grows where each scatters by so much.
+    """(k,) sizes, m -> (k,) by how much the log likelihood of all struts' closures together grows where each scatters
+    by so much.
 
     What all poses together exclude, no strut by itself may: the poses' errors are shared by the struts.
     """
@@ -65,20 +89,38 @@ def _scattered(found: Identified, model: "_Closures", counted: np.ndarray) -> Ca
 
     def likelihood(size: np.ndarray) -> np.ndarray:
         V = S + size[:, None, None, None] ** 2 * np.eye(S.shape[1])
-        square = np.einsum("ni,kni->k", left, np.linalg.solve(V, np.broadcast_to(left[..., None], (len(size), *left.shape, 1)))[..., 0])
+        square = np.einsum(
+            "ni,kni->k", left, np.linalg.solve(V, np.broadcast_to(left[..., None], (len(size), *left.shape, 1)))[..., 0]
+        )
         return np.asarray(-0.5 * (free * np.linalg.slogdet(V)[1].sum(axis=1) + square))
 
     return lambda size: likelihood(size) - likelihood(np.zeros(1))
 
 
-def draw_machines(found: Identified, known: Tolerance, samples: Samples, sizes: Sizes, nominal: Struts, places: np.ndarray, noise: np.ndarray,
-          rng: np.random.Generator) -> Machines:
-    """Machines about a fit. found : Identified, whose mechanism the parameters are about; known : Tolerance; samples : Samples, each visit one
+def draw_machines(
+    found: Identified,
+    known: Tolerance,
+    samples: Samples,
+    sizes: Sizes,
+    nominal: Struts,
+    places: np.ndarray,
+    noise: np.ndarray,
+    rng: np.random.Generator,
+) -> Machines:
+    """Machines about a fit. found : Identified, whose mechanism the parameters are about; known : Tolerance;
+    samples : Samples, each visit one
 
     sizes : Sizes by the same samples; places : (m, axes) m commands; noise : (COUNT,) factors on the poses' covariance
     """
-    model, parts, x = _Closures(found, samples.take(sizes.inliers)), sizes.components, scaled_commands(places, nominal.strut_range)
-    at = [[part.at(x) if part.kernel is not None else part.use(x) if part.use is not None else None for part in own] for own in parts]
+    model, parts, x = (
+        _Closures(found, samples.take(sizes.inliers)),
+        sizes.components,
+        scaled_commands(places, nominal.strut_range),
+    )
+    at = [
+        [part.at(x) if part.kernel is not None else part.use(x) if part.use is not None else None for part in own]
+        for own in parts
+    ]
     middle, y, count = parameters(nominal) - parameters(found.mechanism), model.about(nominal), COUNT
     width = parameter_widths(known.widths, known.counts)[rng.choice(len(known.weight), count, p=known.weight)]
     size = sizes.draws
@@ -89,7 +131,9 @@ def draw_machines(found: Identified, known: Tolerance, samples: Samples, sizes: 
     mean, variance = np.zeros((2, count, EACH, len(x), len(parts)))
     for k in range(count):
         off[k], coefficients = model.draw(y, parts, [one[k] for one in size], width[k], float(noise[k]), rng)
-        course, watched = np.zeros((2, EACH, len(y), len(parts)))  # of what goes as it went while the poses were recorded
+        course, watched = np.zeros(
+            (2, EACH, len(y), len(parts))
+        )  # of what goes as it went while the poses were recorded
         for i, own in enumerate(parts):
             for j, part in enumerate(own):
                 s = size[i][k, j]
@@ -113,13 +157,25 @@ def draw_machines(found: Identified, known: Tolerance, samples: Samples, sizes: 
         together[k] = np.swapaxes(course, 1, 2) @ course / len(y)
         seen[k] += np.swapaxes(watched, 1, 2) @ watched / len(y)
     less = np.exp(2 * ALIKE * rng.normal(size=(count, EACH, 1, 1)))
-    flat = [part.reshape(count * EACH, *part.shape[2:]) for part in (mean, less * variance, less * together, less * seen)]
+    flat = [
+        part.reshape(count * EACH, *part.shape[2:]) for part in (mean, less * variance, less * together, less * seen)
+    ]
     means = [one.reshape(count * EACH, -1) for one in squares]
-    return Machines(off.reshape(count * EACH, -1) + middle, parts, means, flat[0], flat[1], flat[2], flat[3], rng.random(count * EACH) < SEEING)
+    return Machines(
+        off.reshape(count * EACH, -1) + middle,
+        parts,
+        means,
+        flat[0],
+        flat[1],
+        flat[2],
+        flat[3],
+        rng.random(count * EACH) < SEEING,
+    )
 
 
-def _used(part: Component, size: float, c: np.ndarray | None, at: tuple[np.ndarray, np.ndarray] | None,
-          x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _used(
+    part: Component, size: float, c: np.ndarray | None, at: tuple[np.ndarray, np.ndarray] | None, x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(mean (EACH, m) m, variance (EACH, m) m^2) of a component of a size over places x (m, axes).
 
     c : (EACH, r) its coefficients, or None; at : what `Component.at` or `Component.use` says of the places
@@ -148,8 +204,15 @@ class _Closures:
         """(n, axes) m, the closures as the owner's figures have them, to first order."""
         return np.asarray(self.left + self.D @ (parameters(nominal) - parameters(self.fitted)))
 
-    def draw(self, y: np.ndarray, parts: list[list[Component]], size: list[np.ndarray], width: np.ndarray, noise: float,
-             rng: np.random.Generator) -> tuple[np.ndarray, dict[tuple[int, int], np.ndarray]]:
+    def draw(
+        self,
+        y: np.ndarray,
+        parts: list[list[Component]],
+        size: list[np.ndarray],
+        width: np.ndarray,
+        noise: float,
+        rng: np.random.Generator,
+    ) -> tuple[np.ndarray, dict[tuple[int, int], np.ndarray]]:
         """((EACH, p) parameters less the owner's, {(strut, component): (EACH, r) coefficients}), m, drawn together.
 
         y : (n, axes) m, from `about`; size : per strut (components,) m; width : (p,) m; noise : factor
@@ -168,7 +231,9 @@ class _Closures:
                     priors.append(np.full(part.basis.shape[1], size[i][j]))
                     which.append((i, j))
         X, prior = np.concatenate(columns, axis=2), np.concatenate(priors)
-        white = np.linalg.solve(np.linalg.cholesky(own), np.concatenate([X * prior, y[..., None]], axis=2)).reshape(n * axes, -1)
+        white = np.linalg.solve(np.linalg.cholesky(own), np.concatenate([X * prior, y[..., None]], axis=2)).reshape(
+            n * axes, -1
+        )
         H = white[:, :-1].T @ white[:, :-1] + np.eye(len(prior))
         mean = np.linalg.solve(H, white[:, :-1].T @ white[:, -1])
         c = prior * (mean + np.linalg.solve(np.linalg.cholesky(H).T, rng.normal(size=(len(prior), EACH))).T)

@@ -1,7 +1,9 @@
-"""Whether a measuring limb changed its length while it was held against vision: a step at some pose that the limbs' geometry does not explain.
+"""Whether a measuring limb changed its length while it was held against vision: a step at some pose that the limbs'
+geometry does not explain.
 
-All poses at once, by the likelihood ratio of every limb and every onset, with geometry and the errors that vision's poses share solved for
-beside it. Source: Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 7 (additive changes, known noise).
+All poses at once, by the likelihood ratio of every limb and every onset, with geometry and the errors that vision's
+poses share solved for beside it. Source: Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 7 (additive
+changes, known noise).
 """
 
 from dataclasses import dataclass
@@ -34,7 +36,10 @@ def detect_limb_slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | Non
 
     limbs : Limbs as fitted to these; sigma : m of one reading, as stated
     """
-    n, of = len(samples), redundant_legs.combine_legs([("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))], limbs.hexapod.home)
+    n, of = (
+        len(samples),
+        redundant_legs.combine_legs([("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))], limbs.hexapod.home),
+    )
     if n < 2 * LEAST:
         return None
     told, J, _ = redundant_legs.leg_length_jacobians(of, samples.T_base_platform)
@@ -57,4 +62,6 @@ def detect_limb_slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | Non
     if gain[best] / scale < scipy.special.chdtri(1, RARE / len(gain)):
         return None
     limb, at = divmod(best, len(onset))
-    return Slip(limb + 1, int(samples.frame[onset[at]]), float(-right[best] / gram[best]), float(np.sqrt(scale / gram[best])))
+    return Slip(
+        limb + 1, int(samples.frame[onset[at]]), float(-right[best] / gram[best]), float(np.sqrt(scale / gram[best]))
+    )

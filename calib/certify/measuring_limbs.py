@@ -1,8 +1,10 @@
-"""Measuring limbs beside the struts: the platform's pose from six lengths, held against vision before it is believed; more limbs check it.
+"""Measuring limbs beside the struts: the platform's pose from six lengths, held against vision before it is believed;
+more limbs check it.
 
-The limbs' own joints and zeros are found as the struts' are, from poses that vision measured. Agreement is judged on poses that were
-not used for that: bias, scatter, and limits of agreement, axis by axis, against a tolerance that is stated. Sources: the
-on-line learning patent for Stewart platforms, [0016]-[0021]; Bland and Altman, Lancet 327, 1986 (limits of agreement).
+The limbs' own joints and zeros are found as the struts' are, from poses that vision measured. Agreement is judged on
+poses that were not used for that: bias, scatter, and limits of agreement, axis by axis, against a tolerance that is
+stated. Sources: the on-line learning patent for Stewart platforms, [0016]-[0021]; Bland and Altman, Lancet 327, 1986
+(limits of agreement).
 """
 
 from dataclasses import dataclass, replace
@@ -35,8 +37,10 @@ TRUST = 1e-6  # share of honest checks that fail
 class Agreement:
     """Limbs less vision on n poses, by axis (x y z rx ry rz, m and rad, in the platform's frame).
 
-    bias, scatter : (6,); limits : (2, 6) lower and upper limit of agreement; proven_limits : (6,) what these stay within, with 97.5 %
-    expected : (6,) scatter that vision's and the limbs' own covariances account for; moved : (6,) range over which each axis went
+    bias, scatter : (6,); limits : (2, 6) lower and upper limit of agreement; proven_limits : (6,) what these stay
+        within, with 97.5 %
+    expected : (6,) scatter that vision's and the limbs' own covariances account for; moved : (6,) range over which each
+        axis went
     tolerance : (6,); passed : (6,) bool
     """
 
@@ -58,7 +62,9 @@ class Agreement:
 def stated_limbs(design: Design) -> MeasuringLimbs:
     """The measuring limbs as rig.toml has them. Raises RigError for a rig without [insitu]."""
     if design.insitu is None:
-        raise RigError("rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma")
+        raise RigError(
+            "rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma"
+        )
     return design.insitu
 
 
@@ -88,15 +94,20 @@ def limb_readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     frames, t = recording.exposures.times()
     after = np.clip(np.searchsorted(sensors.t, t), 1, len(sensors.t) - 1)
     exact = np.isclose(sensors.t[after], t, atol=1e-6) | np.isclose(sensors.t[after - 1], t, atol=1e-6)
-    good = exact | ((sensors.t[after] - sensors.t[after - 1] <= LONGEST_GAP) & (sensors.t[0] <= t) & (t <= sensors.t[-1]))
+    good = exact | (
+        (sensors.t[after] - sensors.t[after - 1] <= LONGEST_GAP) & (sensors.t[0] <= t) & (t <= sensors.t[-1])
+    )
     if not good.any():
-        raise NotEnoughData(f"{recording.folder}: none of {len(t)} exposures has readings of the limbs within {LONGEST_GAP:g} s before and after it")
+        raise NotEnoughData(
+            f"{recording.folder}: none of {len(t)} exposures has readings of the limbs within "
+            f"{LONGEST_GAP:g} s before and after it"
+        )
     return frames[good], np.stack([np.interp(t[good], sensors.t, sensors.channels[name]) for name in channels], axis=1)
 
 
 def samples_by_limbs(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
-    """Samples whose commands are the limbs' readings. samples : Samples by vision; frames (f,), lengths (f, 6) m : as `limb_readings` gives them, of
-    six.
+    """Samples whose commands are the limbs' readings. samples : Samples by vision; frames (f,), lengths (f, 6) m : as
+    `limb_readings` gives them, of six.
 
     Raises NotEnoughData where no frame has both
     """
@@ -108,7 +119,9 @@ def samples_by_limbs(samples: Samples, frames: np.ndarray, lengths: np.ndarray) 
 
 
 def calibrate_limbs(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
-    """(Limbs, Identified) from Samples as `samples_by_limbs` makes them. nominal : Hexapod as stated; sigma : m of one reading"""
+    """(Limbs, Identified) from Samples as `samples_by_limbs` makes them. nominal : Hexapod as stated; sigma : m of one
+    reading
+    """
     found: Identified = identify(add_reading_noise(samples, nominal, sigma), nominal)
     return Limbs(hexapod_of(found.mechanism), found.covariance, np.hypot(found.scatter, sigma)), found
 
@@ -120,10 +133,11 @@ def add_reading_noise(samples: Samples, nominal: Hexapod, sigma: float) -> Sampl
 
 
 def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, np.ndarray]:
-    """(T_limbs RigidTransform (n,), expected (n, 6, 6) covariance of the difference): every pose by limbs fitted to other stretches.
+    """(T_limbs RigidTransform (n,), expected (n, 6, 6) covariance of the difference): every pose by limbs fitted to
+    other stretches.
 
-    The expectation holds what the limbs' fit to the same cameras shares with vision once only: vision's shared errors go into the
-    limbs, so that they do not show in the difference. Raises NotEnoughData for fewer than FEWEST poses
+    The expectation holds what the limbs' fit to the same cameras shares with vision once only: vision's shared errors
+    go into the limbs, so that they do not show in the difference. Raises NotEnoughData for fewer than FEWEST poses
     """
     if len(samples) < FEWEST:
         raise NotEnoughData(f"{len(samples)} poses by vision with readings; limits of agreement take at least {FEWEST}")
@@ -134,26 +148,44 @@ def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tup
         limbs, _ = calibrate_limbs(samples.take(fold != k), nominal, sigma)
         part = samples.take(fold == k)
         T = limbs.pose(part.commanded)
-        apart, _ = calibrate_limbs(alone.take(fold != k), nominal, sigma)  # what the fit's own noise adds, vision's shared errors aside
+        apart, _ = calibrate_limbs(
+            alone.take(fold != k), nominal, sigma
+        )  # what the fit's own noise adds, vision's shared errors aside
         own, common = apart.uncertainty(T)
         matrices[fold == k] = T.as_matrix()
         expected[fold == k] = own + part.covariance + common @ np.swapaxes(common, 1, 2)
     return type(samples.T_base_platform).from_matrix(matrices), expected
 
 
-def limb_agreement(T_vision: RigidTransform, T_limbs: RigidTransform, expected: np.ndarray, tolerance: tuple[float, float]) -> Agreement:
+def limb_agreement(
+    T_vision: RigidTransform, T_limbs: RigidTransform, expected: np.ndarray, tolerance: tuple[float, float]
+) -> Agreement:
     """Agreement of two measurements of the same poses (n,). expected : (n, 6, 6) covariance of their difference
     tolerance : (m, rad) for position and rotation, each axis"""
     d, n = pose_difference(T_vision, T_limbs), len(T_vision)
     bias, scatter = d.mean(axis=0), d.std(axis=0, ddof=1)
     limits = np.stack([bias - COVERAGE * scatter, bias + COVERAGE * scatter])
-    unsure = COVERAGE * scatter * np.sqrt(1 / n + COVERAGE**2 / (2 * (n - 1)))  # Bland and Altman: of the limits themselves
+    unsure = (
+        COVERAGE * scatter * np.sqrt(1 / n + COVERAGE**2 / (2 * (n - 1)))
+    )  # Bland and Altman: of the limits themselves
     motion = pose_to_vector(T_vision[0].inv() * T_vision)
-    return Agreement(n, bias, scatter, limits, np.abs(limits).max(axis=0) + unsure, np.sqrt(np.einsum("nii->ni", expected).mean(axis=0)),
-                     np.ptp(motion, axis=0), np.repeat(tolerance, 3))
+    return Agreement(
+        n,
+        bias,
+        scatter,
+        limits,
+        np.abs(limits).max(axis=0) + unsure,
+        np.sqrt(np.einsum("nii->ni", expected).mean(axis=0)),
+        np.ptp(motion, axis=0),
+        np.repeat(tolerance, 3),
+    )
 
 
-def vision_agrees_with_limbs(T_vision: RigidTransform, covariance: np.ndarray, T_limbs: RigidTransform, own: np.ndarray, common: np.ndarray) -> bool:
-    """Whether vision (pose (), covariance (6, 6)) still agrees with the limbs (own (6, 6), common (6, k)), as an occasional check."""
+def vision_agrees_with_limbs(
+    T_vision: RigidTransform, covariance: np.ndarray, T_limbs: RigidTransform, own: np.ndarray, common: np.ndarray
+) -> bool:
+    """Whether vision (pose (), covariance (6, 6)) still agrees with the limbs (own (6, 6), common (6, k)), as an
+    occasional check.
+    """
     d = pose_difference(T_vision, T_limbs)
     return bool(d @ np.linalg.solve(covariance + own + common @ common.T, d) < scipy.special.chdtri(6, TRUST))

@@ -8,7 +8,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.certify.distinct_configurations import LEAST, axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
+from calib.certify.distinct_configurations import (
+    LEAST,
+    axis_ranges,
+    configuration_folds,
+    configuration_numbers,
+    mean_sample_per_configuration,
+)
 from calib.certify.held_out_error_statistics import HeldErrors
 from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after, is_significant_gain
 from calib.certify.machine_draws import COUNT, Sizes, deviation_sizes, draw_machines
@@ -16,7 +22,14 @@ from calib.certify.possible_machines import Machines
 from calib.certify.workspace_claim import Claim, draw_fit_variance_ratio, sample_workspace, workspace_claim
 from calib.correct.correction import Correction, calibrate, identify_geometry
 from calib.correct.interpolation.gaussian_process import Radial
-from calib.models.platform.identification import Identified, identify, inverse_strut_jacobian, loop_jacobian, parameters, pose_jacobian
+from calib.models.platform.identification import (
+    Identified,
+    identify,
+    inverse_strut_jacobian,
+    loop_jacobian,
+    parameters,
+    pose_jacobian,
+)
 from calib.models.platform.stated_geometry_accuracy import stated_geometry_accuracy
 from calib.samples.pose_samples import Samples, inverse_covariance
 from rig.compute.parallel_map import parallel_map
@@ -30,11 +43,14 @@ SURELY = 0.9  # probability of a function of place beside everything else from w
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certified:
-    """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
-    held_out : HeldOut, whole stretches of configurations in turn, wild poses left out, or None for fewer than configurations.LEAST of them
-    machines : Machines that the samples leave possible, or None where none were drawn; covariance : (p, p) m^2 of their parameters and
-    strut_covariance : (axes, axes) m^2 of what their struts do besides, both about the correction; left : HeldErrors of what an extension leaves at
-    configurations held out, None where nothing was extended"""
+    """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each
+    sample
+    held_out : HeldOut, whole stretches of configurations in turn, wild poses left out, or None for fewer than
+        configurations.LEAST of them
+    machines : Machines that the samples leave possible, or None where none were drawn; covariance : (p, p) m^2 of their
+        parameters and
+    strut_covariance : (axes, axes) m^2 of what their struts do besides, both about the correction; left : HeldErrors of
+    what an extension leaves at configurations held out, None where nothing was extended"""
 
     correction: Correction[Struts, Radial]
     found: Identified
@@ -47,8 +63,8 @@ class Certified:
 
 
 def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> np.ndarray:
-    """(n, 6, 6) covariance of the corrected machine's pose at poses (n,): the parameters', what struts do beyond them, each by itself
-    or together, and what an extension may be off.
+    """(n, 6, 6) covariance of the corrected machine's pose at poses (n,): the parameters', what struts do beyond them,
+    each by itself or together, and what an extension may be off.
 
     docs/mathematics.md (21)
 
@@ -65,12 +81,11 @@ def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) 
     return covariance + calibration.correction.posed_error(T_base_platform)[..., None] ** 2 * np.eye(6)
 
 
-def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
-            progress: Progress | None = None) -> Certified:
+def certify(samples: Samples, nominal: Struts, rng: np.random.Generator, progress: Progress | None = None) -> Certified:
     """Certified: calibrated on all samples, and what was left at configurations held out in turn.
 
-    The remainder is kept only where it is a significant gain on the held-out stretches; its size and smoothness, and how good
-    the owner's figures are, are those found on the whole recording. rng : numpy Generator, for the bootstrap
+    The remainder is kept only where it is a significant gain on the held-out stretches; its size and smoothness, and
+    how good the owner's figures are, are those found on the whole recording. rng : numpy Generator, for the bootstrap
     progress : called with (label, done, of), or None
     """
     label = configuration_numbers(samples.commanded, axis_ranges(nominal))
@@ -114,7 +129,8 @@ def silent_progress(label: str, done: int, of: int) -> None:
 def held_out_errors_by_fold(
     samples: Samples, label: np.ndarray, correct: Callable[[Samples], Sequence[Correction[Any, Any]]], said: Progress
 ) -> list[np.ndarray]:
-    """[before, after, after, ...], each (n, 6) as `errors_before_and_after`, m and rad, of whole stretches held out in turn, on all cores.
+    """[before, after, after, ...], each (n, 6) as `errors_before_and_after`, m and rad, of whole stretches held out in
+    turn, on all cores.
 
     label : (n,) configuration of each sample; correct : Corrections by some samples, as many each time
     """
@@ -138,7 +154,14 @@ def held_out_errors_by_fold(
 def sizes_beyond(samples: Samples, first: Certified, rng: np.random.Generator) -> Sizes:
     """Sizes of what struts do beyond their geometry, each visit a sample of its own, by a geometry alone."""
     nominal = first.correction.nominal
-    return deviation_sizes(first.found, stated_geometry_accuracy(_each_configuration(samples, first)[1], nominal), samples, first.label, nominal, rng)
+    return deviation_sizes(
+        first.found,
+        stated_geometry_accuracy(_each_configuration(samples, first)[1], nominal),
+        samples,
+        first.label,
+        nominal,
+        rng,
+    )
 
 
 def with_drawn(samples: Samples, done: Certified, sizes: Sizes, rng: np.random.Generator) -> Certified:
@@ -146,7 +169,12 @@ def with_drawn(samples: Samples, done: Certified, sizes: Sizes, rng: np.random.G
     correction, found = done.correction, _each_configuration(samples, done)[1]
     noise = draw_fit_variance_ratio(found, correction.nominal, COUNT, rng)
     known = stated_geometry_accuracy(found, correction.nominal)
-    return add_machine_draws(done, draw_machines(done.found, known, samples, sizes, correction.nominal, sample_workspace(correction)[0], noise, rng))
+    return add_machine_draws(
+        done,
+        draw_machines(
+            done.found, known, samples, sizes, correction.nominal, sample_workspace(correction)[0], noise, rng
+        ),
+    )
 
 
 def add_machine_draws(done: Certified, machines: Machines) -> Certified:
@@ -161,7 +189,9 @@ def with_refitted_correction(done: Certified, correction: Correction[Struts, Rad
     moved = replace(done, correction=correction, found=found)
     if done.machines is None:
         return moved
-    return add_machine_draws(moved, done.machines.moved(parameters(correction.fitted) - parameters(done.correction.fitted)))
+    return add_machine_draws(
+        moved, done.machines.moved(parameters(correction.fitted) - parameters(done.correction.fitted))
+    )
 
 
 def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Identified]:
@@ -174,6 +204,16 @@ def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Ide
 
 
 def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a certified calibration all over its workspace: each configuration counts once, however often it was visited."""
+    """Claim of a certified calibration all over its workspace: each configuration counts once, however often it was
+    visited.
+    """
     each, found = _each_configuration(samples, done)
-    return workspace_claim(found, stated_geometry_accuracy(found, done.correction.nominal), done.correction, each, rng, done.machines, done.left)
+    return workspace_claim(
+        found,
+        stated_geometry_accuracy(found, done.correction.nominal),
+        done.correction,
+        each,
+        rng,
+        done.machines,
+        done.left,
+    )

@@ -1,10 +1,12 @@
-"""What held-out poses promise of all poses in their volume: "with 95 % confidence, 95 % of poses lie within both ..", as a whole and cell by cell.
+"""What held-out poses promise of all poses in their volume: "with 95 % confidence, 95 % of poses lie within both ..",
+as a whole and cell by cell.
 
-The promise is one statement of position and rotation. Each pose has a depth, the greater of its position error and its rotation error, each in
-a unit that was fixed before the held-out poses were measured; the limit of depth, times the units, bounds both. So the 59 configurations of one
-limit suffice, and nothing is divided between two. Each configuration counts once. The limit is that of the poses' own errors
-(calib.certify.noise_free_errors), to whose margin is added, in squares, what one draw of the errors that all poses of a recording share could hide,
-and what the scale of the targets is uncertain by. docs/mathematics.md (24) and (26)
+The promise is one statement of position and rotation. Each pose has a depth, the greater of its position error and its
+rotation error, each in a unit that was fixed before the held-out poses were measured; the limit of depth, times the
+units, bounds both. So the 59 configurations of one limit suffice, and nothing is divided between two. Each
+configuration counts once. The limit is that of the poses' own errors (calib.certify.noise_free_errors), to whose margin
+is added, in squares, what one draw of the errors that all poses of a recording share could hide, and what the scale of
+the targets is uncertain by. docs/mathematics.md (24) and (26)
 """
 
 from dataclasses import astuple, dataclass
@@ -20,9 +22,10 @@ POSITION, ROTATION = slice(0, 3), slice(3, 6)
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Of one length (position m, or rotation rad) or of depth: estimate of the `coverage` quantile of true errors, one-sided limits (lower,
-    upper), the upper one being the promise; measured : the upper limit of the errors as measured, noise and all; shared, scale : margins of
-    what poses share. Where a Promise has two, these are of position and rotation at once."""
+    """Of one length (position m, or rotation rad) or of depth: estimate of the `coverage` quantile of true errors,
+    one-sided limits (lower, upper), the upper one being the promise; measured : the upper limit of the errors as
+    measured, noise and all; shared, scale : margins of what poses share. Where a Promise has two, these are of position
+    and rotation at once."""
 
     estimate: float
     lower: float
@@ -64,28 +67,46 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """of : POSITION or ROTATION; size : m or rad, in which a pose's length counts for its depth, fixed before the poses were measured."""
+    """of : POSITION or ROTATION; size : m or rad, in which a pose's length counts for its depth, fixed before the poses
+    were measured.
+    """
 
     of: slice
     size: float
 
 
-def pose_error_promise(poses: HeldPoses, coverage: float, confidence: float, scale: float, units: tuple[float, float], rng: np.random.Generator,
-             chosen: np.ndarray | None = None) -> Promise:
-    """Promise of poses. scale : relative standard uncertainty of the targets' scale; chosen : (c,) indices, every configuration's first by default
+def pose_error_promise(
+    poses: HeldPoses,
+    coverage: float,
+    confidence: float,
+    scale: float,
+    units: tuple[float, float],
+    rng: np.random.Generator,
+    chosen: np.ndarray | None = None,
+) -> Promise:
+    """Promise of poses. scale : relative standard uncertainty of the targets' scale; chosen : (c,) indices, every
+    configuration's first by default
 
-    units : (m, rad) whose ratio is that of the promised position to the promised rotation; whatever they are, the promise is valid as long as
-    the poses had no part in their choice
+    units : (m, rad) whose ratio is that of the promised position to the promised rotation; whatever they are, the
+    promise is valid as long as the poses had no part in their choice
     rng : numpy Generator, for the draws of shared errors. Raises NotEnoughData for fewer configurations than it takes
     """
     at = poses.first if chosen is None else chosen
     parts = (Unit(POSITION, units[0]), Unit(ROTATION, units[1]))[: 2 if poses.rotations else 1]
     depth = depth_bound(poses, at, parts, (coverage, confidence), scale, rng)
-    return Promise(depth.times(units[0]), depth.times(units[1]) if poses.rotations else None, coverage, confidence, len(at))
+    return Promise(
+        depth.times(units[0]), depth.times(units[1]) if poses.rotations else None, coverage, confidence, len(at)
+    )
 
 
-def depth_bound(poses: HeldPoses, at: np.ndarray, units: tuple[Unit, ...], level: tuple[float, float], scale: float,
-                rng: np.random.Generator) -> Bound:
+def depth_bound(
+    poses: HeldPoses,
+    at: np.ndarray,
+    units: tuple[Unit, ...],
+    level: tuple[float, float],
+    scale: float,
+    rng: np.random.Generator,
+) -> Bound:
     """Bound of the depth of poses' errors, without unit.
 
     at : (c,) indices of poses; level : (coverage, confidence); scale, rng : as `pose_error_promise`
@@ -98,16 +119,27 @@ def depth_bound(poses: HeldPoses, at: np.ndarray, units: tuple[Unit, ...], level
     own = noise_free_errors.true_depth_limits(
         lengths, np.stack([poses.sigma(unit.of)[at] / unit.size for unit in units], axis=1), coverage, confidence
     )
-    drawn = [_in_units(np.einsum("nik,dk->dni", factor[at], rng.normal(size=(DRAWS, factor.shape[2]))), units) for factor in poses.common]
+    drawn = [
+        _in_units(np.einsum("nik,dk->dni", factor[at], rng.normal(size=(DRAWS, factor.shape[2]))), units)
+        for factor in poses.common
+    ]
     shared = _margins(errors, np.sum(drawn, axis=0), coverage, confidence) if any(map(np.any, drawn)) else np.zeros(2)
     stretched = np.zeros(2)
     if scale:
         T = poses.T_base_platform[at]
         moved = np.concatenate([T.rotation.inv().apply(T.translation), np.zeros((len(at), 3))], axis=1)
-        stretched = _margins(errors, _in_units(scale * rng.normal(size=(DRAWS, 1, 1)) * moved, units), coverage, confidence)
+        stretched = _margins(
+            errors, _in_units(scale * rng.normal(size=(DRAWS, 1, 1)) * moved, units), coverage, confidence
+        )
     down, up = np.sqrt(np.array([own.estimate - own.lower, own.upper - own.estimate]) ** 2 + shared**2 + stretched**2)
-    return Bound(own.estimate, max(0.0, own.estimate - float(down)), own.estimate + float(up),
-                 tolerance_limits.upper_tolerance_limit(lengths.max(axis=1), coverage, confidence), float(shared[1]), float(stretched[1]))
+    return Bound(
+        own.estimate,
+        max(0.0, own.estimate - float(down)),
+        own.estimate + float(up),
+        tolerance_limits.upper_tolerance_limit(lengths.max(axis=1), coverage, confidence),
+        float(shared[1]),
+        float(stretched[1]),
+    )
 
 
 def _in_units(errors: np.ndarray, units: tuple[Unit, ...]) -> np.ndarray:
@@ -122,9 +154,11 @@ def greatest_error_lengths(errors: np.ndarray) -> np.ndarray:
 
 
 def _margins(errors: np.ndarray, drawn: np.ndarray, coverage: float, confidence: float) -> np.ndarray:
-    """(2,) by how much the quantile of the depth of errors (n, d, 3) may lie lower and higher for what is drawn (k, n, d, 3), one draw for all.
+    """(2,) by how much the quantile of the depth of errors (n, d, 3) may lie lower and higher for what is drawn (k, n,
+    d, 3), one draw for all.
 
-    Higher: the quantile with it taken off. Lower: its own size, as it may be all that is seen, which draws apart from the errors do not show
+    Higher: the quantile with it taken off. Lower: its own size, as it may be all that is seen, which draws apart from
+    the errors do not show
     """
     quantiles = np.quantile(greatest_error_lengths(errors - drawn), coverage, axis=1)
     at = np.quantile(greatest_error_lengths(errors), coverage)
@@ -132,20 +166,39 @@ def _margins(errors: np.ndarray, drawn: np.ndarray, coverage: float, confidence:
     return np.array([np.quantile(own, confidence), max(float(np.quantile(quantiles, confidence) - at), 0.0)])
 
 
-def promise_by_cell(poses: HeldPoses, coverage: float, confidence: float, scale: float, units: tuple[float, float],
-          rng: np.random.Generator) -> tuple[Cell, ...]:
-    """Cells of the volume, halved along its longest side at the middle pose for as long as both halves have poses enough; none of one alone.
+def promise_by_cell(
+    poses: HeldPoses,
+    coverage: float,
+    confidence: float,
+    scale: float,
+    units: tuple[float, float],
+    rng: np.random.Generator,
+) -> tuple[Cell, ...]:
+    """Cells of the volume, halved along its longest side at the middle pose for as long as both halves have poses
+    enough; none of one alone.
 
     Each cell's promise has the confidence by itself. The arguments are those of `pose_error_promise`
     """
     least = tolerance_limits.least_sample_size(coverage, confidence)
     places = poses.T_base_platform.translation
     boxes = _halved(places, poses.first, places[poses.first].min(axis=0), places[poses.first].max(axis=0), least)
-    return tuple(Cell(tuple(low.tolist()), tuple(high.tolist()), pose_error_promise(poses, coverage, confidence, scale, units, rng, at))
-                 for at, low, high in boxes) if len(boxes) > 1 else ()
+    return (
+        tuple(
+            Cell(
+                tuple(low.tolist()),
+                tuple(high.tolist()),
+                pose_error_promise(poses, coverage, confidence, scale, units, rng, at),
+            )
+            for at, low, high in boxes
+        )
+        if len(boxes) > 1
+        else ()
+    )
 
 
-def _halved(places: np.ndarray, at: np.ndarray, low: np.ndarray, high: np.ndarray, least: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _halved(
+    places: np.ndarray, at: np.ndarray, low: np.ndarray, high: np.ndarray, least: int
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """[(indices, low, high)] of boxes."""
     if len(at) < 2 * least:
         return [(at, low, high)]
@@ -155,4 +208,6 @@ def _halved(places: np.ndarray, at: np.ndarray, low: np.ndarray, high: np.ndarra
     cut = (places[order[half - 1], axis] + places[order[half], axis]) / 2
     middle_high, middle_low = high.copy(), low.copy()
     middle_high[axis] = middle_low[axis] = cut
-    return _halved(places, order[:half], low, middle_high, least) + _halved(places, order[half:], middle_low, high, least)
+    return _halved(places, order[:half], low, middle_high, least) + _halved(
+        places, order[half:], middle_low, high, least
+    )

@@ -1,7 +1,8 @@
 """Measuring limbs beyond the six that tell the pose: each is a check, which must read what that pose says.
 
-A check's own joints and zero are fitted to the poses that the six told while vision held them, so that what it does not close by later is no
-matter of vision's frame: some limb reads otherwise than it did. Source: Merlet, Parallel Robots, 2nd ed., ch. 9 (redundant sensors).
+A check's own joints and zero are fitted to the poses that the six told while vision held them, so that what it does not
+close by later is no matter of vision's frame: some limb reads otherwise than it did. Source: Merlet, Parallel Robots,
+2nd ed., ch. 9 (redundant sensors).
 """
 
 from dataclasses import dataclass, replace
@@ -27,8 +28,8 @@ CLEAR = 0.5  # share of the squares that one limb must explain to be named
 
 @dataclass(frozen=True, slots=True)
 class UnclosedLimb:
-    """at : index of the pose at which it is sure; limb : number (from 1) of the limb that explains best what does not close, None where none does
-    alone; size : m by which that one is longer than it reads."""
+    """at : index of the pose at which it is sure; limb : number (from 1) of the limb that explains best what does not
+    close, None where none does alone; size : m by which that one is longer than it reads."""
 
     at: int
     limb: int | None
@@ -37,17 +38,24 @@ class UnclosedLimb:
     def __str__(self) -> str:
         if self.limb is None:
             return f"{IN_A_ROW} poses in a row do not close, and no limb alone explains it"
-        return f"the limbs do not close: limb {self.limb} is longer by {self.size * 1e6:+.1f} um than it reads, or reads otherwise than it did"
+        return (
+            f"the limbs do not close: limb {self.limb} is longer by {self.size * 1e6:+.1f} um than it reads, or "
+            "reads otherwise than it did"
+        )
 
 
 def best_six_limbs(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransform) -> np.ndarray:
-    """(6,) numbers, from 0, of the limbs that tell poses (n,) best. Raises RigError for fewer than six, and where no six hold the platform."""
+    """(6,) numbers, from 0, of the limbs that tell poses (n,) best. Raises RigError for fewer than six, and where no
+    six hold the platform.
+    """
     of = limb_legs(stated, home)
     return np.arange(redundant_legs.SIX) if len(of.names) == redundant_legs.SIX else redundant_legs.best_six(of, T)
 
 
 def limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant_legs.Legs:
-    """Legs of all limbs as rig.toml has them, as if their geometry were known. home : T_base_platform. Raises RigError for fewer than six"""
+    """Legs of all limbs as rig.toml has them, as if their geometry were known. home : T_base_platform. Raises RigError
+    for fewer than six
+    """
     require_six_limbs(stated)
     n = len(stated.channels)
     return redundant_legs.combine_legs([("m", stated, np.full(n, stated.length_sigma), np.zeros((7 * n, 7 * n)))], home)
@@ -57,40 +65,65 @@ def require_six_limbs(stated: MeasuringLimbs) -> None:
     """Raise RigError for limbs that tell no pose."""
     n = len(stated.channels)
     if n < redundant_legs.SIX:
-        raise RigError(f"rig.toml has {n} measuring limb{'s' * (n > 1)} in [insitu], and a platform has six freedoms: fewer than six lengths tell no "
-                       "pose. `rig closure` uses them as checks beside the struts")
+        raise RigError(
+            f"rig.toml has {n} measuring limb{'s' * (n > 1)} in [insitu], and a platform has six freedoms: "
+            "fewer than six lengths tell no "
+            "pose. `rig closure` uses them as checks beside the struts"
+        )
 
 
 def has_six_limbs(design: Design) -> bool:
     """Whether a rig has limbs that tell the poses of its platform."""
-    return design.insitu is not None and design.mechanism.kind == "hexapod" and len(design.insitu.channels) >= redundant_legs.SIX
+    return (
+        design.insitu is not None
+        and design.mechanism.kind == "hexapod"
+        and len(design.insitu.channels) >= redundant_legs.SIX
+    )
 
 
 def fit_limb_checks(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndarray) -> Checks:
-    """Checks of all limbs but the six, from the poses that these tell. lengths : (n, limbs) m read. Raises NotConverged for readings that close
-    on no pose, RigError where a leg's fit does not settle"""
+    """Checks of all limbs but the six, from the poses that these tell. lengths : (n, limbs) m read. Raises NotConverged
+    for readings that close on no pose, RigError where a leg's fit does not settle"""
     others = np.setdiff1d(np.arange(len(stated.channels)), limbs.chosen)
     T = limbs.pose(lengths)
-    start = Checks(others, stated.base_joints[others], stated.platform_joints[others], stated.zeros[others], np.zeros((len(others), 7, 7)),
-                   np.full(len(others), stated.length_sigma))
+    start = Checks(
+        others,
+        stated.base_joints[others],
+        stated.platform_joints[others],
+        stated.zeros[others],
+        np.zeros((len(others), 7, 7)),
+        np.full(len(others), stated.length_sigma),
+    )
     if not len(others):
         return start
     spread = np.einsum("nii->ni", _closures(limbs, start, lengths).covariance)
-    p, covariance, sigma = zip(*(_leg(T, lengths[:, i], np.r_[start.base[k], start.platform[k], start.zeros[k]], spread[:, k])
-                                 for k, i in enumerate(others)))
+    p, covariance, sigma = zip(
+        *(
+            _leg(T, lengths[:, i], np.r_[start.base[k], start.platform[k], start.zeros[k]], spread[:, k])
+            for k, i in enumerate(others)
+        )
+    )
     found = np.array(p)
-    return Checks(others, found[:, :3], found[:, 3:6], found[:, 6], np.array(covariance), np.hypot(stated.length_sigma, sigma))
+    return Checks(
+        others, found[:, :3], found[:, 3:6], found[:, 6], np.array(covariance), np.hypot(stated.length_sigma, sigma)
+    )
 
 
-def _leg(T: RigidTransform, read: np.ndarray, stated: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """(joints and zero (7,) m, covariance (7, 7) m^2, scatter m beyond what is expected) of one leg that read (n,) m at poses (n,).
+def _leg(
+    T: RigidTransform, read: np.ndarray, stated: np.ndarray, variance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """(joints and zero (7,) m, covariance (7, 7) m^2, scatter m beyond what is expected) of one leg that read (n,) m at
+    poses (n,).
 
     stated : (7,) m, where it starts and PRIOR holds it; variance : (n,) m^2 of what it reads less what the pose says
     """
     p, weight = stated.copy(), 1 / np.sqrt(variance)
     for _ in range(STEPS):
         one = redundant_legs.Legs(("m",), p[None, :3], p[None, 3:6], p[6:], T[0], np.ones(1), np.zeros((7, 7)))
-        told, A = redundant_legs.leg_length_jacobians(one, T)[0][:, 0], redundant_legs.leg_parameter_jacobians(one, T)[:, 0]
+        told, A = (
+            redundant_legs.leg_length_jacobians(one, T)[0][:, 0],
+            redundant_legs.leg_parameter_jacobians(one, T)[:, 0],
+        )
         rows = np.concatenate([A * weight[:, None], np.eye(7) / PRIOR])
         right = np.concatenate([(read - told) * weight, (stated - p) / PRIOR])
         step = np.linalg.lstsq(rows, right)[0]
@@ -100,14 +133,20 @@ def _leg(T: RigidTransform, read: np.ndarray, stated: np.ndarray, variance: np.n
             excess = (left**2).sum() / max(len(read) - 7, 1) - 1
             surely = excess > 3 * np.sqrt(2 / len(read))
             return p, np.linalg.inv(rows.T @ rows), float(np.sqrt(excess * variance.mean())) if surely else 0.0
-    raise NotConverged(f"the joints of a measuring limb do not settle: the last step was {np.abs(step).max():.3g} m", np.zeros(0, int),
-                       stated, np.abs(step))
+    raise NotConverged(
+        f"the joints of a measuring limb do not settle: the last step was {np.abs(step).max():.3g} m",
+        np.zeros(0, int),
+        stated,
+        np.abs(step),
+    )
 
 
 def _closures(limbs: Limbs, checks: Checks, lengths: np.ndarray) -> redundant_legs.Closures:
     """Closures of the checks, poses by the six. lengths : (n, limbs) m"""
     m = limbs.hexapod
-    covariance = scipy.linalg.block_diag(np.zeros((42, 42)), *checks.covariance)  # checks are fitted to what the six tell
+    covariance = scipy.linalg.block_diag(
+        np.zeros((42, 42)), *checks.covariance
+    )  # checks are fitted to what the six tell
     order = np.r_[limbs.chosen, checks.limbs].astype(int)
     of = redundant_legs.Legs(
         tuple(f"m{i + 1}" for i in order),
@@ -122,7 +161,9 @@ def _closures(limbs: Limbs, checks: Checks, lengths: np.ndarray) -> redundant_le
 
 
 def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(error (n, k) m, sigma (n, k) m expected of it) of every check at every pose, by joints that were fitted to other stretches."""
+    """(error (n, k) m, sigma (n, k) m expected of it) of every check at every pose, by joints that were fitted to other
+    stretches.
+    """
     fold, count = time_block_folds(len(lengths), FOLDS), len(stated.channels) - redundant_legs.SIX
     error, sigma = np.zeros((len(lengths), count)), np.ones((len(lengths), count))
     for k in np.unique(fold) if count else ():  # of six alone nothing is over to be checked
@@ -132,7 +173,9 @@ def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndar
 
 
 def all_fitted_limbs(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLimbs, np.ndarray, np.ndarray]:
-    """(all limbs as found, sigma (n,) m of a reading, covariance (7 n, 7 n) m^2 of all base joints, platform joints and zeros)."""
+    """(all limbs as found, sigma (n,) m of a reading, covariance (7 n, 7 n) m^2 of all base joints, platform joints and
+    zeros).
+    """
     n, m, six = len(stated.channels), limbs.hexapod, limbs.chosen
     base, platform, zeros = np.array(stated.base_joints), np.array(stated.platform_joints), np.array(stated.zeros)
     base[six], platform[six], zeros[six] = m.base_joints, m.platform_joints, m.strut_zeros
@@ -153,7 +196,8 @@ def all_fitted_limbs(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLim
 
 
 def first_unclosed_limb(limbs: Limbs, lengths: np.ndarray) -> UnclosedLimb | None:
-    """The first UnclosedLimb of poses in a row whose limbs read lengths (n, limbs) m; None where all close, or nothing checks.
+    """The first UnclosedLimb of poses in a row whose limbs read lengths (n, limbs) m; None where all close, or nothing
+    checks.
 
     Raises NotConverged for readings that close on no pose
     """

@@ -1,7 +1,8 @@
-"""What struts may do beyond their geometry: functions of conditions and of the configuration, as covariance kernels at the samples.
+"""What struts may do beyond their geometry: functions of conditions and of the configuration, as covariance kernels at
+the samples.
 
-Each component has a mean square of 1 in use: over the workspace, moves between its configurations, and the recording's own times,
-temperatures and loads. Its size (m) is then what it adds to a strut's error there. docs/mathematics.md (21)
+Each component has a mean square of 1 in use: over the workspace, moves between its configurations, and the recording's
+own times, temperatures and loads. Its size (m) is then what it adds to a strut's error there. docs/mathematics.md (21)
 """
 
 from collections.abc import Callable
@@ -15,7 +16,10 @@ from rig.model.mechanism_kinds import Struts
 from rig.planning.plan import FILL
 from rig.recording.recording_folder import PAYLOAD
 
-OWN, WHOLE = (0.15, 0.5, 1.5), (1.8, 4.0)  # half strokes over which a function of the strut's own command, of the whole configuration, changes
+OWN, WHOLE = (
+    (0.15, 0.5, 1.5),
+    (1.8, 4.0),
+)  # half strokes over which a function of the strut's own command, of the whole configuration, changes
 TIMES = (0.1, 0.4)  # of the recording's duration, over which a function of time changes
 SAMPLE, CONFIGURATION, PLACE, CONDITION = "sample", "configuration", "place", "condition"
 RANK = 1e-3  # of a kernel's greatest eigenvalue, below which its directions count as scatter
@@ -27,11 +31,14 @@ Kernel = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Component:
-    """One function of a strut's deviations at n samples. name : on what it depends; likely : probability, before the poses, that a machine has it
+    """One function of a strut's deviations at n samples. name : on what it depends; likely : probability, before the
+    poses, that a machine has it
 
-    over : SAMPLE or CONFIGURATION, each by itself, PLACE or CONDITION; basis : (n, r), function = basis @ N(0, size^2 I)
-    kernel, inputs : (n, axes) of a function of place, else None; use : of a condition with one number, places (m, axes) in half strokes ->
-    ((m,) what it is multiplied by there in the mean, (m,) variance about that), as moves between places drawn at random have it; else None
+    over : SAMPLE or CONFIGURATION, each by itself, PLACE or CONDITION; basis : (n, r), function = basis @ N(0, size^2
+        I)
+    kernel, inputs : (n, axes) of a function of place, else None; use : of a condition with one number, places (m, axes)
+    in half strokes -> ((m,) what it is multiplied by there in the mean, (m,) variance about that), as moves between
+    places drawn at random have it; else None
     """
 
     name: str
@@ -48,7 +55,9 @@ class Component:
         return self.name.split(",")[0]
 
     def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """((m, r) basis at places (m, axes) in half strokes, (m,) variance that it does not hold) of a function of place of size 1."""
+        """((m, r) basis at places (m, axes) in half strokes, (m,) variance that it does not hold) of a function of
+        place of size 1.
+        """
         assert self.kernel is not None and self.inputs is not None
         K = self.kernel(places, self.inputs)
         there = K @ np.linalg.pinv(self.basis).T
@@ -62,7 +71,9 @@ def scaled_commands(commands: np.ndarray, strokes: np.ndarray) -> np.ndarray:
 
 
 def deviation_components(samples: Samples, label: np.ndarray, nominal: Struts) -> list[list[Component]]:
-    """Per strut the Components that samples may show. label : (n,) configuration of each; nominal : the owner's geometry"""
+    """Per strut the Components that samples may show. label : (n,) configuration of each; nominal : the owner's
+    geometry
+    """
     x, n = scaled_commands(samples.effective, nominal.strut_range), len(samples)
     spread = FILL / np.sqrt(3)  # of a strut's place over the workspace, half strokes
     shared = [_scatter(n), *_repeated(label), *_times(samples), *_loads(samples, x)]
@@ -71,14 +82,22 @@ def deviation_components(samples: Samples, label: np.ndarray, nominal: Struts) -
     out = []
     for i, side in enumerate(strut_load_signs(samples, nominal)):
         step = np.diff(x[:, i], prepend=x[0, i]) / (spread * np.sqrt(2))
-        own = [replace(_line("the last step", 0.04, step), use=_stepped(i)),
-               *(_of_place(f"the strut's own length, over {length:g} half strokes", x, _own(i, length)) for length in OWN),
-               _of_place("the strut's own length, in proportion", x, _linear(slice(i, i + 1))),
-               *whole, *_warmth(samples, i)]
+        own = [
+            replace(_line("the last step", 0.04, step), use=_stepped(i)),
+            *(_of_place(f"the strut's own length, over {length:g} half strokes", x, _own(i, length)) for length in OWN),
+            _of_place("the strut's own length, in proportion", x, _linear(slice(i, i + 1))),
+            *whole,
+            *_warmth(samples, i),
+        ]
         if samples.conditions is not None:
             direction = samples.conditions.direction[:, i]
-            own += [replace(_line("the direction of approach", 0.12, direction), use=_approached(i)),
-                    replace(_line("the direction of approach, along the stroke", 0.04, direction * x[:, i] / spread), use=_along(i))]
+            own += [
+                replace(_line("the direction of approach", 0.12, direction), use=_approached(i)),
+                replace(
+                    _line("the direction of approach, along the stroke", 0.04, direction * x[:, i] / spread),
+                    use=_along(i),
+                ),
+            ]
         if side is not None:
             own.append(replace(_line("the sign of its load", SIDED, side[0]), use=side[1]))
         out.append([*shared, *(one for one in own if one.basis.any())])
@@ -108,9 +127,15 @@ def _scatter(n: int) -> Component:
 
 
 def _repeated(label: np.ndarray) -> list[Component]:
-    """What comes again at a configuration and tells nothing of others: known apart from scatter only where some are visited again."""
+    """What comes again at a configuration and tells nothing of others: known apart from scatter only where some are
+    visited again.
+    """
     seen = (label[:, None] == np.unique(label)).astype(float)
-    return [Component("the configuration, at short distances", 0.1, CONFIGURATION, seen)] if seen.shape[1] < len(label) else []
+    return (
+        [Component("the configuration, at short distances", 0.1, CONFIGURATION, seen)]
+        if seen.shape[1] < len(label)
+        else []
+    )
 
 
 def _line(name: str, likely: float, values: np.ndarray) -> Component:
@@ -132,14 +157,28 @@ def _warmth(samples: Samples, i: int) -> list[Component]:
     if samples.conditions is None:
         return []
     channels = samples.conditions.channels
-    names = [f"strut{i + 1}_temperature_C", *(name for name in channels if not name.startswith("strut") and name.endswith("temperature_C"))]
-    return [_line("temperature, the strut's" if name.startswith("strut") else "temperature, the room's", 0.08, _standard(channels[name]))
-            for name in names if name in channels and np.std(channels[name]) > WARM]
+    names = [
+        f"strut{i + 1}_temperature_C",
+        *(name for name in channels if not name.startswith("strut") and name.endswith("temperature_C")),
+    ]
+    return [
+        _line(
+            "temperature, the strut's" if name.startswith("strut") else "temperature, the room's",
+            0.08,
+            _standard(channels[name]),
+        )
+        for name in names
+        if name in channels and np.std(channels[name]) > WARM
+    ]
 
 
 def _loads(samples: Samples, x: np.ndarray) -> list[Component]:
     """The load times a function of the configuration, as it is shared out to the struts."""
-    if samples.conditions is None or PAYLOAD not in samples.conditions.channels or not np.std(samples.conditions.channels[PAYLOAD]) > HEAVY:
+    if (
+        samples.conditions is None
+        or PAYLOAD not in samples.conditions.channels
+        or not np.std(samples.conditions.channels[PAYLOAD]) > HEAVY
+    ):
         return []
     load = _standard(samples.conditions.channels[PAYLOAD])
     return [Component("load", 0.2, CONDITION, load[:, None] * _root(0.5 + 0.5 * _whole(WHOLE[0])(x, x)))]
@@ -163,6 +202,7 @@ def _whole(length: float) -> Kernel:
 
 def _linear(some: slice) -> Kernel:
     """Linear in the places along some struts."""
+
     def kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.asarray(a[:, some] @ b[:, some].T * 3 / FILL**2 / a[:, some].shape[1])
 

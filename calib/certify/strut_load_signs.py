@@ -1,4 +1,6 @@
-"""Which way struts are loaded at a configuration: joints with a clearance lie on one side where a strut pushes, on the other where it pulls."""
+"""Which way struts are loaded at a configuration: joints with a clearance lie on one side where a strut pushes, on the
+other where it pulls.
+"""
 
 from collections.abc import Callable
 from functools import cache
@@ -19,8 +21,9 @@ Use = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[np.ndarray, Use] | None]:
-    """Per strut ((n,) sign of its load at the samples, positive where it pushes, and a `Component.use` of it), None where no sign changes over the
-    workspace or nothing is known of weights. By the owner's geometry; payloads are those of the recording, each as likely as it was there."""
+    """Per strut ((n,) sign of its load at the samples, positive where it pushes, and a `Component.use` of it), None
+    where no sign changes over the workspace or nothing is known of weights. By the owner's geometry; payloads are those
+    of the recording, each as likely as it was there."""
     if samples.conditions is None or samples.conditions.weight is None:
         return [None] * len(nominal.axes)
     weight, nothing = samples.conditions.weight, np.zeros(len(samples))
@@ -33,10 +36,14 @@ def strut_load_signs(samples: Samples, nominal: Struts) -> list[tuple[np.ndarray
         return np.asarray(np.sign(loads) * (np.abs(loads) > NOTHING * np.abs(loads).max(initial=0.0)))
 
     @cache
-    def there(places: bytes) -> np.ndarray:  # (m, axes), mean over the payloads; the same places are looked at for every strut
+    def there(
+        places: bytes,
+    ) -> np.ndarray:  # (m, axes), mean over the payloads; the same places are looked at for every strut
         commands = middle + half * np.frombuffer(places).reshape(-1, len(middle))
         T = mechanisms.kinematics_of(nominal).forward(commands, nominal)
-        return np.asarray(np.average([seen(T, commands, np.full(len(commands), kg)) for kg in each], axis=0, weights=count))
+        return np.asarray(
+            np.average([seen(T, commands, np.full(len(commands), kg)) for kg in each], axis=0, weights=count)
+        )
 
     def use(i: int) -> Use:
         def mean_and_variance(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

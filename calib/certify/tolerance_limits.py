@@ -1,9 +1,11 @@
 """How far a share of all poses lies, from a sample of them, whatever their distribution: limits by order statistics.
 
 With confidence c at least a share p of a population lies below the r-th smallest of n independent values once
-P(Bin(n, p) <= r - 1) >= c; nothing is assumed of the distribution but that the sample was drawn from it. Between two ranks the limit is
-interpolated by the chance that the quantile lies on either side, so that the confidence is met and not overshot.
-Sources: Wilks, Ann. Math. Statist. 12, 1941; Nyblom, Statistics and Probability Letters 14, 1992 (interpolated order statistics).
+P(Bin(n, p) <= r - 1) >= c; nothing is assumed of the distribution but that the sample was drawn from it. Between two
+ranks the limit is interpolated by the chance that the quantile lies on either side, so that the confidence is met and
+not overshot.
+Sources: Wilks, Ann. Math. Statist. 12, 1941; Nyblom, Statistics and Probability Letters 14, 1992 (interpolated order
+statistics).
 docs/mathematics.md (24)
 """
 
@@ -18,7 +20,9 @@ TIGHT = 1e-12
 
 
 def least_sample_size(coverage: float = 0.95, confidence: float = 0.95) -> int:
-    """How many values it takes at the least: below their greatest lies `coverage` with `confidence`. 59 for 0.95 and 0.95."""
+    """How many values it takes at the least: below their greatest lies `coverage` with `confidence`. 59 for 0.95 and
+    0.95.
+    """
     return ceil(log(1 - confidence) / log(coverage) - TIGHT)
 
 
@@ -32,14 +36,23 @@ def require_sample_size(n: int, coverage: float, confidence: float, what: str = 
     least = least_sample_size(coverage, confidence)
     if n < least:
         sure, share = reachable_confidence_and_coverage(n, coverage, confidence)
-        can = (f"they can speak for {share:.1%} of poses with {confidence:.1%} confidence, or for {coverage:.0%} with {sure:.1%}: ask with "
-               "--coverage or --confidence, or" if n else "")
-        raise NotEnoughData(f"{n} {what} held out and settled; that {coverage:.0%} of poses lie within a bound takes {least} with "
-                            f"{confidence:.0%} confidence. {can} record {least - n} more".replace(". record", ". Record"))
+        can = (
+            f"they can speak for {share:.1%} of poses with {confidence:.1%} confidence, or for "
+            f"{coverage:.0%} with {sure:.1%}: ask with "
+            "--coverage or --confidence, or"
+            if n
+            else ""
+        )
+        raise NotEnoughData(
+            f"{n} {what} held out and settled; that {coverage:.0%} of poses lie within a bound takes {least} with "
+            f"{confidence:.0%} confidence. {can} record {least - n} more".replace(". record", ". Record")
+        )
 
 
 def count_beyond_upper_limit(n: int, coverage: float, confidence: float) -> float:
-    """How many (real) of n values lie beyond the upper limit, at least 0. Raises NotEnoughData for fewer than `least_sample_size`"""
+    """How many (real) of n values lie beyond the upper limit, at least 0. Raises NotEnoughData for fewer than
+    `least_sample_size`
+    """
     require_sample_size(n, coverage, confidence)
     return n - min(order_statistic_rank(n, coverage, 1 - confidence), float(n))
 
@@ -51,10 +64,11 @@ def count_beyond_lower_limit(n: int, coverage: float, confidence: float) -> floa
 
 
 def order_statistic_rank(n: int, coverage: float, chance: float) -> float:
-    """Real rank r, from 1 to n, of n values, so that with `chance` the value there lies below the `coverage` quantile; 0 where even the least does
-    with less.
+    """Real rank r, from 1 to n, of n values, so that with `chance` the value there lies below the `coverage` quantile;
+    0 where even the least does with less.
 
-    Near the quantile the gaps to its neighbours X_r and X_(r+1) are as good as exponential, at the rates r / p and (n - r) / (1 - p)
+    Near the quantile the gaps to its neighbours X_r and X_(r+1) are as good as exponential, at the rates r / p and (n -
+    r) / (1 - p)
     """
     ranks = np.arange(n + 1)
     below = np.append(1.0, betainc(ranks[1:], n - ranks[1:] + 1, coverage))  # chance that X_r lies below the quantile
@@ -75,7 +89,9 @@ def upper_tolerance_limit(values: np.ndarray, coverage: float = 0.95, confidence
 
 
 def lower_tolerance_limit(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
-    """Limit beyond which a share 1 - coverage of the population lies, with `confidence`; 0 where n values cannot say. values : (n,) >= 0"""
+    """Limit beyond which a share 1 - coverage of the population lies, with `confidence`; 0 where n values cannot say.
+    values : (n,) >= 0
+    """
     n = len(values)
     k = count_beyond_lower_limit(n, coverage, confidence)
     return 0.0 if k is None else _at(np.sort(values), n + 1 - k)
@@ -89,6 +105,8 @@ def _at(ordered: np.ndarray, rank: float) -> float:
 
 
 def log_likelihood_drop(n: int, beyond_it: float, coverage: float) -> float:
-    """By how much the log likelihood falls when `coverage` is forced on a limit that `beyond_it` (real) of n values exceed."""
+    """By how much the log likelihood falls when `coverage` is forced on a limit that `beyond_it` (real) of n values
+    exceed.
+    """
     share = beyond_it / n
     return float(n * (xlogy(share, share / (1 - coverage)) + xlogy(1 - share, (1 - share) / coverage)))

@@ -1,7 +1,9 @@
-"""Where a pose's uncertainty comes from: contributions of measuring and of the machine, each with how it was determined.
+"""Where a pose's uncertainty comes from: contributions of measuring and of the machine, each with how it was
+determined.
 
-Each is expanded so that 95 % of the error's lengths lie within it: by a factor of the RMS length that depends on the directions of the error, 1.61
-where all three are alike and 1.96 where there is one. What is not known is given as not known, with the reason, never as nothing.
+Each is expanded so that 95 % of the error's lengths lie within it: by a factor of the RMS length that depends on the
+directions of the error, 1.61 where all three are alike and 1.96 where there is one. What is not known is given as not
+known, with the reason, never as nothing.
 docs/mathematics.md (30)
 """
 
@@ -22,13 +24,20 @@ from vision.recording_adjustment import Measurement
 COVERAGE = 0.95  # of lengths within an expanded uncertainty
 DRAWS = 100_000  # of errors, for the factor of that
 PARTS = (slice(0, 3), slice(3, 6))
-PLACE = ("x", "y", "z", "rx", "ry", "rz")  # of a camera; its other unknowns are its lens, but for how markers are printed
+PLACE = (
+    "x",
+    "y",
+    "z",
+    "rx",
+    "ry",
+    "rz",
+)  # of a camera; its other unknowns are its lens, but for how markers are printed
 
 
 @dataclass(frozen=True, slots=True)
 class Expanded:
-    """position, rotation : m, rad, within which COVERAGE of the lengths lie; k : (of position, of rotation), by which each exceeds the RMS length
-    rotation None where none was measured."""
+    """position, rotation : m, rad, within which COVERAGE of the lengths lie; k : (of position, of rotation), by which
+    each exceeds the RMS length rotation None where none was measured."""
 
     position: float
     rotation: float | None
@@ -37,7 +46,8 @@ class Expanded:
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """name; of : "measuring" or "machine"; position, rotation : U of a pose's length (m, rad), None where not known; k : coverage factors of both
+    """name; of : "measuring" or "machine"; position, rotation : U of a pose's length (m, rad), None where not known;
+    k : coverage factors of both
     kind : "A" from scatter, "B" otherwise; source : how it was determined, or why it is not known."""
 
     name: str
@@ -51,7 +61,9 @@ class Contribution:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """rows : Contributions; machine : of a pose as commanded, the sum of its known contributions' covariances; measuring : of one measured."""
+    """rows : Contributions; machine : of a pose as commanded, the sum of its known contributions' covariances;
+    measuring : of one measured.
+    """
 
     rows: tuple[Contribution, ...]
     machine: Expanded
@@ -66,13 +78,17 @@ def expanded_uncertainty(covariance: np.ndarray) -> Expanded:
 
 
 def coverage_factor(covariance: np.ndarray) -> float:
-    """COVERAGE quantile over RMS of the lengths of errors normal with covariances (n, 3, 3), every pose as likely; by draws with a fixed seed."""
+    """COVERAGE quantile over RMS of the lengths of errors normal with covariances (n, 3, 3), every pose as likely; by
+    draws with a fixed seed.
+    """
     if not covariance.any():
         return float(np.sqrt(chdtri(3, 1 - COVERAGE) / 3))
     values, vectors = np.linalg.eigh(covariance)
     each = -(-DRAWS // len(covariance))
     z = np.random.default_rng(0).normal(size=(len(covariance), each, 3)) * np.sqrt(np.maximum(values, 0.0))[:, None]
-    found: float = np.quantile(np.linalg.norm(z, axis=2), COVERAGE) / np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean())
+    found: float = np.quantile(np.linalg.norm(z, axis=2), COVERAGE) / np.sqrt(
+        np.trace(covariance, axis1=1, axis2=2).mean()
+    )
     return float(found)
 
 
@@ -82,27 +98,40 @@ def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
     return position, rotation
 
 
-def camera_and_lens_covariance(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[np.ndarray, np.ndarray] | None:
-    """(cameras, lenses), each (n, 6, 6) covariance that their uncertainty adds to the poses, None where poses came without their images.
+def camera_and_lens_covariance(
+    measured: Sequence[tuple[Samples, Measurement | None]],
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """(cameras, lenses), each (n, 6, 6) covariance that their uncertainty adds to the poses, None where poses came
+    without their images.
 
-    Where a camera stands and what its lens does go together: cameras' part is what is left were all lenses known, lenses' part the rest, so that
-    both make up what all poses share
+    Where a camera stands and what its lens does go together: cameras' part is what is left were all lenses known,
+    lenses' part the rest, so that both make up what all poses share
     """
     shares: list[tuple[np.ndarray, np.ndarray]] = []
     for samples, measurement in measured:
         if measurement is None:
             return None
         adjustment = measurement.adjustment
-        lens = adjustment.shared_factor[np.array([part not in PLACE for _, part in adjustment.shared_names], bool) & ~adjustment.of_prints]
-        known = (np.linalg.pinv(lens) @ lens)[: samples.common.shape[2]]  # draws that hardly move poses come last, and samples are without them
+        lens = adjustment.shared_factor[
+            np.array([part not in PLACE for _, part in adjustment.shared_names], bool) & ~adjustment.of_prints
+        ]
+        known = (np.linalg.pinv(lens) @ lens)[
+            : samples.common.shape[2]
+        ]  # draws that hardly move poses come last, and samples are without them
         left = samples.common @ (np.eye(*known.shape) - known)
         whole, cameras = samples.common @ np.swapaxes(samples.common, 1, 2), left @ np.swapaxes(left, 1, 2)
         shares.append((cameras, whole - cameras))
     return np.concatenate([c for c, _ in shares]), np.concatenate([rest for _, rest in shares])
 
 
-def uncertainty_budget(poses: HeldPoses, model: np.ndarray, repeat: Repeatability, measured: Sequence[tuple[Samples, Measurement | None]],
-           scale: float | None, warmth: np.ndarray | None) -> Budget:
+def uncertainty_budget(
+    poses: HeldPoses,
+    model: np.ndarray,
+    repeat: Repeatability,
+    measured: Sequence[tuple[Samples, Measurement | None]],
+    scale: float | None,
+    warmth: np.ndarray | None,
+) -> Budget:
     """Budget of held-out poses.
 
     model : (n, 6, 6) covariance that the calibration's parameters give each pose; repeat : Repeatability
@@ -113,8 +142,13 @@ def uncertainty_budget(poses: HeldPoses, model: np.ndarray, repeat: Repeatabilit
     shared = np.sum([c @ np.swapaxes(c, 1, 2) for c in poses.common], axis=0)
     noise = rms_uncertainty(poses.own)
     seen = [float(np.sqrt((poses.errors[:, p] ** 2).sum(axis=1).mean())) for p in PARTS]
-    again = [None if value is None else _less(value, own) for value, own in zip((repeat.position, repeat.rotation), noise)]
-    rest = [_less(seen[i], noise[i], rms_uncertainty(shared)[i], rms_uncertainty(model)[i], again[i] or 0.0) for i in range(2)]
+    again = [
+        None if value is None else _less(value, own) for value, own in zip((repeat.position, repeat.rotation), noise)
+    ]
+    rest = [
+        _less(seen[i], noise[i], rms_uncertainty(shared)[i], rms_uncertainty(model)[i], again[i] or 0.0)
+        for i in range(2)
+    ]
     physics = _alike(poses.errors, rest)
     returns = None if again[0] is None else _alike(poses.errors, [again[0], again[1] or 0.0])
     place = np.pad(poses.T_base_platform.rotation.inv().apply(poses.T_base_platform.translation), ((0, 0), (0, 3)))
@@ -122,17 +156,58 @@ def uncertainty_budget(poses: HeldPoses, model: np.ndarray, repeat: Repeatabilit
     parts = camera_and_lens_covariance(measured)
     cameras, lenses = (shared if shared.any() else None, None) if parts is None else parts
     whole = "images" if parts else "poses' stated covariance, which does not tell cameras from lenses"
-    rows = [_row("finder", "measuring", poses.own, "A", "each pose's own noise, from its corners" if parts else "each pose's own noise, as stated"),
-            _row("camera", "measuring", cameras, "A", f"places of the cameras, from the {whole}"),
-            _row("lens", "measuring", lenses, "A", "lenses, from the images" if parts else "within camera: poses came without their images"),
-            _row("datum", "measuring", datum, "B",
-                 "nobody states how good the targets' scale is" if scale is None else "scale of the targets, as stated, at the poses' distance"),
-            _row("thermometer", "machine", warmth, "A", "noise of the logged temperatures, through what is corrected by them"
-                 if warmth is not None else "nothing is corrected by a logged temperature, so no thermometer adds to a pose"),
-            _row("geometry", "machine", model, "A", "covariance of the fitted parameters, at the held-out poses"),
-            _row("physics", "machine", physics, "A", "what held-out errors show beyond all else: effects that the calibration leaves"),
-            _row("repeatability", "machine", returns, "A",
-                 "visits to the same configurations, less measuring noise" if returns is not None else "no configuration was visited twice")]
+    rows = [
+        _row(
+            "finder",
+            "measuring",
+            poses.own,
+            "A",
+            "each pose's own noise, from its corners" if parts else "each pose's own noise, as stated",
+        ),
+        _row("camera", "measuring", cameras, "A", f"places of the cameras, from the {whole}"),
+        _row(
+            "lens",
+            "measuring",
+            lenses,
+            "A",
+            "lenses, from the images" if parts else "within camera: poses came without their images",
+        ),
+        _row(
+            "datum",
+            "measuring",
+            datum,
+            "B",
+            "nobody states how good the targets' scale is"
+            if scale is None
+            else "scale of the targets, as stated, at the poses' distance",
+        ),
+        _row(
+            "thermometer",
+            "machine",
+            warmth,
+            "A",
+            "noise of the logged temperatures, through what is corrected by them"
+            if warmth is not None
+            else "nothing is corrected by a logged temperature, so no thermometer adds to a pose",
+        ),
+        _row("geometry", "machine", model, "A", "covariance of the fitted parameters, at the held-out poses"),
+        _row(
+            "physics",
+            "machine",
+            physics,
+            "A",
+            "what held-out errors show beyond all else: effects that the calibration leaves",
+        ),
+        _row(
+            "repeatability",
+            "machine",
+            returns,
+            "A",
+            "visits to the same configurations, less measuring noise"
+            if returns is not None
+            else "no configuration was visited twice",
+        ),
+    ]
     machine = model + physics + sum(part for part in (returns, datum) if part is not None)
     one = poses.own + shared
     totals = [
@@ -146,7 +221,9 @@ def uncertainty_budget(poses: HeldPoses, model: np.ndarray, repeat: Repeatabilit
 
 
 def _alike(errors: np.ndarray, sizes: Sequence[float]) -> np.ndarray:
-    """(n, 6, 6) covariance of lengths of RMS sizes (m, rad) in the directions in which errors (n, 6) lie, the same for every pose."""
+    """(n, 6, 6) covariance of lengths of RMS sizes (m, rad) in the directions in which errors (n, 6) lie, the same for
+    every pose.
+    """
     out = np.zeros((len(errors), 6, 6))
     for part, size in zip(PARTS, sizes):
         moment = errors[:, part].T @ errors[:, part]
@@ -156,7 +233,8 @@ def _alike(errors: np.ndarray, sizes: Sequence[float]) -> np.ndarray:
 
 
 def thermometer_covariance(calibration: Calibration, held: Sequence[tuple[Recording, Samples]]) -> np.ndarray | None:
-    """(n, 6, 6) covariance that the noise of logged temperatures adds to poses through the physics that is undone; None where none follows one.
+    """(n, 6, 6) covariance that the noise of logged temperatures adds to poses through the physics that is undone; None
+    where none follows one.
 
     The noise is what a log shows against the straight line through a row's neighbours.
     """
@@ -166,12 +244,17 @@ def thermometer_covariance(calibration: Calibration, held: Sequence[tuple[Record
         added = np.zeros((len(samples), 6, 6))
         if physics is not None and sensors is not None and len(sensors.t) > 2:
             plain = calibration.with_physics(recording, samples)
-            for name in (name for name in physics.channels if name.endswith("temperature_C") and name in sensors.channels):
+            for name in (
+                name for name in physics.channels if name.endswith("temperature_C") and name in sensors.channels
+            ):
                 log = sensors.channels[name]
                 off = float(np.sqrt(np.mean((log[1:-1] - (log[:-2] + log[2:]) / 2) ** 2) / 1.5))
                 warmer = replace(recording, sensors=Sensors(sensors.t, {**sensors.channels, name: log + off}))
                 moved = pose_difference(
-                    *(calibration.correction.predict(one.effective) for one in (plain, calibration.with_physics(warmer, samples)))
+                    *(
+                        calibration.correction.predict(one.effective)
+                        for one in (plain, calibration.with_physics(warmer, samples))
+                    )
                 )
                 added, followed = added + moved[:, :, None] * moved[:, None, :], followed or bool(moved.any())
         found.append(added)

@@ -1,10 +1,11 @@
-"""What a calibration is worth all over the workspace, at configurations that were not recorded: a posterior, not the recorded poses' own error.
+"""What a calibration is worth all over the workspace, at configurations that were not recorded: a posterior, not the
+recorded poses' own error.
 
-Machines are drawn that are as the poses have them, where the poses tell, and as the owner's tolerance has them, where these do
-not: so what is promised away from the recorded configurations holds how far it is extrapolated. Each drawn machine is driven all
-over the middle of the strokes, once by the owner's model and once by the calibrated one; the ratio of the two RMS errors, from draw
-to draw, is the claim, docs/mathematics.md (21) in draws. How much noise and misfit there is, is drawn as well
-(chi-square: few configurations tell it badly).
+Machines are drawn that are as the poses have them, where the poses tell, and as the owner's tolerance has them, where
+these do not: so what is promised away from the recorded configurations holds how far it is extrapolated. Each drawn
+machine is driven all over the middle of the strokes, once by the owner's model and once by the calibrated one; the
+ratio of the two RMS errors, from draw to draw, is the claim, docs/mathematics.md (21) in draws. How much noise and
+misfit there is, is drawn as well (chi-square: few configurations tell it badly).
 """
 
 from dataclasses import dataclass, replace
@@ -31,18 +32,23 @@ DRAWS = 1000
 TRUSTED = 20  # degrees of freedom that the poses' stated covariance is worth beside what their residuals say of it
 LEAST_ERROR = 1e-12  # m, below which no error counts
 EDGES = (0.5, 0.025, 0.975)
-WIDER = 1.2  # times the logarithms of drawn errors about their median: what the draws leave out, as driven machines of an independent truth show it
+# times the logarithms of drawn errors about their median: what the draws leave out, as driven machines of an
+# independent truth show it
+WIDER = 1.2
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """distinct : configurations recorded; determined : combinations, of `unknowns`, that the poses tell at all (of a hexapod: to 5 mm);
+    """distinct : configurations recorded; determined : combinations, of `unknowns`, that the poses tell at all (of a
+    hexapod: to 5 mm);
     better : those that they tell better than the owner's figures are good; tolerance : how good these are, in words
     workspace : what is meant, in words
-    before, after : RMS pose error all over it by the owner's model and corrected, (position m, rotation rad), each (median, low, high) with
-    95 % between; ratio : before / after in position; measured : the same as the recording's own instrument would see it; each (median,
-    low, high), None where no factor is claimed; reason : why none is, or None
-    unexplained : what the poses show that neither noise nor the claim explains, a sentence each; what stands here forbids "good"
+    before, after : RMS pose error all over it by the owner's model and corrected, (position m, rotation rad), each
+    (median, low, high) with 95 % between; ratio : before / after in position; measured : the same as the recording's
+    own instrument would see it; each (median, low, high), None where no factor is claimed; reason : why none is, or
+    None
+    unexplained : what the poses show that neither noise nor the claim explains, a sentence each; what stands here
+        forbids "good"
     """
 
     distinct: int
@@ -62,13 +68,16 @@ class Claim:
         for name in ("before", "after", "ratio", "measured"):
             values = getattr(self, name)
             if values is not None and not np.isfinite(values).all():
-                raise ValueError(f"{name} of a claim is {values}, expected finite figures, or None where none is claimed")
+                raise ValueError(
+                    f"{name} of a claim is {values}, expected finite figures, or None where none is claimed"
+                )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Workspace:
-    """At m places: jacobian (m, 6, k) of the pose's tangent with the parameters; offset (m, 6) pose error of the owner's model against the
-    corrected one; own (2,) or (d, 2) m^2 and rad^2, mean square of what no model corrects, or draws of it; words : what is meant by it."""
+    """At m places: jacobian (m, 6, k) of the pose's tangent with the parameters; offset (m, 6) pose error of the
+    owner's model against the corrected one; own (2,) or (d, 2) m^2 and rad^2, mean square of what no model corrects, or
+    draws of it; words : what is meant by it."""
 
     jacobian: np.ndarray
     offset: np.ndarray
@@ -76,7 +85,9 @@ class Workspace:
     words: str
 
     def squares(self, draws: np.ndarray) -> np.ndarray:
-        """(before, after), each (d, 2) m^2 and rad^2, mean over the places, of machines that are draws (d, k) from the corrected model."""
+        """(before, after), each (d, 2) m^2 and rad^2, mean over the places, of machines that are draws (d, k) from the
+        corrected model.
+        """
         out = np.empty((2, len(draws), 2))
         for c, part in enumerate((slice(0, 3), slice(3, 6))):
             J, offset = self.jacobian[:, part].reshape(-1, self.jacobian.shape[2]), self.offset[:, part].ravel()
@@ -109,15 +120,24 @@ def claim_of_drawn_machines(
 
 
 def claim_of_mean_squares(
-    before: np.ndarray, after: np.ndarray, words: str, samples: Samples, told: ConfigurationInformation, rng: np.random.Generator
+    before: np.ndarray,
+    after: np.ndarray,
+    words: str,
+    samples: Samples,
+    told: ConfigurationInformation,
+    rng: np.random.Generator,
 ) -> Claim:
-    """Claim of drawn machines' mean squares over the workspace, before and after (d, 2) m^2 and rad^2. words : what is meant by it"""
+    """Claim of drawn machines' mean squares over the workspace, before and after (d, 2) m^2 and rad^2. words : what is
+    meant by it
+    """
     count, after = len(after), _wider(after)
     seen = np.full(count, np.trace(samples.covariance[:, :3, :3], axis1=1, axis2=2).mean())
     if samples.common.shape[2]:
         shared = samples.common[:, :3] @ rng.normal(size=(samples.common.shape[2], count))
         seen = seen + (shared**2).sum(axis=1).mean(axis=0)
-    least = max(float(seen.mean()) / len(samples), LEAST_ERROR**2)  # the mean square that so many poses' noise leaves unnoticed
+    least = max(
+        float(seen.mean()) / len(samples), LEAST_ERROR**2
+    )  # the mean square that so many poses' noise leaves unnoticed
     ratio = np.sqrt(np.maximum(before[:, 0], least) / np.maximum(after[:, 0], least))
     measured = np.sqrt((np.maximum(before[:, 0], least) + seen) / (np.maximum(after[:, 0], least) + seen))
     return Claim(*told, words, _both(before), _both(after), _three(ratio), _three(measured))
@@ -140,8 +160,15 @@ def _both(squares: np.ndarray) -> tuple[tuple[float, ...], ...]:
 
 def claim_of_too_few_configurations(told: ConfigurationInformation, workspace: str) -> Claim:
     """The Claim of fewer than LEAST distinct configurations: none, and why."""
-    return Claim(*told, workspace, None, None, None, None,
-                 f"{_counted(told.distinct)} cannot say how the model does at others; a factor takes {LEAST}")
+    return Claim(
+        *told,
+        workspace,
+        None,
+        None,
+        None,
+        None,
+        f"{_counted(told.distinct)} cannot say how the model does at others; a factor takes {LEAST}",
+    )
 
 
 def _counted(distinct: int) -> str:
@@ -149,23 +176,35 @@ def _counted(distinct: int) -> str:
 
 
 def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count,) draws of by how much variances exceed the stated ones: the stated ones are worth TRUSTED degrees of freedom.
+    """(count,) draws of by how much variances exceed the stated ones: the stated ones are worth TRUSTED degrees of
+    freedom.
 
     cost : whitened squares of a fit, its priors' included; freedom : how many numbers were fitted
     """
     return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
 
 
-def workspace_claim(found: Identified, tolerance: Tolerance, correction: Correction[Struts, Radial], samples: Samples,
-            rng: np.random.Generator, machines: Machines | None = None, left: HeldErrors | None = None) -> Claim:
+def workspace_claim(
+    found: Identified,
+    tolerance: Tolerance,
+    correction: Correction[Struts, Radial],
+    samples: Samples,
+    rng: np.random.Generator,
+    machines: Machines | None = None,
+    left: HeldErrors | None = None,
+) -> Claim:
     """Claim of a calibration of a machine on struts.
 
-    found : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it; correction : Correction
-    samples : Samples of one pose a configuration; rng : numpy Generator; machines : Machines drawn with all that struts may do beyond their
-    geometry, or None: parameters and scatter alone; left : HeldErrors, in place of the scatter, of a correction with an extension
+    found : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it;
+        correction : Correction
+    samples : Samples of one pose a configuration; rng : numpy Generator; machines : Machines drawn with all that struts
+    may do beyond their geometry, or None: parameters and scatter alone; left : HeldErrors, in place of the scatter, of
+    a correction with an extension
     """
     distinct = len(samples)
-    determined, better = (int((np.linalg.svd(found.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior))
+    determined, better = (
+        int((np.linalg.svd(found.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior)
+    )
     nominal, fitted = correction.nominal, correction.fitted
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all struts free of each other"
     told = ConfigurationInformation(distinct, determined, better, len(found.prior), _tolerance_in_words(tolerance))
@@ -175,7 +214,9 @@ def workspace_claim(found: Identified, tolerance: Tolerance, correction: Correct
     offset = pose_difference(T, mechanisms.kinematics_of(nominal).forward(commands, nominal))
     back, J = inverse_strut_jacobian(T, fitted), pose_jacobian(T, fitted)
     if machines is not None:
-        claim = claim_of_mean_squares(*machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, told, rng)
+        claim = claim_of_mean_squares(
+            *machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, told, rng
+        )
         corrected = tuple(part is not None for part in correction.remainder)
         return replace(claim, unexplained=machines.unexplained(corrected, mechanisms.kinematics_of(nominal).AXIS))
     stated = extension_scatter(correction, commands, back)
@@ -193,7 +234,9 @@ def sample_workspace(correction: Correction[Any, Any]) -> tuple[np.ndarray, Rigi
 
 
 def draw_fit_variance_ratio(found: Identified, nominal: Struts, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count,) draws of by how much the poses' variances exceed the stated ones, by a fit of one pose a configuration."""
+    """(count,) draws of by how much the poses' variances exceed the stated ones, by a fit of one pose a
+    configuration.
+    """
     return draw_variance_ratio(found.cost, len(nominal.axes) * int(found.inliers.sum()), count, rng)
 
 
@@ -202,7 +245,11 @@ def extension_scatter(correction: Correction[Any, Any], commands: np.ndarray, ba
 
     back : (m, 6, axes) change of the pose with the axes there
     """
-    square = np.zeros((len(commands), 6)) if not correction.posed else correction.posed_error(correction.predict(commands)) ** 2
+    square = (
+        np.zeros((len(commands), 6))
+        if not correction.posed
+        else correction.posed_error(correction.predict(commands)) ** 2
+    )
     if correction.extension is not None:
         square = square + (back**2 @ (correction.extension.error(commands) ** 2)[..., None])[..., 0]
     return np.asarray(square.mean(axis=0).reshape(2, 3).sum(axis=1))
@@ -223,7 +270,9 @@ def _machines(found: Identified, tolerance: Tolerance, nominal: Struts, rng: np.
 
 
 def _scatters(found: Identified, rng: np.random.Generator) -> np.ndarray:
-    """(DRAWS, axes) m^2, draws of what each strut scatters by itself, where it was found to: few residuals tell it badly."""
+    """(DRAWS, axes) m^2, draws of what each strut scatters by itself, where it was found to: few residuals tell it
+    badly.
+    """
     count = int(found.inliers.sum())
     freedom = max(count - len(found.prior) // len(found.scatter), 1)
     noise = np.einsum("nii->ni", found.residual_covariance)[found.inliers].mean(axis=0)
@@ -233,4 +282,6 @@ def _scatters(found: Identified, rng: np.random.Generator) -> np.ndarray:
 
 def _tolerance_in_words(tolerance: Tolerance) -> str:
     joints, zeros = tolerance.prior[0], tolerance.prior[-1]
-    return f"joints good to {joints * 1e3:.2g} mm and zeros to {zeros * 1e3:.2g} mm a coordinate, as these poses have it"
+    return (
+        f"joints good to {joints * 1e3:.2g} mm and zeros to {zeros * 1e3:.2g} mm a coordinate, as these poses have it"
+    )

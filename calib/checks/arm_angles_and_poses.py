@@ -1,4 +1,6 @@
-"""An arm's joint angles held against what an instrument measured: joints, links, poses and frames in another order or another way."""
+"""An arm's joint angles held against what an instrument measured: joints, links, poses and frames in another order or
+another way.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -30,7 +32,8 @@ REACH = 1.0  # m; a radian counts like so much
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReachedPoses:
-    """arm : Arm as stated; instrument : Instrument or None; q : (F, n) rad of all frames; index : (m,) of the measured ones
+    """arm : Arm as stated; instrument : Instrument or None; q : (F, n) rad of all frames; index : (m,) of the measured
+    ones
     v : (m, 6) m and rad as poses.csv has them; alone : whether positions alone were measured."""
 
     arm: Arm
@@ -42,7 +45,9 @@ class ReachedPoses:
     T: RigidTransform
 
     def miss(self) -> tuple[float, float]:
-        """(m, rad), medians of what poses and arm disagree by, the instrument and the target placed as well as may be."""
+        """(m, rad), medians of what poses and arm disagree by, the instrument and the target placed as well as may
+        be.
+        """
         q, free = self.q[self.index], self.instrument or Instrument("rig", "rig", 1e-4, None)
         try:
             arm = place_arm_roughly(q, self.T, self.alone, self.arm, free.base == "free", free.tool == "free")
@@ -53,7 +58,9 @@ class ReachedPoses:
         return position, 0.0 if self.alone else float(np.median(np.linalg.norm(r[:, 3:], axis=1)))
 
     def stands(self) -> bool:
-        """Whether base and tool can be placed where all agrees by a search that zeros a little off or a hand that stays level do not mislead."""
+        """Whether base and tool can be placed where all agrees by a search that zeros a little off or a hand that stays
+        level do not mislead.
+        """
         q, free = self.q[self.index], self.instrument
         if free is None or not (free.base == "free" or free.tool == "free"):
             return False
@@ -66,11 +73,16 @@ class ReachedPoses:
             found = instrument_placement.place_arm(seen, self.arm, free.base == "free", free.tool == "free")
         except RigError:
             return False
-        moved = np.abs(error_model.zeros(found) - error_model.zeros(self.arm))[1:]  # the first joint's zero is the base's
+        moved = np.abs(error_model.zeros(found) - error_model.zeros(self.arm))[
+            1:
+        ]  # the first joint's zero is the base's
         if moved.max(initial=0.0) > OTHER * instrument_placement.ZERO:
             return False
         r = seen.residuals(found)
-        return bool(np.median(np.linalg.norm(r[:, :3], axis=1)) < AWAY[0] and np.median(np.linalg.norm(r[:, 3:], axis=1)) < AWAY[1])
+        return bool(
+            np.median(np.linalg.norm(r[:, :3], axis=1)) < AWAY[0]
+            and np.median(np.linalg.norm(r[:, 3:], axis=1)) < AWAY[1]
+        )
 
     def one(self) -> float:
         """m, both in one figure."""
@@ -82,7 +94,12 @@ def find_arm_mistakes(recording: Recording) -> tuple[Mistake, ...]:
     """The mistake that makes an arm's commands and poses disagree, if one does."""
     arm = recording.design.mechanism
     instrument = recording.design.instrument
-    if recording.commands is None or recording.poses is None or not isinstance(arm, Arm) or (instrument and instrument.kind != "pose"):
+    if (
+        recording.commands is None
+        or recording.poses is None
+        or not isinstance(arm, Arm)
+        or (instrument and instrument.kind != "pose")
+    ):
         return ()
     known, t = recording.exposures.times()
     all_q = np.stack([np.interp(t, recording.commands.t, column) for column in recording.commands.values.T], axis=1)
@@ -102,13 +119,21 @@ def _mistakes(reached: ReachedPoses) -> Iterator[Mistake]:
         return
     before = position + REACH * rotation
     left, what, do = min(((other.one(), what, do) for what, do, other in _candidates(reached)), key=lambda one: one[0])
-    said = f"arm and measured poses differ by {position * 1e3:.3g} mm" + ("" if reached.alone else f" and {np.degrees(rotation):.3g} degrees")
+    said = f"arm and measured poses differ by {position * 1e3:.3g} mm" + (
+        "" if reached.alone else f" and {np.degrees(rotation):.3g} degrees"
+    )
     if left < BETTER * before:
-        yield Mistake(f"{what}: {said} as it stands, by {left / before:.1%} of that so", do, True, LIKELY * (1 - left / before))
+        yield Mistake(
+            f"{what}: {said} as it stands, by {left / before:.1%} of that so", do, True, LIKELY * (1 - left / before)
+        )
     else:
-        yield Mistake(f"{said}, and no usual mistake explains it",
-                      "Look at the joints' zeros, signs and order, at mechanism.joints, and at whether poses and commands belong together",
-                      bool(before > 10 * AWAY[0]), 0.3)
+        yield Mistake(
+            f"{said}, and no usual mistake explains it",
+            "Look at the joints' zeros, signs and order, at mechanism.joints, and at whether poses and "
+            "commands belong together",
+            bool(before > 10 * AWAY[0]),
+            0.3,
+        )
 
 
 def _candidates(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
@@ -118,23 +143,47 @@ def _candidates(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]
     do = "Look at how poses were numbered: one missing or one too many at the start shifts all"
     for by in (-2, -1, 1, 2):
         kept = (reached.index + by >= 0) & (reached.index + by < frames)
-        yield (f"poses.csv: the frames are shifted by {abs(by)}: pose k is of command k {'+' if by > 0 else '-'} {abs(by)}", do,
-               replace(reached, index=reached.index[kept] + by, v=reached.v[kept], T=reached.T[kept]))
+        yield (
+            f"poses.csv: the frames are shifted by {abs(by)}: pose k is of command k "
+            f"{'+' if by > 0 else '-'} {abs(by)}",
+            do,
+            replace(reached, index=reached.index[kept] + by, v=reached.v[kept], T=reached.T[kept]),
+        )
     yield "poses.csv: the frames are in reverse order", do, replace(reached, index=frames - 1 - reached.index)
     text = np.array(sorted(range(frames), key=str))
-    yield "poses.csv: the frames are in the order of their names as text (1, 10, 2)", do, replace(reached, index=text[reached.index])
+    yield (
+        "poses.csv: the frames are in the order of their names as text (1, 10, 2)",
+        do,
+        replace(reached, index=text[reached.index]),
+    )
     for what, T in other_poses(reached.v):
-        yield f"poses.csv: {what}", "Write the target in the instrument: m, and rotation vectors in rad", replace(reached, T=T)
+        yield (
+            f"poses.csv: {what}",
+            "Write the target in the instrument: m, and rotation vectors in rad",
+            replace(reached, T=T),
+        )
 
 
 def _axes(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
     """Joint angles in another unit, with other signs, zeros or in another order."""
     q, n, slides = reached.q, reached.q.shape[1], reached.arm.slides
     if not slides.all():
-        yield "commands.csv: joint angles are in degrees", "State them in radians", replace(reached, q=np.where(slides, q, np.radians(q)))
-        yield "commands.csv: joint angles are in revolutions", "State them in radians", replace(reached, q=np.where(slides, q, 2 * np.pi * q))
+        yield (
+            "commands.csv: joint angles are in degrees",
+            "State them in radians",
+            replace(reached, q=np.where(slides, q, np.radians(q))),
+        )
+        yield (
+            "commands.csv: joint angles are in revolutions",
+            "State them in radians",
+            replace(reached, q=np.where(slides, q, 2 * np.pi * q)),
+        )
     if slides.any():
-        yield "commands.csv: slides are in millimetres", "State them in metres", replace(reached, q=np.where(slides, q / 1e3, q))
+        yield (
+            "commands.csv: slides are in millimetres",
+            "State them in metres",
+            replace(reached, q=np.where(slides, q / 1e3, q)),
+        )
     yield "commands.csv: all joints turn the other way (sign)", "Turn their sign", replace(reached, q=-q)
     for j in range(n):
         turned = q.copy()
@@ -145,21 +194,33 @@ def _axes(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:
         for by in (90, -90, 180, 45, -45, 30, -30):
             moved = q.copy()
             moved[:, j] += np.radians(by)
-            yield (f"commands.csv: joint {j + 1} has another zero, {abs(by)} degrees off (offset)",
-                   f"Add {by} degrees to it, or mend theta in rig.toml",
-                   replace(reached, q=moved))
+            yield (
+                f"commands.csv: joint {j + 1} has another zero, {abs(by)} degrees off (offset)",
+                f"Add {by} degrees to it, or mend theta in rig.toml",
+                replace(reached, q=moved),
+            )
         single = q.copy()
         single[:, j] = np.radians(single[:, j])
         yield f"commands.csv: joint {j + 1} is in degrees", "State it in radians", replace(reached, q=single)
     for i, j in combinations(range(n), 2):
         order = list(range(n))
         order[i], order[j] = j, i
-        yield (f"commands.csv: joints {i + 1} and {j + 1} are exchanged (order)", "Put the columns in the order of the joints",
-               replace(reached, q=q[:, order]))
-    yield "commands.csv: the joints are in reverse order", "Put the columns in the order of the joints", replace(reached, q=q[:, ::-1])
+        yield (
+            f"commands.csv: joints {i + 1} and {j + 1} are exchanged (order)",
+            "Put the columns in the order of the joints",
+            replace(reached, q=q[:, order]),
+        )
+    yield (
+        "commands.csv: the joints are in reverse order",
+        "Put the columns in the order of the joints",
+        replace(reached, q=q[:, ::-1]),
+    )
     for by in (1, n - 1):
-        yield ("commands.csv: the joints' columns are shifted by one (order)", "Put the columns in the order of the joints",
-               replace(reached, q=np.roll(q, by, axis=1)))
+        yield (
+            "commands.csv: the joints' columns are shifted by one (order)",
+            "Put the columns in the order of the joints",
+            replace(reached, q=np.roll(q, by, axis=1)),
+        )
 
 
 def _links(reached: ReachedPoses) -> Iterator[tuple[str, str, ReachedPoses]]:

@@ -1,6 +1,8 @@
-"""Where an arm stands and its target sits, roughly and at once: hundreds of readings of the same data are compared by what this leaves.
+"""Where an arm stands and its target sits, roughly and at once: hundreds of readings of the same data are compared by
+what this leaves.
 
-Source: rotations as calib.models.arm.instrument_placement.solve_rotation_placement; positions by Kabsch in turn with the target's place
+Source: rotations as calib.models.arm.instrument_placement.solve_rotation_placement; positions by Kabsch in turn with
+    the target's place
 """
 
 from dataclasses import replace
@@ -17,7 +19,9 @@ STILL = 1e-5  # m
 
 
 def place_arm_roughly(q: np.ndarray, T: RigidTransform, alone: bool, arm: Arm, base: bool, tool: bool) -> Arm:
-    """The Arm with its base and tool where poses T (m,) at angles q (m, n) rad put them. alone : of the poses positions alone are known."""
+    """The Arm with its base and tool where poses T (m,) at angles q (m, n) rad put them. alone : of the poses positions
+    alone are known.
+    """
     if not (base or tool):
         return arm
     links = mechanism.forward(q, replace(arm, base=RigidTransform.identity(), tool=RigidTransform.identity()))

@@ -20,7 +20,9 @@ AVERAGED = 256  # configurations over which a table for one joint alone is the m
 
 
 def summand_columns(axes: int) -> tuple[str, ...]:
-    """The columns of a ksf.csv: frame; x commanded; y = IK(GDK(x)); k = x - y; its covariance's upper triangle. All m, m^2 or rad, rad^2."""
+    """The columns of a ksf.csv: frame; x commanded; y = IK(GDK(x)); k = x - y; its covariance's upper triangle. All m,
+    m^2 or rad, rad^2.
+    """
     triangle = tuple(f"c{i}{j}" for i in range(axes) for j in range(i, axes))
     return ("frame", *(f"{name}{i + 1}" for name in "xyk" for i in range(axes)), *triangle)
 
@@ -33,22 +35,28 @@ class Summands(NamedTuple):
 
 
 def strut_summands(samples: Samples, nominal: Struts) -> Summands:
-    """Summands of a machine on struts: commands less IK(GDK(x)) of the owner's model; covariance : what all poses share included."""
+    """Summands of a machine on struts: commands less IK(GDK(x)) of the owner's model; covariance : what all poses share
+    included.
+    """
     A = strut_jacobian(samples.T_base_platform, nominal)
-    return Summands(samples.commanded - mechanisms.kinematics_of(nominal).inverse(samples.T_base_platform, nominal),
-                    A @ samples.total_covariance() @ np.swapaxes(A, 1, 2))
+    return Summands(
+        samples.commanded - mechanisms.kinematics_of(nominal).inverse(samples.T_base_platform, nominal),
+        A @ samples.total_covariance() @ np.swapaxes(A, 1, 2),
+    )
 
 
 def summand_rows(samples: Samples, summands: Summands) -> Iterator[str]:
     """The lines of a ksf.csv, one for each sample."""
     upper = np.triu_indices(summands.values.shape[1])
     for frame, x, k, C in zip(samples.frame, samples.commanded, *summands):
-        yield ",".join([str(frame), *(f"{value:.12f}" for value in (*x, *(x - k), *k)), *(f"{value:.9e}" for value in C[upper])])
+        yield ",".join(
+            [str(frame), *(f"{value:.12f}" for value in (*x, *(x - k), *k)), *(f"{value:.9e}" for value in C[upper])]
+        )
 
 
 class JointTables(NamedTuple):
-    """levels, trims : (axes, count) m or rad: what is to be added to each axis' command at its own levels; left : (axes,) RMS of what a table
-    for each axis alone cannot hold of the whole correction."""
+    """levels, trims : (axes, count) m or rad: what is to be added to each axis' command at its own levels;
+    left : (axes,) RMS of what a table for each axis alone cannot hold of the whole correction."""
 
     levels: np.ndarray
     trims: np.ndarray
@@ -56,7 +64,8 @@ class JointTables(NamedTuple):
 
 
 def joint_tables(correction: Correction[Any, Any], count: int) -> JointTables:
-    """For each axis alone, the mean over the others of what goes on top of the fitted geometry, as a controller that runs it adds it.
+    """For each axis alone, the mean over the others of what goes on top of the fitted geometry, as a controller that
+    runs it adds it.
 
     c = x + trim, c the fixed point c = x + rho(c) at the axis' own level x, the other axes all over their strokes
     """
@@ -74,8 +83,8 @@ def joint_tables(correction: Correction[Any, Any], count: int) -> JointTables:
 
 
 def grid_table(correction: Correction[Any, Any], parts: int, fill: float = FILL) -> tuple[np.ndarray, np.ndarray]:
-    """(x (vertices, axes), k (vertices, axes)) m or rad on an even grid of so many parts an axis: x + k is to be commanded where the owner's
-    model says x. Raises RigError where a vertex closes on no pose."""
+    """(x (vertices, axes), k (vertices, axes)) m or rad on an even grid of so many parts an axis: x + k is to be
+    commanded where the owner's model says x. Raises RigError where a vertex closes on no pose."""
     strokes = mechanisms.kinematics_of(correction.nominal).travel(correction.nominal)
     levels = strokes.mean(axis=1)[:, None] + fill * np.ptp(strokes, axis=1)[:, None] / 2 * np.linspace(-1, 1, parts + 1)
     x = np.stack(np.meshgrid(*levels, indexing="ij"), axis=-1).reshape(-1, len(strokes))
@@ -83,4 +92,7 @@ def grid_table(correction: Correction[Any, Any], parts: int, fill: float = FILL)
         wanted = mechanisms.kinematics_of(correction.nominal).forward(x, correction.nominal)
         return x, correction.inverse(wanted) - x
     except NotConverged as error:
-        raise RigError(f"{len(error.index)} of the grid's {len(x)} vertices close on no pose; a smaller share of the strokes may do") from None
+        raise RigError(
+            f"{len(error.index)} of the grid's {len(x)} vertices close on no pose; a smaller share of the "
+            "strokes may do"
+        ) from None

@@ -1,4 +1,6 @@
-"""Physics that was found to be left out of a geometry, kept with it so that commands can undo it: effects, how sure they are, what they look at."""
+"""Physics that was found to be left out of a geometry, kept with it so that commands can undo it: effects, how sure
+they are, what they look at.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,8 +21,8 @@ ANOTHER_DAY = 2.0  # K, standard deviation by which a room and its struts differ
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """What nothing in the catalogue explains. place; magnitude, in unit; depends_on : covariates; corrected : whether a smooth function over
-    the configuration space takes it out."""
+    """What nothing in the catalogue explains. place; magnitude, in unit; depends_on : covariates; corrected : whether a
+    smooth function over the configuration space takes it out."""
 
     place: str
     magnitude: float
@@ -31,8 +33,9 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Physics:
-    """effects : Effects found; own : (c, c) covariance of their coordinates (rig.effects.framework.fit_coordinates), in order; cross : (p, c) of the
-    geometry's p parameters with these; gravity, actuator, platform : of the machine as its owner states them, which effects look at
+    """effects : Effects found; own : (c, c) covariance of their coordinates (rig.effects.framework.fit_coordinates), in
+    order; cross : (p, c) of the geometry's p parameters with these; gravity, actuator, platform : of the machine as its
+    owner states them, which effects look at
     channels : {sensor channel: (median, standard deviation)} while all this was learnt; unknown : what has no name."""
 
     effects: tuple[Effect, ...]
@@ -54,7 +57,8 @@ class Physics:
         return Design("", self.gravity, mechanism, None, self.actuator, self.platform, (), ())
 
     def sensed(self, sensors: Sensors | None, t: np.ndarray) -> tuple[Sensors, tuple[str, ...]]:
-        """(Sensors with every channel that physics was learnt with, names of those that were missing and now stand at their median).
+        """(Sensors with every channel that physics was learnt with, names of those that were missing and now stand at
+        their median).
 
         t : (n,) s, the times at which they are asked for
         """
@@ -74,18 +78,30 @@ class Physics:
 
     def scattering(self) -> tuple[Effect, ...]:
         """Those that it shows again, at no moment that anybody knows: what happened once is over."""
-        return tuple(e for e in self.effects if not e.lasting and e.stage in MOTION_STAGES and not any(p.role == "moment" for p in e.parameters))
+        return tuple(
+            e
+            for e in self.effects
+            if not e.lasting and e.stage in MOTION_STAGES and not any(p.role == "moment" for p in e.parameters)
+        )
 
-    def with_effects(self, mechanism: Struts | Arm | Chain, samples: Samples, commands: Commands, sensors: Sensors | None) -> Samples:
+    def with_effects(
+        self, mechanism: Struts | Arm | Chain, samples: Samples, commands: Commands, sensors: Sensors | None
+    ) -> Samples:
         """Samples with what this physics says of their commands, which lasts; mechanism : fitted."""
         there, _ = self.sensed(sensors, samples.t)
         return samples_with_effects(self.machine(mechanism), samples, commands, self.compensable_effects(), there)
 
 
-def samples_with_effects(design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None) -> Samples:
-    """Samples with what effects do to their commands; what they do to an arm beyond its joints is taken off its poses."""
+def samples_with_effects(
+    design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None
+) -> Samples:
+    """Samples with what effects do to their commands; what they do to an arm beyond its joints is taken off its
+    poses.
+    """
     t, T = samples.t, samples.T_base_platform
     if not isinstance(design.mechanism, Arm):
-        return replace(samples, known=machine.effective_commands(design, commands, t, T, effects, sensors) - samples.commanded)
+        return replace(
+            samples, known=machine.effective_commands(design, commands, t, T, effects, sensors) - samples.commanded
+        )
     values, sway = machine.effective_commands_and_sway(design, commands, t, T, effects, sensors)
     return replace(samples, known=values - samples.commanded, T_base_platform=T * exp(-sway) if sway.any() else T)

@@ -1,8 +1,9 @@
-"""Commands that give wanted poses of a machine whose physics is known: what it does by itself is undone, whatever effect it comes from.
+"""Commands that give wanted poses of a machine whose physics is known: what it does by itself is undone, whatever
+effect it comes from.
 
-The one forward model of motion (rig.model.motion_simulation) says what commands become, by their whole history, the sensors and the pose. Sought are
-commands that become what the geometry asks for at every wanted pose: a fixed point over the whole route at once, in which the step of an axis
-grows while it has no effect, as it has none within a gap.
+The one forward model of motion (rig.model.motion_simulation) says what commands become, by their whole history, the
+sensors and the pose. Sought are commands that become what the geometry asks for at every wanted pose: a fixed point
+over the whole route at once, in which the step of an axis grows while it has no effect, as it has none within a gap.
 """
 
 from collections.abc import Callable
@@ -32,8 +33,8 @@ LONG_AGO = 1e6  # s before a route, when the axes may have come to its start fro
 @dataclass(frozen=True, slots=True, eq=False)
 class Machine:
     """A corrected machine under sensors. correction : Correction; physics : Physics or None; logged : Sensors or None
-    effects : the Effects that act, those of the physics that commands undo; sensors : Sensors with the channels that nobody logged, `missing`, at
-    their median"""
+    effects : the Effects that act, those of the physics that commands undo; sensors : Sensors with the channels that
+    nobody logged, `missing`, at their median"""
 
     correction: Correction[Any, Any]
     physics: Physics | None
@@ -43,7 +44,11 @@ class Machine:
     missing: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        there, missing = (self.logged or Sensors(np.zeros(1), {}), ()) if self.physics is None else self.physics.sensed(self.logged, np.zeros(1))
+        there, missing = (
+            (self.logged or Sensors(np.zeros(1), {}), ())
+            if self.physics is None
+            else self.physics.sensed(self.logged, np.zeros(1))
+        )
         for name, value in (
             ("sensors", there),
             ("missing", missing),
@@ -51,14 +56,30 @@ class Machine:
         ):
             object.__setattr__(self, name, value)
 
-    def effective(self, commands: Commands, t: np.ndarray, T: RigidTransform, effects: tuple[Effect, ...] | None = None,
-                  sensors: Sensors | None = None) -> np.ndarray:
-        """(n, axes) m or rad that the fitted geometry gets of commands at times t (n,) s and poses T (n,). effects, sensors : in place of its own"""
+    def effective(
+        self,
+        commands: Commands,
+        t: np.ndarray,
+        T: RigidTransform,
+        effects: tuple[Effect, ...] | None = None,
+        sensors: Sensors | None = None,
+    ) -> np.ndarray:
+        """(n, axes) m or rad that the fitted geometry gets of commands at times t (n,) s and poses T (n,). effects,
+        sensors : in place of its own
+        """
         return self.reached(commands, t, T, effects, sensors)[0]
 
-    def reached(self, commands: Commands, t: np.ndarray, T: RigidTransform, effects: tuple[Effect, ...] | None = None,
-                sensors: Sensors | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """(the same, (n, 6) m and rad by which an arm's hand stands beyond that, which of struts counts as their length)."""
+    def reached(
+        self,
+        commands: Commands,
+        t: np.ndarray,
+        T: RigidTransform,
+        effects: tuple[Effect, ...] | None = None,
+        sensors: Sensors | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(the same, (n, 6) m and rad by which an arm's hand stands beyond that, which of struts counts as their
+        length).
+        """
         effects = self.effects if effects is None else effects
         lengths, sway = commands.at(t), np.zeros((len(t), 6))
         if self.physics is not None and effects:
@@ -71,7 +92,8 @@ class Machine:
 
 
 def commands_at_poses(of: Machine, T: RigidTransform, route: Route, guess: np.ndarray) -> np.ndarray:
-    """(n, axes) m or rad to command at the poses T (n,) of a Route, each row's history that of the rows before. guess : (n, axes), near
+    """(n, axes) m or rad to command at the poses T (n,) of a Route, each row's history that of the rows before.
+    guess : (n, axes), near
 
     Raises NotConverged with index, commands and residual of the poses for which none is found, to 1e-10 m or rad
     """
@@ -91,8 +113,13 @@ def commands_at_poses(of: Machine, T: RigidTransform, route: Route, guess: np.nd
     worst = np.abs(left).max(axis=1)
     failed = np.flatnonzero(worst >= TOLERANCE)
     names = ", ".join(sorted({f"{e.name} at {e.place}" for e in of.effects}))
-    raise NotConverged(f"no commands were found for {len(failed)} of {len(worst)} poses, which leave {worst.max():.3g} "
-                       f"{mechanisms.travel_unit(of.correction.fitted)} under {names}", failed, commands[failed], worst[failed])
+    raise NotConverged(
+        f"no commands were found for {len(failed)} of {len(worst)} poses, which leave {worst.max():.3g} "
+        f"{mechanisms.travel_unit(of.correction.fitted)} under {names}",
+        failed,
+        commands[failed],
+        worst[failed],
+    )
 
 
 def path_memory_length(of: Machine) -> np.ndarray:
@@ -102,7 +129,8 @@ def path_memory_length(of: Machine) -> np.ndarray:
 
 
 def unknown_history_uncertainty(of: Machine, T: RigidTransform, route: Route, commands: np.ndarray) -> np.ndarray:
-    """(n, axes) m or rad, half of what it changes whether the axes came to the start of a Route from below or from above: nobody knows which.
+    """(n, axes) m or rad, half of what it changes whether the axes came to the start of a Route from below or from
+    above: nobody knows which.
 
     commands : (n, axes) at the poses
     """
@@ -110,17 +138,24 @@ def unknown_history_uncertainty(of: Machine, T: RigidTransform, route: Route, co
     if not reach.any():
         return np.zeros_like(commands)
     own = route.commands(commands)
-    ends = [Commands(np.r_[own.t[0] - LONG_AGO, own.t], np.vstack([route.start + side * reach, own.values])) for side in (-1.0, 1.0)]
+    ends = [
+        Commands(np.r_[own.t[0] - LONG_AGO, own.t], np.vstack([route.start + side * reach, own.values]))
+        for side in (-1.0, 1.0)
+    ]
     return np.abs(of.effective(ends[0], route.times, T) - of.effective(ends[1], route.times, T)) / 2
 
 
 def require_sensor_coverage(sensors: Sensors | None, t: np.ndarray, show: Callable[[float], float]) -> None:
-    """Raise RigError where poses are held at times t (n,) s farther outside a log than its rows are apart: nobody knows what is then.
+    """Raise RigError where poses are held at times t (n,) s farther outside a log than its rows are apart: nobody knows
+    what is then.
     One row alone states what does not change. show : from s to the owner's clock"""
     if sensors is None or len(sensors.t) == 1:
         return
     apart = np.diff(sensors.t).max()
     outside = t[(t < sensors.t[0] - apart) | (t > sensors.t[-1] + apart)]
     if len(outside):
-        raise RigError(f"the sensors' log runs from t = {show(sensors.t[0]):g} to {show(sensors.t[-1]):g} s, and {len(outside)} poses are to be held "
-                       f"outside it, the first at {show(outside[0]):g} s; log on, or leave the sensors out")
+        raise RigError(
+            f"the sensors' log runs from t = {show(sensors.t[0]):g} to {show(sensors.t[-1]):g} s, and "
+            f"{len(outside)} poses are to be held "
+            f"outside it, the first at {show(outside[0]):g} s; log on, or leave the sensors out"
+        )

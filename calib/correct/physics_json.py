@@ -17,14 +17,21 @@ from rig.model.mechanism_kinds import Struts
 
 def physics_dict(physics: Physics) -> dict[str, Any]:
     """dict of Physics, as JSON holds it."""
-    platform = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in
-                ((name, getattr(physics.platform, name)) for name in Platform.__slots__)}
-    return {"effects": [effect_to_dict(effect) for effect in physics.effects],
-            "parameter_order": [_told(c.effect, c.name, c.index, c.role, physics) for c in physics.coordinates],
-            "covariance": physics.own.tolist(), "cross_covariance": physics.cross.tolist(),
-            "gravity": physics.gravity.tolist(), "actuator": asdict(physics.actuator), "platform": platform,
-            "channels": {name: {"median": value, "sigma": sigma} for name, (value, sigma) in physics.channels.items()},
-            "unknown": [asdict(u) for u in physics.unknown]}
+    platform = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in ((name, getattr(physics.platform, name)) for name in Platform.__slots__)
+    }
+    return {
+        "effects": [effect_to_dict(effect) for effect in physics.effects],
+        "parameter_order": [_told(c.effect, c.name, c.index, c.role, physics) for c in physics.coordinates],
+        "covariance": physics.own.tolist(),
+        "cross_covariance": physics.cross.tolist(),
+        "gravity": physics.gravity.tolist(),
+        "actuator": asdict(physics.actuator),
+        "platform": platform,
+        "channels": {name: {"median": value, "sigma": sigma} for name, (value, sigma) in physics.channels.items()},
+        "unknown": [asdict(u) for u in physics.unknown],
+    }
 
 
 def _told(effect: int, name: str, index: int | None, role: str, physics: Physics) -> str:
@@ -34,15 +41,29 @@ def _told(effect: int, name: str, index: int | None, role: str, physics: Physics
     return f"{measure}{name}{'' if index is None else f' {index + 1}'} of {at.name} at {at.place}"
 
 
-def physics_from_entries(table: Entries, mechanism: Struts | Arm | Chain, count: int, kinds: Kinds = BY_NAME) -> Physics:
+def physics_from_entries(
+    table: Entries, mechanism: Struts | Arm | Chain, count: int, kinds: Kinds = BY_NAME
+) -> Physics:
     """Physics of what `physics_dict` gave, as Entries. mechanism : nominal; count : of the geometry's parameters
     kinds : effects that there are. Raises FileError."""
     actuator, platform = table.table("actuator"), table.table("platform")
-    held = Physics((), np.zeros((0, 0)), np.zeros((count, 0)), table.array("gravity", (3,)),
-                   Actuator(actuator.number("screw_lead", None, above=0), actuator.text("joints", ("cardan-cardan", "cardan-ball"), None),
-                            actuator.number("max_speed", None, above=0)),
-                   Platform(platform.number("mass", None, least=0), platform.array("centre_of_mass", (3,), None),
-                            platform.array("payload_centre_of_mass", (3,), None)), {})
+    held = Physics(
+        (),
+        np.zeros((0, 0)),
+        np.zeros((count, 0)),
+        table.array("gravity", (3,)),
+        Actuator(
+            actuator.number("screw_lead", None, above=0),
+            actuator.text("joints", ("cardan-cardan", "cardan-ball"), None),
+            actuator.number("max_speed", None, above=0),
+        ),
+        Platform(
+            platform.number("mass", None, least=0),
+            platform.array("centre_of_mass", (3,), None),
+            platform.array("payload_centre_of_mass", (3,), None),
+        ),
+        {},
+    )
     effects = []
     for entry in table.tables("effects"):
         try:
@@ -60,9 +81,14 @@ def physics_from_entries(table: Entries, mechanism: Struts | Arm | Chain, count:
     if (np.diag(covariance) < 0).any() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
         table.fail("physics.covariance is no covariance", "covariance")
     channels = table.table("channels")
-    logged = {name: (channels.table(name).number("median"), channels.table(name).number("sigma", least=0)) for name in channels.tree}
-    unknown = tuple(Unknown(u.text("place"), u.number("magnitude"), u.text("unit"), u.texts("depends_on"), u.flag("corrected"))
-                    for u in table.tables("unknown"))
+    logged = {
+        name: (channels.table(name).number("median"), channels.table(name).number("sigma", least=0))
+        for name in channels.tree
+    }
+    unknown = tuple(
+        Unknown(u.text("place"), u.number("magnitude"), u.text("unit"), u.texts("depends_on"), u.flag("corrected"))
+        for u in table.tables("unknown")
+    )
     return Physics(tuple(effects), covariance, cross, held.gravity, held.actuator, held.platform, logged, unknown)
 
 

@@ -7,7 +7,10 @@ import numpy as np
 from rig.errors import Unreachable
 from rig.recording.recording_folder import Commands
 
-HOLD, HELD = 1.0, 0.1  # s for which a pose is held beyond its time, and share of the time to the next that this takes at the most
+HOLD, HELD = (
+    1.0,
+    0.1,
+)  # s for which a pose is held beyond its time, and share of the time to the next that this takes at the most
 SETTLE = 2.0  # s at rest before the first pose's time, where nobody says when the axes set out
 BRIEF = 1e-3  # s; rows of commands lie no closer together
 AT_REST = 1e9  # s, as good as for ever: between poses that have no times
@@ -16,9 +19,12 @@ WAITING, TURNING, ARRIVED, HOLDING = range(4)  # what a row of commands does
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
-    """Rows of commands, in order of time. t : (m,) s; pose : (m,) number of the pose whose values a row takes, -1 for the start
-    doing : (m,) WAITING at a place before the axes leave it, TURNING beyond a pose to come to it from there, ARRIVED at it, HOLDING it at its time
-    reach : (m, axes) m or rad by which a row lies beyond its pose; start : (axes,) m or rad, where the axes stand at first."""
+    """Rows of commands, in order of time. t : (m,) s; pose : (m,) number of the pose whose values a row takes, -1 for
+    the start
+    doing : (m,) WAITING at a place before the axes leave it, TURNING beyond a pose to come to it from there, ARRIVED at
+        it, HOLDING it at its time
+    reach : (m, axes) m or rad by which a row lies beyond its pose; start : (axes,) m or rad, where the axes stand at
+        first."""
 
     t: np.ndarray
     pose: np.ndarray
@@ -47,8 +53,8 @@ class Route:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pace:
-    """t : (n,) s, when poses are held; begin : s, from when the axes stand at the start, None for just in time; speed : m/s or rad/s at which the
-    axes go where there is time; fastest : what they must not exceed, or None."""
+    """t : (n,) s, when poses are held; begin : s, from when the axes stand at the start, None for just in time;
+    speed : m/s or rad/s at which the axes go where there is time; fastest : what they must not exceed, or None."""
 
     t: np.ndarray
     begin: float | None
@@ -57,9 +63,11 @@ class Pace:
 
 
 def timed_route(pace: Pace, held: np.ndarray, start: np.ndarray, reach: np.ndarray | None = None) -> Route:
-    """Route through values (n, axes) at the times of a Pace: the axes set out as soon as a pose has been held, and wait at the next.
+    """Route through values (n, axes) at the times of a Pace: the axes set out as soon as a pose has been held, and wait
+    at the next.
 
-    start : (axes,); reach : (n, axes) of approaches, zero for none. Raises Unreachable, listing the poses that come too soon
+    start : (axes,); reach : (n, axes) of approaches, zero for none. Raises Unreachable, listing the poses that come too
+        soon
     """
     reach, t = np.zeros_like(held) if reach is None else reach, pace.t
     out, back = np.abs(held + reach - np.vstack([start, held[:-1]])).max(axis=1), np.abs(reach).max(axis=1)
@@ -71,15 +79,23 @@ def timed_route(pace: Pace, held: np.ndarray, start: np.ndarray, reach: np.ndarr
     hurried = np.zeros(len(t), bool) if pace.fastest is None else way > pace.fastest * least * (1 + 1e-9)
     late = np.flatnonzero((gap < 10 * BRIEF) | hurried)
     if len(late):
-        lines = [f"pose {i}: {way[i]:.6g} of travel in {gap[i]:.4g} s" + (f", at most {pace.fastest:.4g} /s" if pace.fastest else "")
-                 for i in late.tolist()]
+        lines = [
+            f"pose {i}: {way[i]:.6g} of travel in {gap[i]:.4g} s"
+            + (f", at most {pace.fastest:.4g} /s" if pace.fastest else "")
+            for i in late.tolist()
+        ]
         raise Unreachable(f"{len(late)} of {len(t)} wanted poses come too soon after the one before:", late, lines)
     arrive = leave + np.maximum(least, BRIEF)
     turn = leave + np.where(back > 0, out / np.maximum(way, 1e-300), 1.0) * (arrive - leave)
     n, numbers = len(t), np.arange(len(t))
-    parts = [(np.array([begin]), np.array([-1]), WAITING, np.ones(1, bool)), (leave, numbers - 1, WAITING, numbers > 0),
-             (turn, numbers, TURNING, back > 0), (arrive, numbers, ARRIVED, arrive < t - BRIEF), (t, numbers, HOLDING, np.ones(n, bool)),
-             (t[-1:] + HOLD, numbers[-1:], WAITING, np.ones(1, bool))]
+    parts = [
+        (np.array([begin]), np.array([-1]), WAITING, np.ones(1, bool)),
+        (leave, numbers - 1, WAITING, numbers > 0),
+        (turn, numbers, TURNING, back > 0),
+        (arrive, numbers, ARRIVED, arrive < t - BRIEF),
+        (t, numbers, HOLDING, np.ones(n, bool)),
+        (t[-1:] + HOLD, numbers[-1:], WAITING, np.ones(1, bool)),
+    ]
     when, pose, doing = (np.concatenate(x) for x in zip(*((t[k], p[k], np.full(k.sum(), d)) for t, p, d, k in parts)))
     order = np.lexsort((doing, when))
     when, pose, doing = when[order], pose[order], doing[order]
@@ -88,4 +104,6 @@ def timed_route(pace: Pace, held: np.ndarray, start: np.ndarray, reach: np.ndarr
 
 def untimed_route(held: np.ndarray, start: np.ndarray) -> Route:
     """Route through values (n, axes) in their order from start (axes,), each held until all has come to rest."""
-    return timed_route(Pace(AT_REST * np.arange(1, len(held) + 1), 0.0, np.abs(held - start).max() + 1.0, None), held, start)
+    return timed_route(
+        Pace(AT_REST * np.arange(1, len(held) + 1), 0.0, np.abs(held - start).max() + 1.0, None), held, start
+    )

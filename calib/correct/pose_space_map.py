@@ -1,6 +1,8 @@
-"""A map in pose space: where the machine really stands when all corrections so far have it at a pose, and what to ask for instead.
+"""A map in pose space: where the machine really stands when all corrections so far have it at a pose, and what to ask
+for instead.
 
-Source: configuration-space patent, [0035] (error maps and compensation in the configuration space, the workspace or both)
+Source: configuration-space patent, [0035] (error maps and compensation in the configuration space, the workspace or
+    both)
 """
 
 from dataclasses import dataclass
@@ -19,9 +21,11 @@ NAMES = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMap:
-    """home : T_base_platform whose turn rotations are counted from; coordinates : of NAMES, indices of those that poses differ in
-    field : Field over these, position in the base frame (m) and rotation vector from home (rad), whose values are the tangent on the right
-    (m, rad) from where a pose is asked for to where the machine stands then, in the same coordinates."""
+    """home : T_base_platform whose turn rotations are counted from; coordinates : of NAMES, indices of those that poses
+    differ in
+    field : Field over these, position in the base frame (m) and rotation vector from home (rad), whose values are the
+    tangent on the right (m, rad) from where a pose is asked for to where the machine stands then, in the same
+    coordinates."""
 
     home: RigidTransform
     coordinates: tuple[int, ...]
@@ -40,7 +44,8 @@ class PoseMap:
         return T * exp(self._whole(self.field.value(self.at(T))))
 
     def compensated(self, T: RigidTransform) -> RigidTransform:
-        """The poses (...) at which the machine is to be taken to stand for it to stand at T (...): the fixed point of T' = T exp(-error(T')).
+        """The poses (...) at which the machine is to be taken to stand for it to stand at T (...): the fixed point of
+        T' = T exp(-error(T')).
 
         Raises NotConverged with index, poses and residual (m, rad) where it is not found
         """
@@ -51,8 +56,12 @@ class PoseMap:
             if change.max(initial=0) < TOLERANCE:
                 return found
         failed = np.flatnonzero(~(np.ravel(change) < TOLERANCE))
-        raise NotConverged(f"where to stand for {len(failed)} poses was not found by a map in pose space", failed,
-                           pose_coordinates(T, self.home).reshape(-1, 6)[failed], np.ravel(change)[failed])
+        raise NotConverged(
+            f"where to stand for {len(failed)} poses was not found by a map in pose space",
+            failed,
+            pose_coordinates(T, self.home).reshape(-1, 6)[failed],
+            np.ravel(change)[failed],
+        )
 
     def _whole(self, values: np.ndarray) -> np.ndarray:
         out = np.zeros((*values.shape[:-1], 6))
@@ -66,5 +75,7 @@ def pose_coordinates(T: RigidTransform, home: RigidTransform) -> np.ndarray:
 
 
 def pose_error_tangents(T_taken: RigidTransform, T_measured: RigidTransform) -> np.ndarray:
-    """(n, 6) tangents on the right, m and rad, from where a machine is taken to stand (n,) to where it was measured (n,)."""
+    """(n, 6) tangents on the right, m and rad, from where a machine is taken to stand (n,) to where it was measured
+    (n,).
+    """
     return log(T_taken.inv() * T_measured)

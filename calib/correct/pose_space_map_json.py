@@ -23,5 +23,9 @@ def pose_map_from_entries(table: Entries, nominal: Struts) -> PoseMap:
     """PoseMap of what `pose_map_dict` gave, as Entries, of a mechanism. Raises FileError for anything else."""
     some = pose_coordinate_indices(nominal)
     if table.texts("coordinates") != tuple(NAMES[i] for i in some):
-        table.fail(f"{table.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of kind {nominal.kind!r}", "coordinates")
+        table.fail(
+            f"{table.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of "
+            f"kind {nominal.kind!r}",
+            "coordinates",
+        )
     return PoseMap(table.pose("home"), some, interpolation_methods.field_from_entries(table.table("field"), len(some)))

@@ -1,7 +1,8 @@
-"""The method in its own terms: summands at the visited configurations, extended over the whole configuration space by a way that is asked for.
+"""The method in its own terms: summands at the visited configurations, extended over the whole configuration space by a
+way that is asked for.
 
-KSF_PM(x) = x - IK(GDK(x)) at each sample x; KSF_KR is its Field over all of the configuration space. It stands alone, with the owner's
-model as IK, or on top of the fitted geometry, where it extends what that leaves.
+KSF_PM(x) = x - IK(GDK(x)) at each sample x; KSF_KR is its Field over all of the configuration space. It stands alone,
+with the owner's model as IK, or on top of the fitted geometry, where it extends what that leaves.
 Source: configuration-space patent, [0026] to [0030], [0126] to [0137]
 """
 
@@ -29,18 +30,26 @@ PLACES = 500  # at which a single step is held against the fixed point
 
 
 def summands(samples: Samples, model: Struts) -> Known:
-    """KSF_PM of samples, each with its variances by the measured poses' covariance, shared errors left out. model : whose IK is meant.
+    """KSF_PM of samples, each with its variances by the measured poses' covariance, shared errors left out.
+    model : whose IK is meant.
 
     Source: configuration-space patent, [0130]
     """
     kinematics = mechanisms.kinematics_of(model)
     A = strut_jacobian(samples.T_base_platform, model)
     variances = np.einsum("nij,njk,nik->ni", A, samples.covariance, A)
-    return Known(samples.commanded, samples.commanded - kinematics.inverse(samples.T_base_platform, model), variances, kinematics.travel(model))
+    return Known(
+        samples.commanded,
+        samples.commanded - kinematics.inverse(samples.T_base_platform, model),
+        variances,
+        kinematics.travel(model),
+    )
 
 
 def geometry_of(samples: Samples, nominal: Struts, alone: bool, prior: np.ndarray | None = None) -> Identified:
-    """Identified geometry that an extension stands on; alone : the owner's own, with nothing sought. prior : (p,) m, or None: as poses have it."""
+    """Identified geometry that an extension stands on; alone : the owner's own, with nothing sought. prior : (p,) m, or
+    None: as poses have it.
+    """
     if not alone:
         if prior is None:
             prior = stated_geometry_accuracy(identify(samples, nominal), nominal).prior
@@ -49,22 +58,42 @@ def geometry_of(samples: Samples, nominal: Struts, alone: bool, prior: np.ndarra
     n, axes = known.values.shape
     A, p = strut_jacobian(samples.T_base_platform, nominal), len(parameters(nominal))
     covariance = A @ samples.covariance @ np.swapaxes(A, 1, 2)
-    return Identified(nominal, np.zeros((p, p)), np.zeros(samples.common.shape[2]), np.zeros((p, p)), known.values, covariance, np.zeros(axes),
-                      np.ones(n, bool), np.full(p, PRIOR), 0.0)
+    return Identified(
+        nominal,
+        np.zeros((p, p)),
+        np.zeros(samples.common.shape[2]),
+        np.zeros((p, p)),
+        known.values,
+        covariance,
+        np.zeros(axes),
+        np.ones(n, bool),
+        np.full(p, PRIOR),
+        0.0,
+    )
 
 
 def geometry_residual_summands(samples: Samples, found: Identified) -> Known:
-    """What a geometry leaves of the summands, shared errors taken out: KSF_PM of the owner's model where none was sought."""
+    """What a geometry leaves of the summands, shared errors taken out: KSF_PM of the owner's model where none was
+    sought.
+    """
     kinematics = mechanisms.kinematics_of(found.mechanism)
-    return Known(samples.commanded, found.residuals, np.einsum("nii->ni", found.residual_covariance), kinematics.travel(found.mechanism))
+    return Known(
+        samples.commanded,
+        found.residuals,
+        np.einsum("nii->ni", found.residual_covariance),
+        kinematics.travel(found.mechanism),
+    )
 
 
 def pass_residual_summands(samples: Samples, correction: Correction[Any, Any]) -> Known:
-    """What an earlier pass leaves: the lengths that its correction takes the struts to have, less those of the pose that was measured.
+    """What an earlier pass leaves: the lengths that its correction takes the struts to have, less those of the pose
+    that was measured.
 
     Source: configuration-space patent, [0035]
     """
-    known = summands(replace(samples, T_base_platform=correction.target_poses(samples.T_base_platform)), correction.fitted)
+    known = summands(
+        replace(samples, T_base_platform=correction.target_poses(samples.T_base_platform)), correction.fitted
+    )
     return Known(known.configurations, known.values - correction.rho(samples.commanded), known.variances, known.strokes)
 
 
@@ -78,19 +107,26 @@ def correction_with_pass(correction: Correction[Any, Any], field: Field | None) 
 
 
 def pass_residual_poses(samples: Samples, correction: Correction[Any, Any]) -> Known:
-    """What an earlier pass leaves in pose space: where machines were measured, as tangents from where its correction takes them to stand.
+    """What an earlier pass leaves in pose space: where machines were measured, as tangents from where its correction
+    takes them to stand.
 
-    Over the coordinates in which the mechanism's poses differ, see `posed.PoseMap`. Source: configuration-space patent, [0035]
+    Over the coordinates in which the mechanism's poses differ, see `posed.PoseMap`. Source: configuration-space patent,
+    [0035]
     """
     nominal, some = correction.nominal, list(pose_coordinate_indices(correction.nominal))
     home = home_pose(nominal)
     T = correction.predict(samples.commanded)
-    _, all_over = commands_with_pose(low_discrepancy(mechanisms.kinematics_of(nominal).travel(nominal), PLACES, 1.0), correction)
+    _, all_over = commands_with_pose(
+        low_discrepancy(mechanisms.kinematics_of(nominal).travel(nominal), PLACES, 1.0), correction
+    )
     x, box = (pose_space_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
     both = np.concatenate([x, box])
     variances = np.einsum("nii->ni", samples.covariance)[:, some]
     return Known(
-        x, pose_space_map.pose_error_tangents(T, samples.T_base_platform)[:, some], variances, np.stack([both.min(axis=0), both.max(axis=0)], axis=1)
+        x,
+        pose_space_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
+        variances,
+        np.stack([both.min(axis=0), both.max(axis=0)], axis=1),
     )
 
 
@@ -114,11 +150,16 @@ def correction_with_map(correction: Correction[Any, Any], field: Field | None) -
 
 
 def fit_summand_field(known: Known, kind: str, like: Field | None = None) -> Field:
-    """KSF_KR, the Field of a kind through samples. like : a Field of the same kind of more samples, whose smoothness holds for these as well.
+    """KSF_KR, the Field of a kind through samples. like : a Field of the same kind of more samples, whose smoothness
+    holds for these as well.
 
     Raises RigError as `kinds.fit`
     """
-    return RadialMap.fit(known, like) if isinstance(like, RadialMap) and kind == RadialMap.kind else interpolation_methods.fit_field(kind, known)
+    return (
+        RadialMap.fit(known, like)
+        if isinstance(like, RadialMap) and kind == RadialMap.kind
+        else interpolation_methods.fit_field(kind, known)
+    )
 
 
 def correction_with_field(nominal: Struts, found: Identified, field: Field | None) -> Correction[Struts, Any]:
@@ -131,6 +172,9 @@ def single_step_errors(correction: Correction[Any, Any]) -> tuple[float, float]:
 
     Source: configuration-space patent, [0030], [0091]
     """
-    _, wanted = commands_with_pose(low_discrepancy(mechanisms.kinematics_of(correction.nominal).travel(correction.nominal), PLACES, FILL), correction)
+    _, wanted = commands_with_pose(
+        low_discrepancy(mechanisms.kinematics_of(correction.nominal).travel(correction.nominal), PLACES, FILL),
+        correction,
+    )
     off = correction.single_step(wanted) - correction.inverse(wanted)
     return float(np.sqrt((off**2).mean())), float(np.abs(off).max())

@@ -1,4 +1,6 @@
-"""What a diagnosis found of an arm, taken into its calibration: refined with the geometry on the calibration's own recording."""
+"""What a diagnosis found of an arm, taken into its calibration: refined with the geometry on the calibration's own
+recording.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -30,11 +32,15 @@ class ArmRefit:
     physics: Physics
 
     def with_geometry(self, done: Certified) -> tuple[Physics, np.ndarray]:
-        """(Physics, (p, p) covariance of the geometry, m and rad), of a geometry certified on these samples and the physics together."""
+        """(Physics, (p, p) covariance of the geometry, m and rad), of a geometry certified on these samples and the
+        physics together.
+        """
         response = self.together.response(done.found)
         cross, places = response @ self.physics.own, mechanisms.axis_places(done.correction.nominal)
         kept = [place for place, part in zip(places, done.correction.remainder) if part is not None]
-        unknown = tuple(replace(u, corrected=u.place in kept or (u.place == "rig" and bool(kept))) for u in self.physics.unknown)
+        unknown = tuple(
+            replace(u, corrected=u.place in kept or (u.place == "rig" and bool(kept))) for u in self.physics.unknown
+        )
         return replace(self.physics, cross=cross, unknown=unknown), done.found.covariance + cross @ response.T
 
 
@@ -44,8 +50,11 @@ def findings_of_arm_diagnosis(found: ArmDiagnosis) -> Findings:
 
 
 @threadpool_limits.wrap(limits=1)
-def refit_arm_with_findings(recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None) -> ArmRefit:
-    """ArmRefit of a recording's samples: the findings' parameters refined with the geometry, and what they make of each command.
+def refit_arm_with_findings(
+    recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
+) -> ArmRefit:
+    """ArmRefit of a recording's samples: the findings' parameters refined with the geometry, and what they make of each
+    command.
 
     Raises RigError where neither poses nor positions were measured, and what identifying raises
     """
@@ -59,10 +68,22 @@ def refit_arm_with_findings(recording: Recording, sampled: Sampled, findings: Fi
     said("refining physics and geometry together", 0, 1)
     before = None
     if findings.sigma is not None:
-        before = Prior(np.array([c.read(findings.effects[c.effect]) for c in coordinates_of(findings.effects)]), findings.sigma)
+        before = Prior(
+            np.array([c.read(findings.effects[c.effect]) for c in coordinates_of(findings.effects)]), findings.sigma
+        )
     start = start_of(of_samples(samples), nominal, sampled.instrument)
-    found = fit_geometry_and_effects(samples, History(design, commands, smooth_temperatures(recording.sensors)[0]), start, findings.effects, before)
+    found = fit_geometry_and_effects(
+        samples, History(design, commands, smooth_temperatures(recording.sensors)[0]), start, findings.effects, before
+    )
     said("refining physics and geometry together", 1, 1)
-    physics = Physics(found.effects, found.own, np.zeros((len(names(nominal)), len(found.own))), design.gravity, design.actuator, design.platform,
-                      sensor_statistics(recording, samples.t), findings.unknown)
+    physics = Physics(
+        found.effects,
+        found.own,
+        np.zeros((len(names(nominal)), len(found.own))),
+        design.gravity,
+        design.actuator,
+        design.platform,
+        sensor_statistics(recording, samples.t),
+        findings.unknown,
+    )
     return ArmRefit(found, physics)

@@ -1,7 +1,10 @@
-"""What a calibration leaves out of its own recording, by a diagnosis of that recording: named in its claim, and never claimed better than that.
+"""What a calibration leaves out of its own recording, by a diagnosis of that recording: named in its claim, and never
+claimed better than that.
 
-Good needs that nothing is unexplained, which is known where somebody has looked for it: a calibration looks as `rig diagnose` does.
-Where a diagnosis gives a cause to poses that a fit left out as wild, these are the machine's doing, and the claim has to hold for them as well.
+Good needs that nothing is unexplained, which is known where somebody has looked for it: a calibration looks as `rig
+diagnose` does.
+Where a diagnosis gives a cause to poses that a fit left out as wild, these are the machine's doing, and the claim has
+to hold for them as well.
 """
 
 import json
@@ -42,14 +45,18 @@ BEYOND = ("physics", "extension", "pose_maps")  # of a calibration that is more 
 
 
 class Against(NamedTuple):
-    """What a recording says against a calibration made from it. path : its file; state : BAD where it is refuted, else CHECK; finding : a sentence"""
+    """What a recording says against a calibration made from it. path : its file; state : BAD where it is refuted, else
+    CHECK; finding : a sentence
+    """
 
     path: Path
     state: State
     finding: str
 
 
-def search_left_out_physics(calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None) -> Calibration:
+def search_left_out_physics(
+    calibration: Calibration, recording: Recording, sampled: Sampled, progress: Progress | None = None
+) -> Calibration:
     """The Calibration of a recording, its claim with what a diagnosis of it leaves unexplained.
 
     sampled : Sampled that it was made from; progress : called with (label, done, of), or None
@@ -72,14 +79,18 @@ def without_search(calibration: Calibration) -> Calibration:
 
 
 def add_left_out_physics(calibration: Calibration, report: Report, samples: Samples) -> Calibration:
-    """The Calibration with what a Report of its own recording says of its claim. samples : Samples of the recording, all of them"""
+    """The Calibration with what a Report of its own recording says of its claim. samples : Samples of the recording,
+    all of them
+    """
     if refutes_calibration(report, calibration, samples):
         calibration = replace(calibration, claim=widened_claim(calibration, samples))
     return _with(calibration, (*unexplained(report), *(one.text for one in doubts(report))))
 
 
 def refutes_calibration(report: Report, calibration: Calibration, samples: Samples) -> bool:
-    """Whether the poses of its own recording, those that it left out among them, refute a calibration's claim, and a Report gives that a cause."""
+    """Whether the poses of its own recording, those that it left out among them, refute a calibration's claim, and a
+    Report gives that a cause.
+    """
     if not report.mattering and not report.unknown:
         return False
     found = of_samples(calibration, samples, np.random.default_rng(SEED))
@@ -89,22 +100,33 @@ def refutes_calibration(report: Report, calibration: Calibration, samples: Sampl
 def widened_claim(calibration: Calibration, samples: Samples) -> Claim:
     """A calibration's claim, no better than the errors of all poses of its recording beyond what measuring adds.
 
-    Few poses may show most of it: as many as count are taken for a Poisson draw, whose 95 % interval is that of the mean square.
+    Few poses may show most of it: as many as count are taken for a Poisson draw, whose 95 % interval is that of the
+    mean square.
     samples : Samples, those that were left out among them
     """
     claim = calibration.claim
     assert claim is not None and claim.before is not None and claim.after is not None
-    errors, covariance = pose_errors(calibration.correction.predict(samples.effective), samples), samples.total_covariance()
-    after = tuple(_no_better(three, errors[:, part], covariance[:, part, part]) for part, three in zip((slice(0, 3), slice(3, 6)), claim.after))
+    errors, covariance = (
+        pose_errors(calibration.correction.predict(samples.effective), samples),
+        samples.total_covariance(),
+    )
+    after = tuple(
+        _no_better(three, errors[:, part], covariance[:, part, part])
+        for part, three in zip((slice(0, 3), slice(3, 6)), claim.after)
+    )
     b, a = claim.before[0], after[0]
     pairs = ((b[0], a[0]), (b[1], a[2]), (b[2], a[1]))
     seen = float(np.trace(covariance[:, :3, :3], axis1=1, axis2=2).mean())
     ratio = tuple(x / max(y, np.finfo(float).tiny) for x, y in pairs)
-    return replace(claim, after=after, ratio=ratio, measured=tuple(math.sqrt((x**2 + seen) / (y**2 + seen)) for x, y in pairs))
+    return replace(
+        claim, after=after, ratio=ratio, measured=tuple(math.sqrt((x**2 + seen) / (y**2 + seen)) for x, y in pairs)
+    )
 
 
 def _no_better(three: tuple[float, ...], errors: np.ndarray, covariance: np.ndarray) -> tuple[float, ...]:
-    """(median, low, high) of a claim, no better than errors (n, 3) of a covariance (n, 3, 3) show; as it is where these were not measured."""
+    """(median, low, high) of a claim, no better than errors (n, 3) of a covariance (n, 3, 3) show; as it is where these
+    were not measured.
+    """
     own = (errors**2).sum(axis=1)
     if not np.isfinite(own).all() or not own.any():
         return three
@@ -117,8 +139,8 @@ def _no_better(three: tuple[float, ...], errors: np.ndarray, covariance: np.ndar
 def refuted_calibrations(report: Report, of: Marks, paths: Iterable[Path], samples: Samples | None) -> list[Against]:
     """[Against] of calibrations made from a recording that know nothing of what a Report of it finds.
 
-    of : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples of the recording, None where
-    nothing was commanded
+    of : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples of
+    the recording, None where nothing was commanded
     """
     out = []
     for path, tree in _made_from(of, paths):
@@ -128,18 +150,28 @@ def refuted_calibrations(report: Report, of: Marks, paths: Iterable[Path], sampl
         if not left and not nameless:
             continue
         found = (
-            [f"it leaves out {'; '.join(report_sentences.finding_title(f) + report_sentences.finding_size_text(f) for f in left)}"] if left else []
+            [
+                "it leaves out "
+                f"{'; '.join(report_sentences.finding_title(f) + report_sentences.finding_size_text(f) for f in left)}"
+            ]
+            if left
+            else []
         )
         found += [f"nothing in the catalogue explains what is at {', '.join(nameless)}"] if nameless else []
         after = (tree.get("claim") or {}).get("after")
         claimed = f", where {float(after[0][2]) * 1e6:.3g} um is claimed" if after else ""
-        refuted = samples is not None and not tree.get("physics") and refutes_calibration(report, calibration_file.load(path), samples)
+        refuted = (
+            samples is not None
+            and not tree.get("physics")
+            and refutes_calibration(report, calibration_file.load(path), samples)
+        )
         out.append(Against(path, State.BAD if refuted else State.CHECK, "; ".join(found) + claimed))
     return out
 
 
 def findings_against_calibrations(of: Marks, paths: Iterable[Path], later: bool) -> OfCalibrations:
-    """OfCalibrations made from a recording with marks `of` by its geometry, without physics. paths : files that may be calibrations
+    """OfCalibrations made from a recording with marks `of` by its geometry, without physics. paths : files that may be
+    calibrations
 
     later : whether what other recordings found against them counts, as for what is learnt from the recording itself
     """
@@ -165,7 +197,11 @@ def _with(calibration: Calibration, texts: tuple[str, ...]) -> Calibration:
 def _made_from(of: Marks, paths: Iterable[Path]) -> list[tuple[Path, dict[str, Any]]]:
     """[(path, tree)] of the calibrations among files that were made from a recording with marks."""
     found = [(path, _calibration(path)) for path in paths]
-    return [(path, tree) for path, tree in found if tree is not None and frames_with_known_data(of, set(tree["provenance"].get("data", ())))]
+    return [
+        (path, tree)
+        for path, tree in found
+        if tree is not None and frames_with_known_data(of, set(tree["provenance"].get("data", ())))
+    ]
 
 
 def _known(tree: dict[str, Any]) -> set[tuple[Any, Any]]:
@@ -183,5 +219,9 @@ def _calibration(path: Path) -> dict[str, Any] | None:
         tree = json.loads(path.read_bytes())
     except ValueError:  # another file that ends in .json
         return None
-    own = isinstance(tree, dict) and str(tree.get("schema", "")).startswith("calibration/") and isinstance(tree.get("provenance"), dict)
+    own = (
+        isinstance(tree, dict)
+        and str(tree.get("schema", "")).startswith("calibration/")
+        and isinstance(tree.get("provenance"), dict)
+    )
     return tree if own else None

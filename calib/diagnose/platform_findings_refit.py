@@ -1,4 +1,6 @@
-"""What a diagnosis found, taken into a calibration: refined with geometry and cameras on the calibration's own recording."""
+"""What a diagnosis found, taken into a calibration: refined with geometry and cameras on the calibration's own
+recording.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -36,8 +38,9 @@ from rig.recording.recording_folder import Recording
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Findings:
-    """effects : found, with their values; sigma : (c,) standard deviation of each of their coordinates where another recording told them, which
-    then count beside what this one tells; None where they are of this very recording; unknown : what has no name."""
+    """effects : found, with their values; sigma : (c,) standard deviation of each of their coordinates where another
+    recording told them, which then count beside what this one tells; None where they are of this very recording;
+    unknown : what has no name."""
 
     effects: tuple[Effect, ...]
     sigma: np.ndarray | None
@@ -46,7 +49,8 @@ class Findings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlatformRefit:
-    """samples : Samples with what the physics adds to their commands; physics : Physics, of which the geometry does not know yet
+    """samples : Samples with what the physics adds to their commands; physics : Physics, of which the geometry does not
+    know yet
     refined : Refined that it comes from."""
 
     samples: Samples
@@ -54,7 +58,9 @@ class PlatformRefit:
     refined: Refined
 
     def with_geometry(self, done: Certified) -> tuple[Physics, np.ndarray]:
-        """(Physics, (p, p) m^2 covariance of the geometry), of a geometry certified on these samples and the physics together."""
+        """(Physics, (p, p) m^2 covariance of the geometry), of a geometry certified on these samples and the physics
+        together.
+        """
         response = self._response(done)
         cross = response @ self.physics.own
         unknown = tuple(replace(u, corrected=_corrected(u.place, done)) for u in self.physics.unknown)
@@ -65,7 +71,9 @@ class PlatformRefit:
         """The Certified with what the physics' own errors add to its machines."""
         if done.machines is None or not self.physics.own.any():
             return done
-        errors = rng.multivariate_normal(np.zeros(len(self.physics.own)), self.physics.own, len(done.machines.parameters), method="eigh")
+        errors = rng.multivariate_normal(
+            np.zeros(len(self.physics.own)), self.physics.own, len(done.machines.parameters), method="eigh"
+        )
         course = np.einsum("nac,dc->dna", self._columns(), errors)
         return add_machine_draws(done, done.machines.with_more(errors @ self._response(done).T, course))
 
@@ -88,7 +96,10 @@ class PlatformRefit:
         out = []
         for c in coordinates_of(effects):
             high, low = c.around(effects[c.effect])
-            ends = [_motion((*effects[: c.effect], c.written(effects[c.effect], end), *effects[c.effect + 1 :])) for end in (high, low)]
+            ends = [
+                _motion((*effects[: c.effect], c.written(effects[c.effect], end), *effects[c.effect + 1 :]))
+                for end in (high, low)
+            ]
             out.append((k.effective(ends[0]) - k.effective(ends[1])) / (high - low))
         return np.stack(out, axis=2) if out else np.zeros((*self.samples.commanded.shape, 0))
 
@@ -112,7 +123,10 @@ def findings_of_folder(folder: Path, recording: Recording, kinds: Kinds = BY_NAM
         raise FileError(folder, "holds no diagnosis.json; --diagnosis takes a folder that `rig diagnose` wrote")
     tree = json_file.load(folder / "diagnosis.json", "diagnosis", SCHEMA)
     if not (folder / "machine.json").exists():
-        raise FileError(folder / "machine.json", "no such file; --diagnosis takes a folder that `rig diagnose` wrote from a commanded recording")
+        raise FileError(
+            folder / "machine.json",
+            "no such file; --diagnosis takes a folder that `rig diagnose` wrote from a commanded recording",
+        )
     _, effects = machine_json.load_machine(folder / "machine.json", recording.design, kinds)
     entries = tree.tables("findings")
     unknown = tuple(_unknown(entry) for entry in entries if entry.text("effect") == UNKNOWN)
@@ -134,7 +148,9 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
     for number, effect in enumerate(effects):
         own = next((e for e in left if (e.text("effect"), e.text("place")) == (effect.name, effect.place)), None)
         if own is None:
-            tree.fail(f"machine.json has {effect.name} at {effect.place}, which diagnosis.json does not list", "findings")
+            tree.fail(
+                f"machine.json has {effect.name} at {effect.place}, which diagnosis.json does not list", "findings"
+            )
         left.remove(own)
         found[number] = own.table("parameters")
     for c in coordinates_of(effects):
@@ -142,7 +158,9 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
         ends = value.get("ci95")
         if not isinstance(ends, list) or np.shape(ends)[:1] != (2,):
             value.fail(f"{value.name('ci95')} must hold two ends, not {ends}", "ci95")
-        numbers = effects[c.effect].fitted(next(p for p in effects[c.effect].parameters if p.name == c.name))  # which of a vector are listed
+        numbers = effects[c.effect].fitted(
+            next(p for p in effects[c.effect].parameters if p.name == c.name)
+        )  # which of a vector are listed
         told = np.array([value.get("value"), *ends], float)
         middle, low, high = map(c.measured, told if c.index is None else told[:, numbers.index(c.index)])
         out.append(max(abs(low - middle), abs(high - middle)) / Z95)  # one end may be cut off at a bound
@@ -150,8 +168,11 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
 
 
 @threadpool_limits.wrap(limits=1)
-def refit_platform_with_findings(recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None) -> PlatformRefit:
-    """PlatformRefit of a recording's samples: the findings' parameters refined with cameras and geometry, and what they add to each command.
+def refit_platform_with_findings(
+    recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None
+) -> PlatformRefit:
+    """PlatformRefit of a recording's samples: the findings' parameters refined with cameras and geometry, and what they
+    add to each command.
 
     Raises RigError for a machine without struts, and what refining raises
     """
@@ -160,7 +181,9 @@ def refit_platform_with_findings(recording: Recording, sampled: Sampled, finding
     said("refining physics and geometry together", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
     point = without_distant_corners(exchanged(point, [e for e in findings.effects if isinstance(e, MarkerSwap)]))
-    refined = refine(point.with_effects(e for e in findings.effects if not isinstance(e, MarkerSwap)), Sensitivities(point))
+    refined = refine(
+        point.with_effects(e for e in findings.effects if not isinstance(e, MarkerSwap)), Sensitivities(point)
+    )
     effects, own = _combined(refined, findings)
     said("refining physics and geometry together", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
@@ -168,13 +191,23 @@ def refit_platform_with_findings(recording: Recording, sampled: Sampled, finding
         samples = freedom_conditions(recording, replace(samples, T_base_platform=k.T))
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
     design = recording.design
-    physics = Physics(effects, own, np.zeros((len(parameters(nominal)), len(own))), design.gravity, design.actuator, design.platform,
-                      sensor_statistics(recording, samples.t), findings.unknown)
+    physics = Physics(
+        effects,
+        own,
+        np.zeros((len(parameters(nominal)), len(own))),
+        design.gravity,
+        design.actuator,
+        design.platform,
+        sensor_statistics(recording, samples.t),
+        findings.unknown,
+    )
     return PlatformRefit(replace(samples, known=known), physics, refined)
 
 
 def _combined(refined: Refined, findings: Findings) -> tuple[tuple[Effect, ...], np.ndarray]:
-    """(effects, (c, c) covariance of their coordinates) as refined, and where another recording told them, by both together."""
+    """(effects, (c, c) covariance of their coordinates) as refined, and where another recording told them, by both
+    together.
+    """
     effects, own = [*refined.point.effects], refined.covariance
     coordinates: list[Coordinate] = refined.coordinates
     if findings.sigma is not None and refined.column is not None:

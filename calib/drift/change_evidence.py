@@ -1,10 +1,13 @@
 """Has something changed, since when, and what: the Shiryaev-Roberts procedure over all hypotheses and onsets.
 
-The likelihood of all visits with a change since visit k, over that without, averaged over what may change and how much, is summed over k > 1.
-While nothing changes the sum grows by one a visit in expectation, so that an alarm at A comes after A quiet visits or more on average.
+The likelihood of all visits with a change since visit k, over that without, averaged over what may change and how much,
+is summed over k > 1.
+While nothing changes the sum grows by one a visit in expectation, so that an alarm at A comes after A quiet visits or
+more on average.
 The first visit has none before it and is held against the calibration alone, all its numbers together.
 A change that nobody names is bet on by each visit's own p-value: p^-1/2 / 2, whose mean is one while nothing changes.
-Source: Pollak, Optimal detection of a change in distribution, Annals of Statistics 1985; Vovk and Wang, E-values, ibid. 2021
+Source: Pollak, Optimal detection of a change in distribution, Annals of Statistics 1985; Vovk and Wang, E-values, ibid.
+    2021
 """
 
 from collections.abc import Sequence
@@ -25,7 +28,8 @@ UNSAID = 1e-6  # chance beyond which what the likeliest change leaves is no nois
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
-    """A change that is thought of. kind, name as in Hypothesis; since : index of the first visit with it, 0 the first of all
+    """A change that is thought of. kind, name as in Hypothesis; since : index of the first visit with it, 0 the first
+    of all
     odds : its probability, were there a change; value, sigma : (q,) in own units, none of what has no name."""
 
     kind: str
@@ -39,8 +43,10 @@ class Suspect:
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
     """What visits so far say. square, count : innovation of the last, squared and whitened, and how many numbers it has
-    log_sum : logarithm of the Shiryaev-Roberts sum, 0 of a first visit; suspects : by falling odds, one of each name; left : chance of what
-    the first of them leaves; chance : that noise makes a first visit agree no better with the calibration, None of later ones."""
+    log_sum : logarithm of the Shiryaev-Roberts sum, 0 of a first visit; suspects : by falling odds, one of each name;
+        left : chance of what
+    the first of them leaves; chance : that noise makes a first visit agree no better with the calibration, None of
+    later ones."""
 
     square: float
     count: int
@@ -68,11 +74,18 @@ def unexplained_squares(visits: Sequence[Equations], prior: np.ndarray) -> float
     return sum(v.square for v in visits) - float(right @ cho_solve(cho_factor(total), right))
 
 
-def change_verdict(visits: Sequence[Equations], squares: Sequence[tuple[float, int]], scale: float, prior: np.ndarray, known: Sequence[Hypothesis],
-          first: int) -> Verdict:
+def change_verdict(
+    visits: Sequence[Equations],
+    squares: Sequence[tuple[float, int]],
+    scale: float,
+    prior: np.ndarray,
+    known: Sequence[Hypothesis],
+    first: int,
+) -> Verdict:
     """Verdict of visits in order, the first of which may stand for several older ones.
 
-    squares : innovation and count of each visit, the last's included; scale : by which squares exceed what covariances say, from quiet visits
+    squares : innovation and count of each visit, the last's included; scale : by which squares exceed what covariances
+        say, from quiet visits
     prior : (p, p) information in the constants; first : how many visits the first stands for
     """
     n, factor = len(visits), cho_factor(np.sum([v.information for v in visits], axis=0) / scale + prior)
@@ -91,10 +104,18 @@ def change_verdict(visits: Sequence[Equations], squares: Sequence[tuple[float, i
             r = b[h.columns] - N[:, h.columns].T @ constants
             weight, gain, value, covariance = _bayes(S, r, h)
             drop[h.name, onset[k]] = gain
-            found.append((np.log(h.prior) + weight, Suspect(h.kind, h.name, onset[k], 0.0, value * h.unit,
-                                                            np.sqrt(np.diag(covariance)) * h.unit)))
-        found.append((np.log(known[0].prior * sum(h.kind == known[0].kind for h in known)) + sum(bets[k:]),
-                      Suspect(SOMETHING, SOMETHING, onset[k], 0.0, none, none)))
+            found.append(
+                (
+                    np.log(h.prior) + weight,
+                    Suspect(h.kind, h.name, onset[k], 0.0, value * h.unit, np.sqrt(np.diag(covariance)) * h.unit),
+                )
+            )
+        found.append(
+            (
+                np.log(known[0].prior * sum(h.kind == known[0].kind for h in known)) + sum(bets[k:]),
+                Suspect(SOMETHING, SOMETHING, onset[k], 0.0, none, none),
+            )
+        )
     log_sum = float(logsumexp([weight for weight, _ in found]))
     suspects = _ranked(found, log_sum)
     best = suspects[0]
@@ -106,13 +127,15 @@ def change_verdict(visits: Sequence[Equations], squares: Sequence[tuple[float, i
 
 
 def _log_chance(square: float, count: int) -> float:
-    """Logarithm of the chance that noise comes to such a square or more, at the most (Chernoff's bound, which never underflows)."""
+    """Logarithm of the chance that noise comes to such a square or more, at the most (Chernoff's bound, which never
+    underflows).
+    """
     return 0.0 if square <= count else -(square - count) / 2 + count / 2 * float(np.log(square / count))
 
 
 def _bayes(S: np.ndarray, r: np.ndarray, h: Hypothesis) -> tuple[float, float, np.ndarray, np.ndarray]:
-    """(log of the likelihood ratio over all sizes, by how much the squares fall at the best, that best (q,), its covariance (q, q)), of
-    information S (q, q) and right side r (q,)."""
+    """(log of the likelihood ratio over all sizes, by how much the squares fall at the best, that best (q,), its
+    covariance (q, q)), of information S (q, q) and right side r (q,)."""
     weights, best = [], None
     for share in SIZES:
         inverse = np.diag(1 / (share * h.size) ** 2)

@@ -12,27 +12,37 @@ SHOWN = 3  # suspects that are listed
 LEAST = 0.01  # odds below which none but the first is
 STEEL = 1.15e-5  # 1/K, to give growth a temperature
 REMEASURE = {
-    "camera": "clamp the mount. The calibration itself stands: cameras are found anew in every recording that shows the base targets. "
-              "Begin a new history once it is fast",
+    "camera": "clamp the mount. The calibration itself stands: cameras are found anew in every recording that shows "
+    "the base targets. "
+    "Begin a new history once it is fast",
     "instrument": "seat the instrument anew, or state its frame; the calibration itself stands",
-    "base": "seat that target anew, or state its true place in rig.toml; poses measured since are told in a frame that moved with it. "
-            "Nothing of the machine is to be remeasured",
-    "platform": "seat that target anew, or state its true place in rig.toml; poses measured since are told by a platform frame that moved "
-                "with it. Nothing of the machine is to be remeasured",
-    "zero": "home the machine and visit again; if it stays, record 20 poses (rig plan RIG.toml --for parameters --count 20 --calibration CAL) "
-            "and calibrate anew",
-    "nut": "look at nut and bearings of that strut; record a ladder (rig run RIG.toml --plan ladder) and diagnose it; until then approach "
-                "every pose from the same side",
-    "temperature": "let the machine reach the temperature that it was calibrated at, or log its struts' temperatures and record the standard "
-                   "plan warm and cold",
-    "payload": "say what the platform carries (payload_mass_kg in sensors.csv); record a plan with payload steps (--plan payload) and "
-               "calibrate with the diagnosis",
+    "base": "seat that target anew, or state its true place in rig.toml; poses measured since are told in a frame "
+    "that moved with it. "
+    "Nothing of the machine is to be remeasured",
+    "platform": "seat that target anew, or state its true place in rig.toml; poses measured "
+    "since are told by a platform "
+    "frame that moved "
+    "with it. Nothing of the machine is to be remeasured",
+    "zero": "home the machine and visit again; if it stays, record 20 poses (rig plan RIG.toml --for parameters "
+    "--count 20 --calibration CAL) "
+    "and calibrate anew",
+    "nut": "look at nut and bearings of that strut; record a ladder (rig run RIG.toml --plan ladder) and diagnose "
+    "it; until then approach "
+    "every pose from the same side",
+    "temperature": "let the machine reach the temperature that it was calibrated at, or log its "
+    "struts' temperatures and "
+    "record the standard "
+    "plan warm and cold",
+    "payload": "say what the platform carries (payload_mass_kg in sensors.csv); record a plan with payload steps "
+    "(--plan payload) and "
+    "calibrate with the diagnosis",
     SOMETHING: "record the standard plan (rig run RIG.toml --plan standard) and ask rig diagnose",
 }
 
 
-def change_lines(verdict: Verdict, name: str, names: Sequence[str], reference: Reference, scale: float,
-          allowed: bool = False) -> list[str]:
+def change_lines(
+    verdict: Verdict, name: str, names: Sequence[str], reference: Reference, scale: float, allowed: bool = False
+) -> list[str]:
     """Lines about a visit of a name. names : of the visits in order, for saying since when; scale : see History.scale
     allowed : whether what a first visit disagrees by is within the calibration's claim."""
     agree = np.sqrt(verdict.square / verdict.count / scale)
@@ -41,17 +51,30 @@ def change_lines(verdict: Verdict, name: str, names: Sequence[str], reference: R
     if not verdict.alarm and verdict.chance is not None:
         return [*out, "  the calibration holds; later visits are held against this one and it"]
     if not verdict.alarm:
-        return [*out, f"  nothing has changed (sum of likelihood ratios {_power(verdict.log_sum)}; the alarm is at {ALARM:g}, which quiet visits "
-                      f"reach once in {ALARM:g} visits or more, on average)"]
+        return [
+            *out,
+            f"  nothing has changed (sum of likelihood ratios {_power(verdict.log_sum)}; the alarm is at "
+            f"{ALARM:g}, which quiet visits "
+            f"reach once in {ALARM:g} visits or more, on average)",
+        ]
     first, named = verdict.suspects[0], verdict.named
     since = "since the calibration" if first.since == 0 else f"since {names[first.since]}"
     if allowed:
         what = "without a name" if named is None else f"likeliest {_said(named, reference)}"
-        out.append(f"  THE CALIBRATION LEAVES SOMETHING OUT, there from the beginning or since, {what}; its claim is not refuted by this visit")
+        out.append(
+            f"  THE CALIBRATION LEAVES SOMETHING OUT, there from the beginning or since, {what}; its claim "
+            "is not refuted by this visit"
+        )
     elif named is None:
         nearest = next((one for one in verdict.suspects if one.kind != SOMETHING), None)
-        out.append(f"  THE CALIBRATION NO LONGER DESCRIBES WHAT IS SEEN, {since}: something changed, we cannot say what"
-                   + (f" (the nearest name, {_said(nearest, reference)}, leaves more than noise)" if nearest is not None else ""))
+        out.append(
+            f"  THE CALIBRATION NO LONGER DESCRIBES WHAT IS SEEN, {since}: something changed, we cannot say what"
+            + (
+                f" (the nearest name, {_said(nearest, reference)}, leaves more than noise)"
+                if nearest is not None
+                else ""
+            )
+        )
     elif named.kind in ("camera", "target"):
         out.append(f"  WHAT MEASURES HAS CHANGED, {since}: {_said(named, reference)}")
     else:
@@ -74,14 +97,29 @@ def _said(one: Suspect, reference: Reference) -> str:
     """A named suspect with its size."""
     if len(one.value) == 6:
         position, rotation = (float(np.linalg.norm(part)) for part in np.split(one.value, 2))
-        what = {"camera": "knocked", "instrument": "or the base moved", "base": "moved on the base", "platform": "moved on the platform"}
+        what = {
+            "camera": "knocked",
+            "instrument": "or the base moved",
+            "base": "moved on the base",
+            "platform": "moved on the platform",
+        }
         return f"{one.name} {what[_key(one, reference)]} by {position * 1e3:.3f} mm and {rotation * 1e3:.3f} mrad"
     value, sigma = float(one.value[0]), float(one.sigma[0])
     if one.kind == "temperature":
-        return (f"all struts grew by {value * 1e6:.1f} +- {2 * sigma * 1e6:.1f} um/m (k=2), {value / STEEL:+.1f} K of steel: a new temperature")
+        return (
+            f"all struts grew by {value * 1e6:.1f} +- {2 * sigma * 1e6:.1f} um/m (k=2), {value / STEEL:+.1f} K "
+            "of steel: a new temperature"
+        )
     if one.kind == "payload":
-        return f"struts yield to {value:.2e} +- {2 * sigma:.1e} kg/(N/m) (k=2) of added load over stiffness: another payload"
-    grown = "play grew by" if one.since else "play that the calibration does not hold, there from the beginning or grown since,"
+        return (
+            f"struts yield to {value:.2e} +- {2 * sigma:.1e} kg/(N/m) (k=2) of added load over stiffness: "
+            "another payload"
+        )
+    grown = (
+        "play grew by"
+        if one.since
+        else "play that the calibration does not hold, there from the beginning or grown since,"
+    )
     word = {"zero": "the zero moved by", "nut": grown}[one.kind]
     return f"{one.name}: {word} {value * 1e3:+.4f} +- {2 * sigma * 1e3:.4f} mm (k=2)"
 

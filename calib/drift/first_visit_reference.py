@@ -14,8 +14,9 @@ from vision.targets import marker_map
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """cameras : (Camera, ...) as the first visit found them; places : what may move, "camera NAME", "target NAME" of base and platform, or
-    "instrument"; base : names of the targets on the base; targets : a mark of where rig.toml states all markers."""
+    """cameras : (Camera, ...) as the first visit found them; places : what may move, "camera NAME", "target NAME" of
+    base and platform, or "instrument"; base : names of the targets on the base; targets : a mark of where rig.toml
+    states all markers."""
 
     cameras: tuple[Camera, ...]
     places: tuple[str, ...]
@@ -24,37 +25,61 @@ class Reference:
 
     @classmethod
     def of(cls, design: Design, measured: Measurement | None) -> "Reference":
-        """The Reference of a first visit. measured : its Measurement, None where an instrument measured. Raises RigError for a camera that moves."""
+        """The Reference of a first visit. measured : its Measurement, None where an instrument measured. Raises
+        RigError for a camera that moves.
+        """
         if measured is None:
             return cls((), ("instrument",), (), "")
         cameras = measured.design.cameras
         moving = [camera.name for camera in cameras if camera.mount == "moving"]
         if moving:
             raise RigError(f"camera {moving[0]} has a moving mount; watching takes cameras that stand still")
-        places = (*(f"camera {camera.name}" for camera in cameras), *(f"target {target.name}" for target in design.targets))
-        return cls(cameras, places, tuple(target.name for target in design.targets if target.body == "base"), _mark(design))
+        places = (
+            *(f"camera {camera.name}" for camera in cameras),
+            *(f"target {target.name}" for target in design.targets),
+        )
+        return cls(
+            cameras, places, tuple(target.name for target in design.targets if target.body == "base"), _mark(design)
+        )
 
     def camera(self, name: str) -> Camera:
         """The camera of a name."""
         return next(camera for camera in self.cameras if camera.name == name)
 
     def refuse(self, recording: Recording, by_cameras: bool) -> None:
-        """Raise RigError for a visit with other cameras or targets, or measured by something else than the first one."""
+        """Raise RigError for a visit with other cameras or targets, or measured by something else than the first
+        one.
+        """
         design = recording.design
         if by_cameras != bool(self.cameras):
-            raise RigError(f"{recording.folder} was measured by {'cameras' if by_cameras else 'an instrument'}, the first visit "
-                           f"{'was not' if by_cameras else 'by cameras'}; begin a new history")
+            raise RigError(
+                f"{recording.folder} was measured by {'cameras' if by_cameras else 'an instrument'}, the first visit "
+                f"{'was not' if by_cameras else 'by cameras'}; begin a new history"
+            )
         mine = [camera.name for camera in self.cameras]
         theirs = [camera.name for camera in design.cameras] if self.cameras else []
         if mine != theirs:
-            raise RigError(f"{recording.folder} has the cameras {', '.join(theirs) or 'of none'}, the first visit {', '.join(mine)}; "
-                           "begin a new history")
-        other = [a.name for a, b in zip(self.cameras, design.cameras) if len(a.distortion) != len(b.distortion) or a.mount != b.mount]
+            raise RigError(
+                f"{recording.folder} has the cameras {', '.join(theirs) or 'of none'}, the first visit "
+                f"{', '.join(mine)}; "
+                "begin a new history"
+            )
+        other = [
+            a.name
+            for a, b in zip(self.cameras, design.cameras)
+            if len(a.distortion) != len(b.distortion) or a.mount != b.mount
+        ]
         if other:
-            raise RigError(f"{recording.folder}: camera {other[0]} has another kind of lens or mount than at the first visit; begin a new history")
+            raise RigError(
+                f"{recording.folder}: camera {other[0]} has another kind of lens or mount than at the first "
+                "visit; begin a new history"
+            )
         if self.cameras and _mark(design) != self.targets:
-            raise RigError(f"{recording.folder}: its rig.toml states other targets, or other places of them, than the first visit's; begin a new "
-                           "history")
+            raise RigError(
+                f"{recording.folder}: its rig.toml states other targets, or other places of them, than the "
+                "first visit's; begin a new "
+                "history"
+            )
 
 
 def _mark(design: Design) -> str:

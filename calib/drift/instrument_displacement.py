@@ -1,8 +1,10 @@
-"""An outside instrument that stood elsewhere in one recording than in the first: told from what all of its poses do together, and taken out.
+"""An outside instrument that stood elsewhere in one recording than in the first: told from what all of its poses do
+together, and taken out.
 
-The geometry and, for each further recording, the six numbers of the instrument's place are fitted to all closures at once, each strut weighed by
-its poses' noise and by what it scatters beyond in that recording: what the machine's model leaves out differs from plan to plan, and must not be
-taken for a place. Only a place that chance does not explain, and that does more to the struts than all that it leaves there, is taken out.
+The geometry and, for each further recording, the six numbers of the instrument's place are fitted to all closures at
+once, each strut weighed by its poses' noise and by what it scatters beyond in that recording: what the machine's model
+leaves out differs from plan to plan, and must not be taken for a place. Only a place that chance does not explain, and
+that does more to the struts than all that it leaves there, is taken out.
 """
 
 from dataclasses import dataclass, replace
@@ -28,7 +30,8 @@ SPREAD = 1.4826  # standard deviations in a median of absolute values
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """Where an instrument stood in a recording (its number, from 0), seen from its place in the first. motion : (6,) m, rad, in the base
+    """Where an instrument stood in a recording (its number, from 0), seen from its place in the first. motion : (6,) m,
+    rad, in the base
     p_value : of so much by chance"""
 
     recording: int
@@ -38,17 +41,25 @@ class Place:
     def line(self, name: str) -> str:
         """In words; name : of the recording."""
         far, turned = np.linalg.norm(self.motion[:3]), np.linalg.norm(self.motion[3:])
-        return f"the instrument stands elsewhere, by {far * 1e3:.3g} mm and {turned * 1e3:.3g} mrad, in {name}: its poses are brought to the first's"
+        return (
+            f"the instrument stands elsewhere, by {far * 1e3:.3g} mm and {turned * 1e3:.3g} mrad, in {name}: its "
+            "poses are brought to the first's"
+        )
 
 
 def remove_instrument_displacement(recording: Recording) -> tuple[Recording, list[Place]]:
-    """(the Recording of several as if the instrument had stood still, [Place] where it did not), of a platform on struts.
+    """(the Recording of several as if the instrument had stood still, [Place] where it did not), of a platform on
+    struts.
 
     Raises what sampling raises
     """
     samples, m = sample_recording(recording).samples, struts_of(recording.design.mechanism)
     number = _numbers(recording, samples.frame)
-    motions, scatter, start = np.zeros((len(recording.parts), 6)), np.zeros((len(recording.parts), len(m.axes))), parameters(m)
+    motions, scatter, start = (
+        np.zeros((len(recording.parts), 6)),
+        np.zeros((len(recording.parts), len(m.axes))),
+        parameters(m),
+    )
     for _ in range(ROUNDS):
         at = replace(samples, T_base_platform=_back(samples.T_base_platform, motions[number]))
         step, covariance, scatter = _solved(at, number, m, start, scatter)
@@ -64,16 +75,22 @@ def remove_instrument_displacement(recording: Recording) -> tuple[Recording, lis
 
 
 def _clear(samples: Samples, motion: np.ndarray, m: Struts) -> bool:
-    """Whether a place (6,) does CLEAR times as much to the closures of a recording's samples as it leaves, by a mechanism as fitted."""
+    """Whether a place (6,) does CLEAR times as much to the closures of a recording's samples as it leaves, by a
+    mechanism as fitted.
+    """
     inverse, T = mechanisms.kinematics_of(m).inverse, samples.T_base_platform
     here = inverse(_back(T, np.tile(motion, (len(samples), 1))), m)
     return float(np.linalg.norm(inverse(T, m) - here)) > CLEAR * float(np.linalg.norm(here - samples.commanded))
 
 
-def _solved(samples: Samples, number: np.ndarray, m: Struts, start: np.ndarray, scatter: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(step (p + 6 later,), its covariance, (parts, axes) m scatter) of geometry and places, linear about a mechanism and places as they are.
+def _solved(
+    samples: Samples, number: np.ndarray, m: Struts, start: np.ndarray, scatter: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(step (p + 6 later,), its covariance, (parts, axes) m scatter) of geometry and places, linear about a mechanism
+    and places as they are.
 
-    number : (n,) recording of each sample; start : (p,) the stated geometry, to which the prior pulls; scatter : (parts, axes) m, so far
+    number : (n,) recording of each sample; start : (p,) the stated geometry, to which the prior pulls;
+        scatter : (parts, axes) m, so far
     """
     T, p = samples.T_base_platform, len(start)
     later = int(number.max())
@@ -89,12 +106,16 @@ def _solved(samples: Samples, number: np.ndarray, m: Struts, start: np.ndarray, 
     covariance = np.linalg.inv(white.T @ white + np.diag(np.r_[np.full(p, 1 / PRIOR**2), np.zeros(6 * later)]))
     step = covariance @ (white.T @ (W @ left[..., None]).ravel() + away)
     left, own = np.abs(left - J @ step), np.einsum("nii->ni", C)
-    spread = np.stack([(SPREAD * np.median(left[number == k], axis=0)) ** 2 - own[number == k].mean(axis=0) for k in range(later + 1)])
+    spread = np.stack(
+        [(SPREAD * np.median(left[number == k], axis=0)) ** 2 - own[number == k].mean(axis=0) for k in range(later + 1)]
+    )
     return step, covariance, np.sqrt(np.maximum(spread, 0.0))
 
 
 def _back(T: RigidTransform, motions: np.ndarray) -> RigidTransform:
-    """Poses (n,) as the instrument would have seen them from its first place; motions : (n, 6) of the base, m and rad, along its axes."""
+    """Poses (n,) as the instrument would have seen them from its first place; motions : (n, 6) of the base, m and rad,
+    along its axes.
+    """
     return exp(motions).inv() * T
 
 

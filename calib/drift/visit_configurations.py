@@ -1,7 +1,8 @@
-"""The poses of a visit: a dozen configurations, in an order, from which changes of the machine are seen and told apart best.
+"""The poses of a visit: a dozen configurations, in an order, from which changes of the machine are seen and told apart
+best.
 
-D-optimal for the zeros, the nuts, growth and sag together, whatever the frame of measurement does meanwhile; a nut shows by the side from
-which its strut came, so the order is chosen with the places.
+D-optimal for the zeros, the nuts, growth and sag together, whatever the frame of measurement does meanwhile; a nut
+shows by the side from which its strut came, so the order is chosen with the places.
 """
 
 from collections.abc import Callable
@@ -29,31 +30,46 @@ GAINS = 1e-3  # of the logarithm of the volume, below which a pass was the last
 FAINT = 1e-3  # information in a change before any visit, per unit squared: only conditions the first poses
 ZERO = 1e-4  # m, unit of the zeros' columns
 FRAME = (1e-2, 1e-2)  # m, rad; how far the frame of measurement may move meanwhile
-BEFORE = np.diag(np.r_[np.full(14, FAINT), 1 / np.repeat(FRAME, 3) ** 2])  # (20, 20) information in changes, then the frame
+BEFORE = np.diag(
+    np.r_[np.full(14, FAINT), 1 / np.repeat(FRAME, 3) ** 2]
+)  # (20, 20) information in changes, then the frame
 DOWN = np.array([0.0, 0.0, -9.80665])  # m/s^2, where no rig.toml says otherwise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """commands : (n, 6) m in order; sigma, even : (14,) standard errors of a visit in own units, and of as many evenly spread."""
+    """commands : (n, 6) m in order; sigma, even : (14,) standard errors of a visit in own units, and of as many evenly
+    spread.
+    """
 
     commands: np.ndarray
     sigma: np.ndarray
     even: np.ndarray
 
     def expected_accuracy(self) -> list[tuple[str, float, float, str]]:
-        """[(name, standard error, that of evenly spread poses, unit)] of what may change; of the struts the worst one."""
+        """[(name, standard error, that of evenly spread poses, unit)] of what may change; of the struts the worst
+        one.
+        """
         out = []
-        for name, rows, scale, unit in (("a strut's zero", slice(0, 6), 1e6, "um"), ("a strut's nut", slice(6, 12), 1e6, "um"),
-                                        (OWN[6], slice(12, 13), 1e6, "um/m"), (OWN[7], slice(13, 14), 1e6, "kg/(N/um)")):
+        for name, rows, scale, unit in (
+            ("a strut's zero", slice(0, 6), 1e6, "um"),
+            ("a strut's nut", slice(6, 12), 1e6, "um"),
+            (OWN[6], slice(12, 13), 1e6, "um/m"),
+            (OWN[7], slice(13, 14), 1e6, "kg/(N/um)"),
+        ):
             out.append((name, float(self.sigma[rows].max() * scale), float(self.even[rows].max() * scale), unit))
         return out
 
 
 def choose_visit_configurations(
-    calibration: Calibration, design: Design | None, count: int, seed: int = 0, progress: Callable[[int, int], None] | None = None
+    calibration: Calibration,
+    design: Design | None,
+    count: int,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Chosen:
-    """Chosen configurations of a calibrated hexapod. design : whose platform and gravity tell loads, or None; progress : called with (done, of)
+    """Chosen configurations of a calibrated hexapod. design : whose platform and gravity tell loads, or None;
+    progress : called with (done, of)
 
     Raises RigError for another mechanism or too few poses
     """
@@ -61,7 +77,8 @@ def choose_visit_configurations(
     if not LEAST <= count <= CANDIDATES:
         raise RigError(f"--count takes {LEAST} to {CANDIDATES} poses, got {count}")
     candidates = allowed_configurations(
-        plan.low_discrepancy(mechanism.strut_range, CANDIDATES, FILL, seed), lambda c: is_pose_lost(calibration.correction, c)
+        plan.low_discrepancy(mechanism.strut_range, CANDIDATES, FILL, seed),
+        lambda c: is_pose_lost(calibration.correction, c),
     )
     told = _Told(candidates, mechanism.strut_range.mean(axis=1), *_columns(calibration, design, candidates))
     order: list[int] = []
@@ -86,8 +103,8 @@ def choose_visit_configurations(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Told:
-    """What poses at candidates (n, 6) m, visited one after the other from start (6,) m, tell. steady : (n, 6, 14) and turned : (n, 6, 6) as
-    `_columns` gives them."""
+    """What poses at candidates (n, 6) m, visited one after the other from start (6,) m, tell. steady : (n, 6, 14) and
+    turned : (n, 6, 6) as `_columns` gives them."""
 
     candidates: np.ndarray
     start: np.ndarray
@@ -95,9 +112,13 @@ class _Told:
     turned: np.ndarray
 
     def rows(self, at: np.ndarray, come_from: np.ndarray) -> np.ndarray:
-        """(k, 6, 20) whitened columns of zeros, nuts, growth, sag, frame at candidates `at` (k,), come to from (k, 6) m."""
+        """(k, 6, 20) whitened columns of zeros, nuts, growth, sag, frame at candidates `at` (k,), come to from (k, 6)
+        m.
+        """
         side = np.sign(self.candidates[at] - come_from)[:, None, :]
-        return np.concatenate([self.steady[at][..., :6], -self.turned[at] * side / 2, self.steady[at][..., 6:]], axis=-1)
+        return np.concatenate(
+            [self.steady[at][..., :6], -self.turned[at] * side / 2, self.steady[at][..., 6:]], axis=-1
+        )
 
     def information(self, order: list[int]) -> np.ndarray:
         """(20, 20) of the candidates visited in an order."""
@@ -127,10 +148,14 @@ def _sigma(M: np.ndarray) -> np.ndarray:
 
 
 def _columns(calibration: Calibration, design: Design | None, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 6, 14) whitened columns of zeros, growth, sag and the frame's motion, and (n, 6, 6) of the struts' lengths per GAP."""
+    """(n, 6, 14) whitened columns of zeros, growth, sag and the frame's motion, and (n, 6, 6) of the struts' lengths
+    per GAP.
+    """
     mechanism, n = fitted_hexapod(calibration), len(candidates)
     T, t = calibration.correction.predict(candidates), np.arange(float(n))
-    stated = Design("", DOWN, mechanism, None, Actuator(None, None, None), AT_ORIGIN, (), ()) if design is None else design
+    stated = (
+        Design("", DOWN, mechanism, None, Actuator(None, None, None), AT_ORIGIN, (), ()) if design is None else design
+    )
     changed = machine_change_columns(mechanism, stated, Commands(t, candidates), t, T)[..., 6:]
     zeros = pose_jacobian(T, mechanism)[..., 36:]
     white = 1 / np.repeat(SIGMAS, 3)[:, None]

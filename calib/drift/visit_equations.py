@@ -1,6 +1,8 @@
-"""A visit -> what it says of places, geometry and wear: the normal equations of one linear model about what the history refers to.
+"""A visit -> what it says of places, geometry and wear: the normal equations of one linear model about what the history
+refers to.
 
-Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of calib.drift.machine_changes.
+Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of
+calib.drift.machine_changes.
 Poses and lenses, which every visit has for itself, are eliminated.
 """
 
@@ -33,8 +35,8 @@ FREE = ("poses", "lenses", "targets")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equations:
-    """information : (p, p) and right : (p,) of the unknowns, scaled; square : what the visit's whitened numbers come to; count : how many
-    these are."""
+    """information : (p, p) and right : (p,) of the unknowns, scaled; square : what the visit's whitened numbers come
+    to; count : how many these are."""
 
     information: np.ndarray
     right: np.ndarray
@@ -42,33 +44,50 @@ class Equations:
     count: int
 
     def __add__(self, other: "Equations") -> "Equations":
-        return Equations(self.information + other.information, self.right + other.right, self.square + other.square, self.count + other.count)
+        return Equations(
+            self.information + other.information,
+            self.right + other.right,
+            self.square + other.square,
+            self.count + other.count,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """Normal equations of poses (6 f, first) and places (s), scaled by POSE_SCALE, about what was expected; samples : Samples."""
+    """Normal equations of poses (6 f, first) and places (s), scaled by POSE_SCALE, about what was expected;
+    samples : Samples.
+    """
 
     information: np.ndarray
     right: np.ndarray
     samples: Samples
 
 
-def visit_equations(recording: Recording, calibration: Calibration, reference: Reference | None) -> tuple[Equations, Reference]:
+def visit_equations(
+    recording: Recording, calibration: Calibration, reference: Reference | None
+) -> tuple[Equations, Reference]:
     """(Equations of a visit, the Reference about which they stand: the visit itself where none is given).
 
-    Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and what measuring raises
+    Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and
+        what measuring raises
     """
     mechanism = fitted_hexapod(calibration)
     if recording.design.mechanism.kind != mechanism.kind:
-        raise RigError(f"{recording.folder} is of a mechanism of kind {recording.design.mechanism.kind!r}, the calibration of one of kind "
-                       f"{mechanism.kind!r}")
+        raise RigError(
+            f"{recording.folder} is of a mechanism of kind {recording.design.mechanism.kind!r}, the "
+            "calibration of one of kind "
+            f"{mechanism.kind!r}"
+        )
     sampled = sample_recording(recording, FREE)
     reference = reference or Reference.of(recording.design, sampled.measurement)
     reference.refuse(recording, sampled.measurement is not None)
     samples = calibration.with_physics(recording, sampled.samples)
     T = expected_poses(calibration, samples)
-    seen = _by_instrument(samples, T) if sampled.measurement is None else _by_cameras(sampled.measurement, samples, T, reference)
+    seen = (
+        _by_instrument(samples, T)
+        if sampled.measurement is None
+        else _by_cameras(sampled.measurement, samples, T, reference)
+    )
     return _of_machine(seen, T, recording, calibration), reference
 
 
@@ -88,7 +107,9 @@ def _by_instrument(samples: Samples, T: RigidTransform) -> _Seen:
 
 
 def base_motion_columns(T: RigidTransform) -> np.ndarray:
-    """(n, 6, 6) tangents on the right of poses T (n,) per motion of the base (m, rad, along its axes about its origin)."""
+    """(n, 6, 6) tangents on the right of poses T (n,) per motion of the base (m, rad, along its axes about its
+    origin).
+    """
     matrix = T.as_matrix()
     back = np.swapaxes(matrix[:, :3, :3], 1, 2)
     out = np.zeros((len(matrix), 6, 6))
@@ -98,7 +119,9 @@ def base_motion_columns(T: RigidTransform) -> np.ndarray:
 
 
 def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, reference: Reference) -> _Seen:
-    """What corners say, linearised where they fit best. T : (n,) expected; lenses are each visit's own, as good as stated."""
+    """What corners say, linearised where they fit best. T : (n,) expected; lenses are each visit's own, as good as
+    stated.
+    """
     a, kept = measured.adjustment, measured.used()
     u, estimate = adjustment_unknowns(kept, a.state, a.stated, FREE)
     _, derivatives = linearise(kept, estimate, u, whitener(kept))
@@ -120,7 +143,10 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
             away[frames:][u.poses[i]] = log(was.pose.inv() * camera.pose) / u.scale[u.poses[i]]
         if i in u.lenses:
             lenses[u.lenses[i]] = True
-            now = np.r_[camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]] - was.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.distortion - was.distortion]
+            now = np.r_[
+                camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]] - was.matrix[[0, 1, 0, 1], [0, 1, 2, 2]],
+                camera.distortion - was.distortion,
+            ]
             away[frames:][u.lenses[i]] = now[: len(terms(camera.distortion))] / u.scale[u.lenses[i]]
     for name, s in u.targets.items():
         away[frames:][s] = log(estimate.target_moves[name]) / u.scale[s]
@@ -148,7 +174,9 @@ def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibratio
     square = float(((vectors[:, held].T @ seen.right) ** 2 / values[held]).sum())
     if recording.commands is None:
         raise RigError(f"{recording.folder}: there is no commands.csv, so nothing was commanded")
-    changed = machine_change_columns(mechanism, recording.design, recording.commands, samples.t, T) / POSE_SCALE  # its units are its own
+    changed = (
+        machine_change_columns(mechanism, recording.design, recording.commands, samples.t, T) / POSE_SCALE
+    )  # its units are its own
     of_machine = np.concatenate([pose_jacobian(T, mechanism), changed], axis=2).reshape(n, -1)
     places = len(seen.right) - n
     M = np.zeros((len(seen.right), n + places + of_machine.shape[1]))

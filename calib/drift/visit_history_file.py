@@ -31,14 +31,43 @@ def write_history(path: Path | str, history: History) -> None:
     r = history.reference
     if r is None:
         raise ValueError("expected a history with visits, got one without")
-    cameras = [{"name": c.name, "width": c.width, "height": c.height, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(),
-                "pose": pose_entry_text(c.pose), "shutter": c.shutter,
-                "row_time": c.row_time} for c in r.cameras]
-    visits = [{"name": v.name, "visits": v.visits, "quiet": v.quiet, "square": v.square, "count": v.count, "log_sum": v.log_sum,
-               "information": v.equations.information[np.triu_indices(len(v.equations.right))].tolist(), "right": v.equations.right.tolist(),
-               "own_square": v.equations.square} for v in history.visits]
-    tree = {"schema": SCHEMA, "calibration_sha256": history.calibration, "places": r.places, "base": r.base, "targets": r.targets,
-            "cameras": cameras, "visits": visits, "data": sorted(history.data)}
+    cameras = [
+        {
+            "name": c.name,
+            "width": c.width,
+            "height": c.height,
+            "matrix": c.matrix.tolist(),
+            "distortion": c.distortion.tolist(),
+            "pose": pose_entry_text(c.pose),
+            "shutter": c.shutter,
+            "row_time": c.row_time,
+        }
+        for c in r.cameras
+    ]
+    visits = [
+        {
+            "name": v.name,
+            "visits": v.visits,
+            "quiet": v.quiet,
+            "square": v.square,
+            "count": v.count,
+            "log_sum": v.log_sum,
+            "information": v.equations.information[np.triu_indices(len(v.equations.right))].tolist(),
+            "right": v.equations.right.tolist(),
+            "own_square": v.equations.square,
+        }
+        for v in history.visits
+    ]
+    tree = {
+        "schema": SCHEMA,
+        "calibration_sha256": history.calibration,
+        "places": r.places,
+        "base": r.base,
+        "targets": r.targets,
+        "cameras": cameras,
+        "visits": visits,
+        "data": sorted(history.data),
+    }
     write_text(path, json.dumps(tree) + "\n")
 
 
@@ -54,16 +83,34 @@ def read_history(path: Path | str, calibration: str) -> History:
     if not 0 < len(places) <= MOST_PLACES:
         tree.fail(f"places has {len(places)} names; a rig has 1 to {MOST_PLACES}", "places")
     unknowns = 6 * len(places) + GEOMETRY + len(OWN)
-    reference = Reference(tuple(_camera(table) for table in tree.tables("cameras")), places, tree.texts("base"), tree.text("targets"))
-    return History(calibration, reference, tuple(_visit(table, unknowns) for table in tree.tables("visits")), frozenset(tree.texts("data")))
+    reference = Reference(
+        tuple(_camera(table) for table in tree.tables("cameras")), places, tree.texts("base"), tree.text("targets")
+    )
+    return History(
+        calibration,
+        reference,
+        tuple(_visit(table, unknowns) for table in tree.tables("visits")),
+        frozenset(tree.texts("data")),
+    )
 
 
 def _camera(table: Entries) -> Camera:
     distortion = table.array("distortion", (None,))
     if len(distortion) not in DISTORTION_TERMS:
-        table.fail(f"{table.name('distortion')} has {len(distortion)} terms, not {', '.join(map(str, DISTORTION_TERMS))}", "distortion")
-    return Camera(table.identifier("name"), table.whole("width", 1), table.whole("height", 1), table.array("matrix", (3, 3)), distortion,
-                  table.pose("pose"), table.text("shutter", ("global", "rolling")), table.number("row_time"))
+        table.fail(
+            f"{table.name('distortion')} has {len(distortion)} terms, not {', '.join(map(str, DISTORTION_TERMS))}",
+            "distortion",
+        )
+    return Camera(
+        table.identifier("name"),
+        table.whole("width", 1),
+        table.whole("height", 1),
+        table.array("matrix", (3, 3)),
+        distortion,
+        table.pose("pose"),
+        table.text("shutter", ("global", "rolling")),
+        table.number("row_time"),
+    )
 
 
 def _visit(table: Entries, unknowns: int) -> Visit:
@@ -75,6 +122,15 @@ def _visit(table: Entries, unknowns: int) -> Visit:
     least, *_, most = np.linalg.eigvalsh(information)
     if least < -1e-6 * abs(most):
         table.fail(f"{table.name('information')} is no information", "information")
-    equations = Equations(information, table.array("right", (unknowns,)), table.number("own_square"), table.whole("count", 1))
-    return Visit(table.text("name"), equations, table.number("square"), equations.count, table.number("log_sum"), table.whole("visits", 1),
-                 table.flag("quiet"))
+    equations = Equations(
+        information, table.array("right", (unknowns,)), table.number("own_square"), table.whole("count", 1)
+    )
+    return Visit(
+        table.text("name"),
+        equations,
+        table.number("square"),
+        equations.count,
+        table.number("log_sum"),
+        table.whole("visits", 1),
+        table.flag("quiet"),
+    )

@@ -1,8 +1,11 @@
-"""An arm's diagnosis -> questions, and what a plan's recording would say under each name: poses, linear about the fitted geometry.
+"""An arm's diagnosis -> questions, and what a plan's recording would say under each name: poses, linear about the
+fitted geometry.
 
-Poses of an instrument are as sure as its others; of cameras, as their images will tell, with what cameras and lenses add to all alike.
+Poses of an instrument are as sure as its others; of cameras, as their images will tell, with what cameras and lenses
+add to all alike.
 
-Geometry and the sizes of all that is admitted are as sure as the recordings so far leave them; a lag's or a friction's own shape is taken as found.
+Geometry and the sizes of all that is admitted are as sure as the recordings so far leave them; a lag's or a friction's
+own shape is taken as found.
 """
 
 from collections.abc import Sequence
@@ -59,8 +62,12 @@ class ArmQuestion(Question[ArmFit]):
         basis = basis[:, values > WEAK * values[0]]
         spread = [basis.T @ table for table in tables]
         means = np.array([part @ h.fitted.fit.theta for part, h in zip(spread, named)])
-        covariances = np.array([_square(part @ h.fitted.fit.inverse) + np.eye(len(part)) for part, h in zip(spread, named)])
-        return with_unlisted_hypothesis(self, Prediction(means, covariances, _cosines(self, tables[0], shapes)), basis.T @ shapes)
+        covariances = np.array(
+            [_square(part @ h.fitted.fit.inverse) + np.eye(len(part)) for part, h in zip(spread, named)]
+        )
+        return with_unlisted_hypothesis(
+            self, Prediction(means, covariances, _cosines(self, tables[0], shapes)), basis.T @ shapes
+        )
 
     def predict_outcomes_by_frame(self, plan: Plan) -> PerFrame:
         first, other = self.likeliest
@@ -69,17 +76,24 @@ class ArmQuestion(Question[ArmFit]):
         d, table = np.zeros((F, k)), np.zeros((F, k, one.shape[1]))
         d[seen] = (two @ other.fitted.fit.theta - one @ first.fitted.fit.theta).reshape(-1, k)
         table[seen] = (one @ first.fitted.fit.inverse).reshape(len(seen), k, -1)
-        return PerFrame((d**2).sum(axis=1), np.einsum("fkp,fk->fp", table, d), np.einsum("fkp,fkq->fpq", table, table), {})
+        return PerFrame(
+            (d**2).sum(axis=1), np.einsum("fkp,fk->fp", table, d), np.einsum("fkp,fkq->fpq", table, table), {}
+        )
 
 
 def arm_questions(d: ArmDiagnosis) -> list[ArmQuestion]:
-    """[ArmQuestion] of what a diagnosis cannot tell apart, none where it can. Raises RigError for a machine of which no plan can be foretold."""
+    """[ArmQuestion] of what a diagnosis cannot tell apart, none where it can. Raises RigError for a machine of which no
+    plan can be foretold.
+    """
     size = d.fit.size
     open_ones = [f for f in d.findings if any(not is_ruled_out(f, a, size) for a in f.alternatives)]
     if not open_ones:
         return []
     if not isinstance(d.geometry.mechanism, Arm):
-        raise RigError("an experiment is foretold for platforms on struts and for arms; what is alike in a chain is told apart by its stages alone")
+        raise RigError(
+            "an experiment is foretold for platforms on struts and for arms; what is alike in a chain is "
+            "told apart by its stages alone"
+        )
     problem = ArmProblem(d.arms, [], given=d.given)
     out = []
     for finding in open_ones:
@@ -88,20 +102,35 @@ def arm_questions(d: ArmDiagnosis) -> list[ArmQuestion]:
         bare = problem.remove_term(d.fit, finding.number)
         for a in (a for a in finding.alternatives if not is_ruled_out(finding, a, size)):
             term = Term.of(a.score)
-            fit = bare.with_terms([optimise_nonlinear_parameters(bare, term) if has_continuous_parameters(term) else term])
-            found.append(Rival(a.score.candidate.name, a.score.candidate.place, a.behind, ArmFit(fit, d.geometry), len(bare.terms),
-                               data_log_odds(finding, a, size)))
+            fit = bare.with_terms(
+                [optimise_nonlinear_parameters(bare, term) if has_continuous_parameters(term) else term]
+            )
+            found.append(
+                Rival(
+                    a.score.candidate.name,
+                    a.score.candidate.place,
+                    a.behind,
+                    ArmFit(fit, d.geometry),
+                    len(bare.terms),
+                    data_log_odds(finding, a, size),
+                )
+            )
         out.append(ArmQuestion(hypotheses(found)))
     return out
 
 
-def _seen(fits: Sequence[ArmFit], numbers: Sequence[int], plan: Plan, warmer: float) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-    """([(n k, p + c) whitened change of a plan's poses with each fit's freedoms and sizes], (n k, h) what each fit's term of a number does,
-    (n,) which of its exposures are measured). Raises RigError as `linearise_planned_poses`, and for a cube that is to be turned"""
+def _seen(
+    fits: Sequence[ArmFit], numbers: Sequence[int], plan: Plan, warmer: float
+) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+    """([(n k, p + c) whitened change of a plan's poses with each fit's freedoms and sizes], (n k, h) what each fit's
+    term of a number does, (n,) which of its exposures are measured). Raises RigError as `linearise_planned_poses`, and
+    for a cube that is to be turned"""
     if plan.turned:
         raise RigError("what a cube that is put back turned would show is foretold for platforms")
     first, geometry = fits[0].fit, fits[0].geometry
-    there = linearise_planned_poses(first.arms, geometry, plan.commands, plan.t, predicted_sensor_log(first.arms.context.sensors, plan, warmer))
+    there = linearise_planned_poses(
+        first.arms, geometry, plan.commands, plan.t, predicted_sensor_log(first.arms.context.sensors, plan, warmer)
+    )
     W = np.linalg.inv(np.linalg.cholesky(there.own + np.diag(first.scatter**2)))
     tables, shapes = [], []
     for one, number in zip(fits, numbers):
@@ -118,7 +147,8 @@ def _on(term: Term, arms: Arms) -> Term:
 
 
 def _cosines(question: ArmQuestion, table: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """(h, h) between what hypotheses do in all recordings so far and the new one, geometry and the other terms taken out of all together.
+    """(h, h) between what hypotheses do in all recordings so far and the new one, geometry and the other terms taken
+    out of all together.
 
     table : (n k, p + c) of the first in the new recording; shapes : (n k, h)
     """
@@ -127,10 +157,17 @@ def _cosines(question: ArmQuestion, table: np.ndarray, shapes: np.ndarray) -> np
     kept = np.ones(first.X.count, bool)
     kept[first.slices[own]] = False
     old = first.X.at(np.eye(first.X.count)[:, kept])
-    done = [Columns(first.arms.joints, (h.fitted.fit.terms[h.number].part,)).take(first.used).whitened(first.W[first.used]).at(
-        h.fitted.fit.theta[h.fitted.fit.slices[h.number], None]) for h in named]
+    done = [
+        Columns(first.arms.joints, (h.fitted.fit.terms[h.number].part,))
+        .take(first.used)
+        .whitened(first.W[first.used])
+        .at(h.fitted.fit.theta[h.fitted.fit.slices[h.number], None])
+        for h in named
+    ]
     N = np.concatenate([old.reshape(-1, kept.sum()), table[:, kept], np.diag(np.sqrt(first.prior()))[:, kept]])
-    S = np.concatenate([np.concatenate(done, axis=2).reshape(-1, len(named)), shapes, np.zeros((first.X.count, len(named)))])
+    S = np.concatenate(
+        [np.concatenate(done, axis=2).reshape(-1, len(named)), shapes, np.zeros((first.X.count, len(named)))]
+    )
     Q, R = np.linalg.qr(N)
     Q = Q[:, np.abs(np.diag(R)) > WEAK * np.abs(np.diag(R)).max()]
     left = S - Q @ (Q.T @ S)

@@ -30,8 +30,10 @@ HOPELESS = 0.02  # chance to settle; of plans with less than this counts what th
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Experiment:
-    """text : of the plan, in which apart:N stands for configurations chosen for these questions; seed : of it; plan; minutes : it takes
-    bits : expected over all questions; settles : chance that all of them are settled; asks : what an operator has to do besides, in words"""
+    """text : of the plan, in which apart:N stands for configurations chosen for these questions; seed : of it; plan;
+    minutes : it takes
+    bits : expected over all questions; settles : chance that all of them are settled; asks : what an operator has to do
+        besides, in words"""
 
     text: str
     seed: int
@@ -48,8 +50,8 @@ class Experiment:
 
 
 def available_plans(may: Sequence[str], standing: bool, off: Sequence[str] = ()) -> list[str]:
-    """Plans' texts to choose from. may : what an owner allows ("payload", "wait", "turn cube NAME"); standing : whether the struts must stand to be
-    exposed; off : cubes that were turned already"""
+    """Plans' texts to choose from. may : what an owner allows ("payload", "wait", "turn cube NAME"); standing : whether
+    the struts must stand to be exposed; off : cubes that were turned already"""
     out = [*PARTS, *(f"{NAME}:{count}" for count in CHOSEN), *(() if standing else MOVING)]
     if "wait" in may:
         out += WAITING[1:] if standing else WAITING
@@ -57,11 +59,18 @@ def available_plans(may: Sequence[str], standing: bool, off: Sequence[str] = ())
     return out + [text for text in LOADED if "payload" in may and not standing]
 
 
-def choose_experiment(asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int, most: float = np.inf,
-           progress: Callable[[int, int], None] | None = None) -> tuple[list[Experiment], dict[str, str]]:
+def choose_experiment(
+    asked: Sequence[Question],
+    design: Design,
+    texts: Sequence[str],
+    seed: int,
+    most: float = np.inf,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[list[Experiment], dict[str, str]]:
     """([Experiment], the best first; {plan's text: why it is out of the question}).
 
-    texts : plans to choose from, alone and two by two; seed : of them; most : minutes that one may take; progress : called with (done, of)
+    texts : plans to choose from, alone and two by two; seed : of them; most : minutes that one may take;
+        progress : called with (done, of)
     """
     out: list[Experiment] = []
     refused: dict[str, str] = {}
@@ -96,13 +105,17 @@ def choose_experiment(asked: Sequence[Question], design: Design, texts: Sequence
 
 
 def rank_experiments(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """The best first: those that settle all in the least time, made as often as that is expected to take, then by what they tell per minute."""
+    """The best first: those that settle all in the least time, made as often as that is expected to take, then by what
+    they tell per minute.
+    """
     return sorted(experiments, key=lambda e: (e.minutes / e.settles if e.settles >= HOPELESS else np.inf, -e.rate))
 
 
-def plan_configurations(asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int) -> dict[str, np.ndarray]:
-    """{apart:N: configurations (N, axes)} of those plans' texts that ask for them, the first of one choice. Raises RigError where the rig cannot
-    visit what is to be chosen from, and where no question has two names to come apart"""
+def plan_configurations(
+    asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int
+) -> dict[str, np.ndarray]:
+    """{apart:N: configurations (N, axes)} of those plans' texts that ask for them, the first of one choice. Raises
+    RigError where the rig cannot visit what is to be chosen from, and where no question has two names to come apart"""
     counts = sorted(int(text.partition(":")[2]) for text in texts if text.startswith(f"{NAME}:"))
     if not counts:
         return {}
@@ -110,24 +123,35 @@ def plan_configurations(asked: Sequence[Question], design: Design, texts: Sequen
     return {f"{NAME}:{count}": found[:count] for count in counts}
 
 
-def evaluate_experiment(asked: Sequence[Question], design: Design, text: str, seed: int, own: Mapping[str, np.ndarray] | None = None) -> Experiment:
-    """Experiment of one plan. own : {apart:N: (N, axes)} of `plan_configurations`. Raises RigError for one that the rig cannot follow."""
+def evaluate_experiment(
+    asked: Sequence[Question], design: Design, text: str, seed: int, own: Mapping[str, np.ndarray] | None = None
+) -> Experiment:
+    """Experiment of one plan. own : {apart:N: (N, axes)} of `plan_configurations`. Raises RigError for one that the rig
+    cannot follow.
+    """
     plan, stands = build_plan(design, text, seed, own=own), quarter_turns(design)
     todo = turning_instructions(dict(plan.turned), stands)
     plan = replace(plan, turned=tuple({**stands, **dict(plan.turned)}.items()))
     found = [_worth(question, plan) for question in asked]
     minutes = float(plan.commands.t[-1]) / 60 + SETTING_UP + TURNING * len(todo)
     changes = [(t, mass) for (_, before), (t, mass) in zip(plan.payload[:-1], plan.payload[1:]) if mass != before]
-    asks = (*(f"before it begins: {text}" for text in todo),
-            *(f"at t = {t:.0f} s: {f'load {mass:.3g} kg' if mass else 'take the load off'}" for t, mass in changes))
+    asks = (
+        *(f"before it begins: {text}" for text in todo),
+        *(f"at t = {t:.0f} s: {f'load {mass:.3g} kg' if mass else 'take the load off'}" for t, mass in changes),
+    )
     settles = float(np.prod([0.0 if question.not_asked else one.settles for question, one in zip(asked, found)]))
     return Experiment(text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
 
 
 def _worth(question: Question, plan: Plan) -> Information:
-    """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first recording's and others."""
+    """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first
+    recording's and others.
+    """
     odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "data_log_odds"))
     found = [
-        experiment_information(odds, question.predict_outcomes(plan, warmer), behind) for warmer in (DAYS if question.follows_temperature else (0.0,))
+        experiment_information(odds, question.predict_outcomes(plan, warmer), behind)
+        for warmer in (DAYS if question.follows_temperature else (0.0,))
     ]
-    return Information(*(float(np.mean([getattr(one, name) for one in found])) for name in ("bits", "settles", "right")))
+    return Information(
+        *(float(np.mean([getattr(one, name) for one in found])) for name in ("bits", "settles", "right"))
+    )

@@ -14,7 +14,9 @@ SEED = 0
 
 @dataclass(frozen=True, slots=True)
 class Information:
-    """bits : expected on which hypothesis holds; settles : chance that one is left alone; right : that it is the one that holds."""
+    """bits : expected on which hypothesis holds; settles : chance that one is left alone; right : that it is the one
+    that holds.
+    """
 
     bits: float
     settles: float
@@ -22,11 +24,12 @@ class Information:
 
 
 def experiment_information(odds: np.ndarray, expected: Prediction, behind: np.ndarray) -> Information:
-    """Information of an experiment whose outcome is drawn many times: from each hypothesis as often as its odds (h,) say.
+    """Information of an experiment whose outcome is drawn many times: from each hypothesis as often as its odds (h,)
+    say.
 
     behind : (h,) how much less likely the data so far make each, as minus twice a logarithm
-    One is left alone where all others are less likely by the odds from which a diagnosis tells apart; those that do nearly the same, by what the
-    data so far and the experiment say
+    One is left alone where all others are less likely by the odds from which a diagnosis tells apart; those that do
+    nearly the same, by what the data so far and the experiment say
     """
     rng, h = np.random.default_rng(SEED), len(odds)
     roots = [np.linalg.cholesky(C) for C in expected.covariances]

@@ -1,4 +1,6 @@
-"""What is asked of an experiment: hypotheses that are still alike, what a plan's recording would say under each, of any kind of machine."""
+"""What is asked of an experiment: hypotheses that are still alike, what a plan's recording would say under each, of any
+kind of machine.
+"""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -18,9 +20,11 @@ F = TypeVar("F")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis(Generic[F]):
-    """One explanation of a finding. name, place; odds : share of all, 0..1; refined : all that is free fitted with it in the finding's place, or None
-    where it cannot be fitted (a temperature that nobody logs); number : of it among the effects of `refined`
-    data_log_odds : how much less likely than the finding the data so far make it, as minus twice a logarithm, whatever either costs in simplicity"""
+    """One explanation of a finding. name, place; odds : share of all, 0..1; refined : all that is free fitted with it
+    in the finding's place, or None where it cannot be fitted (a temperature that nobody logs); number : of it among the
+    effects of `refined`
+    data_log_odds : how much less likely than the finding the data so far make it, as minus twice a logarithm, whatever
+        either costs in simplicity"""
 
     name: str
     place: str
@@ -54,9 +58,12 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PerFrame:
-    """What each of a plan's F exposures tells between two hypotheses, in units of noise. of (F,) : squares of what they do otherwise
-    onto (F, p) : that on what both leave open; open (F, p, p) : squares of what is left open, which is p numbers of variance 1 beforehand
-    by_camera : {name: (F,) squares of how otherwise its image looks, its corners' noise 1}; none where an instrument measures"""
+    """What each of a plan's F exposures tells between two hypotheses, in units of noise. of (F,) : squares of what they
+    do otherwise
+    onto (F, p) : that on what both leave open; open (F, p, p) : squares of what is left open, which is p numbers of
+    variance 1 beforehand
+    by_camera : {name: (F,) squares of how otherwise its image looks, its corners' noise 1}; none where an instrument
+        measures"""
 
     of: np.ndarray
     onto: np.ndarray
@@ -66,7 +73,9 @@ class PerFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Question(ABC, Generic[F]):
-    """Hypotheses of one finding, its own first, something in no catalogue last; what cannot be fitted is left out and named in `unasked`."""
+    """Hypotheses of one finding, its own first, something in no catalogue last; what cannot be fitted is left out and
+    named in `unasked`.
+    """
 
     hypotheses: tuple[Hypothesis[F], ...]
     not_asked: tuple[str, ...] = ()
@@ -96,11 +105,14 @@ class Question(ABC, Generic[F]):
 
     @abstractmethod
     def predict_outcomes_by_frame(self, plan: Plan) -> PerFrame:
-        """PerFrame of the two likeliest names. Raises what `foretold` raises, and ValueError for a question of one name"""
+        """PerFrame of the two likeliest names. Raises what `foretold` raises, and ValueError for a question of one
+        name
+        """
 
 
 def with_unlisted_hypothesis(question: Question[F], found: Prediction, shapes: np.ndarray) -> Prediction:
-    """Foretold with what is in no catalogue, last: as the first name foretells, but for anything as large as what was found, where names differ.
+    """Foretold with what is in no catalogue, last: as the first name foretells, but for anything as large as what was
+    found, where names differ.
 
     shapes : (r, h) what each name does
     """
@@ -118,8 +130,8 @@ def with_unlisted_hypothesis(question: Question[F], found: Prediction, shapes: n
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival(Generic[F]):
-    """A name in the running. behind : how much less likely it is, as minus twice a logarithm; fit : with it; number, data_log_odds : as of
-    Hypothesis"""
+    """A name in the running. behind : how much less likely it is, as minus twice a logarithm; fit : with it; number,
+    data_log_odds : as of Hypothesis"""
 
     name: str
     place: str
@@ -133,16 +145,24 @@ def hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
     """Hypotheses of rivals, the finding's own first, by their odds; something in no catalogue last."""
     weights = np.exp(-np.array([rival.behind for rival in rivals]) / 2)
     shares = (1 - FOREIGN) * weights / weights.sum()
-    named = [Hypothesis(r.name, r.place, float(share), r.fit, r.number, r.data_log_odds) for r, share in zip(rivals, shares)]
+    named = [
+        Hypothesis(r.name, r.place, float(share), r.fit, r.number, r.data_log_odds) for r, share in zip(rivals, shares)
+    ]
     return (*named, Hypothesis(UNKNOWN, rivals[0].place, FOREIGN, rivals[0].fit, rivals[0].number))
 
 
 def is_ruled_out(finding: Finding, alternative: Alternative, size: int) -> bool:
-    """Whether an alternative is out of the question: too unlikely, and where it does nearly the same, by the data alone, not by what it costs."""
+    """Whether an alternative is out of the question: too unlikely, and where it does nearly the same, by the data
+    alone, not by what it costs.
+    """
     same = abs(alternative.cosine) > PLATFORM.cosine
-    return alternative.behind >= PLATFORM.alike and (not same or data_log_odds(finding, alternative, size) >= PLATFORM.alike)
+    return alternative.behind >= PLATFORM.alike and (
+        not same or data_log_odds(finding, alternative, size) >= PLATFORM.alike
+    )
 
 
 def data_log_odds(finding: Finding, alternative: Alternative, size: int) -> float:
-    """How much less likely the data make an alternative than its finding, as minus twice a logarithm, whatever either costs in simplicity."""
+    """How much less likely the data make an alternative than its finding, as minus twice a logarithm, whatever either
+    costs in simplicity.
+    """
     return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))

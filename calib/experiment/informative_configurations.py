@@ -25,8 +25,8 @@ FEWEST = 2  # markers of what moves that a configuration must show
 class Informative:
     """values : (n, axes) m or rad, chosen, ordered so that neither time nor direction is a function of place
     names, units : of the parameters asked for, "m" or "rad"; sigma, even : (p,) their standard errors by
-    these, and by as many spread evenly, along what these tell at all; undetermined : how many combinations keep half of what they may be off by or
-    more
+    these, and by as many spread evenly, along what these tell at all; undetermined : how many combinations keep half of
+    what they may be off by or more
     seen : share of all configurations tried in which the machine is seen"""
 
     values: np.ndarray
@@ -48,8 +48,10 @@ def informative_configurations(
 ) -> Informative:
     """Informative configurations, `count` of them. sigmas : (m, rad) standard deviations of a measured pose, per axis
 
-    shown : how many markers of what moves are seen at poses (n,), or None where an instrument sees it anywhere; progress : called with (done, of)
-    Raises RigError for too few configurations to hold the parameters, or where too few candidates close on a pose or are seen
+    shown : how many markers of what moves are seen at poses (n,), or None where an instrument sees it anywhere;
+        progress : called with (done, of)
+    Raises RigError for too few configurations to hold the parameters, or where too few candidates close on a pose or
+        are seen
     """
     kinematics = mechanisms.kinematics_of(mechanism)
     values = low_discrepancy(kinematics.travel(mechanism), CANDIDATES, FILL, seed)
@@ -59,24 +61,42 @@ def informative_configurations(
     asked = geometric_freedoms(mechanism)
     size = asked.size
     if not seen.any():
-        raise RigError(f"in none of {len(values)} configurations all over the limits {FEWEST} markers are seen whole: turn the cameras")
+        raise RigError(
+            f"in none of {len(values)} configurations all over the limits {FEWEST} markers are seen whole: "
+            "turn the cameras"
+        )
     rows = asked.jacobian(values[seen]) / np.repeat(sigmas, 3)[:, None] * size
     told = int(rows.any(axis=2).any(axis=0).sum())  # numbers of a pose that the parameters move at all
     if told * count <= len(size):
-        raise RigError(f"{count} configurations cannot determine {len(size)} parameters; it takes {len(size) // told + 1}, better "
-                       f"{3 * len(size) // told}")
+        raise RigError(
+            f"{count} configurations cannot determine {len(size)} parameters; it takes {len(size) // told + 1}, better "
+            f"{3 * len(size) // told}"
+        )
     if seen.sum() < 2 * count:
-        raise RigError(f"in {seen.sum()} of {len(values)} configurations all over the limits {FEWEST} markers are seen whole; choosing {count} takes "
-                       "more: narrow the limits, or turn the cameras")
+        raise RigError(
+            f"in {seen.sum()} of {len(values)} configurations all over the limits {FEWEST} markers are seen "
+            f"whole; choosing {count} takes "
+            "more: narrow the limits, or turn the cameras"
+        )
     start = np.eye(len(size)) if asked.alike else np.zeros((len(size), len(size)))
     picked = exchange_configurations(rows, start, count, "determinant", progress)
     even = np.linspace(0, len(rows) - 1, count).astype(int)
     told_by, vectors = np.linalg.eigh(np.eye(len(size)) + sum_information(rows, picked))
     sharp = vectors[:, told_by > TOLD]
     sigma, plain = (
-        size * np.sqrt(np.einsum("pi,ij,pj->p", sharp, sharp.T @ np.linalg.inv(np.eye(len(size)) + sum_information(rows, chosen)) @ sharp, sharp))
+        size
+        * np.sqrt(
+            np.einsum(
+                "pi,ij,pj->p",
+                sharp,
+                sharp.T @ np.linalg.inv(np.eye(len(size)) + sum_information(rows, chosen)) @ sharp,
+                sharp,
+            )
+        )
         for chosen in (picked, even)
     )
     chosen = values[seen][picked]
     order = balanced_order(chosen, np.random.default_rng(seed), kinematics.travel(mechanism).mean(axis=1))
-    return Informative(chosen[order], asked.names, asked.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean()))
+    return Informative(
+        chosen[order], asked.names, asked.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean())
+    )

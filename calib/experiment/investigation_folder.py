@@ -1,7 +1,8 @@
 """An investigation's folder -> what was thought, tried and seen, look by look: read from what the commands wrote there.
 
-The folder holds, for look n: planN.csv (what was to be done), recN (what was recorded), diagnosisN (what all recordings so far say, and in its
-next.json what would tell more). Nothing else is kept, so whatever was interrupted goes on from what is there.
+The folder holds, for look n: planN.csv (what was to be done), recN (what was recorded), diagnosisN (what all recordings
+so far say, and in its next.json what would tell more). Nothing else is kept, so whatever was interrupted goes on from
+what is there.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,9 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class Proposed:
-    """An experiment that was foretold. plan : its text; minutes; bits : expected; settles : chance that it settles all; asks : of an operator."""
+    """An experiment that was foretold. plan : its text; minutes; bits : expected; settles : chance that it settles all;
+    asks : of an operator.
+    """
 
     plan: str
     exposures: int
@@ -38,9 +41,12 @@ class Proposed:
 @dataclass(frozen=True, slots=True)
 class Look:
     """What all recordings up to number `number` (from 1) say. recording : the last one's name; minutes : that it took
-    findings : names with their places; alone : those of them that nothing else explains as well; unknown : what has no name, in words
-    questions : of each finding that is not alone its hypotheses, the likeliest first; unasked : what cannot be foretold, in words
-    proposed : experiments, the best first; doubts : what its diagnosis' verdict rests on, where that is not good, a sentence each
+    findings : names with their places; alone : those of them that nothing else explains as well; unknown : what has no
+        name, in words
+    questions : of each finding that is not alone its hypotheses, the likeliest first; unasked : what cannot be
+        foretold, in words
+    proposed : experiments, the best first; doubts : what its diagnosis' verdict rests on, where that is not good, a
+        sentence each
     """
 
     number: int
@@ -94,20 +100,47 @@ def read_looks(folder: Path) -> list[Look]:
 
 def _look(folder: Path, number: int) -> Look:
     at = diagnosis_path(folder, number)
-    found, after = json_file.load(at / "diagnosis.json", "diagnosis", SCHEMA), json_file.load(at / "next.json", "list of experiments", "next/1")
+    found, after = (
+        json_file.load(at / "diagnosis.json", "diagnosis", SCHEMA),
+        json_file.load(at / "next.json", "list of experiments", "next/1"),
+    )
     findings = [f for f in found.tables("findings") if f.text("effect") != UNKNOWN]
     unknown = [f for f in found.tables("findings") if f.text("effect") == UNKNOWN]
-    questions = tuple(tuple(sorted((Hypothesis(h.text("title"), h.number("odds")) for h in q.tables("hypotheses")), key=lambda h: -h.odds))
-                      for q in after.tables("questions"))
+    questions = tuple(
+        tuple(
+            sorted(
+                (Hypothesis(h.text("title"), h.number("odds")) for h in q.tables("hypotheses")), key=lambda h: -h.odds
+            )
+        )
+        for q in after.tables("questions")
+    )
     doubtful = {q.text("finding") for q in after.tables("questions")}
-    proposed = tuple(Proposed(e.text("plan"), e.whole("exposures", 1), e.number("minutes"), e.number("bits"), e.number("settles"), e.texts("asks"))
-                     for e in after.tables("experiments"))
+    proposed = tuple(
+        Proposed(
+            e.text("plan"),
+            e.whole("exposures", 1),
+            e.number("minutes"),
+            e.number("bits"),
+            e.number("settles"),
+            e.texts("asks"),
+        )
+        for e in after.tables("experiments")
+    )
     unasked = tuple(text for q in after.tables("questions") for text in q.texts("unasked"))
     verdict = found.table("verdict")
     doubts = () if verdict.text("state") == State.GOOD else verdict.texts("rests_on")
-    return Look(number, recording_path(folder, number).name, plan_minutes(plan_path(folder, number)), tuple(map(_title, findings)),
-                tuple(title for title in map(_title, findings) if title not in doubtful),
-                tuple(f"something at {f.text('place')}" + _of(f) for f in unknown), questions, unasked, proposed, doubts)
+    return Look(
+        number,
+        recording_path(folder, number).name,
+        plan_minutes(plan_path(folder, number)),
+        tuple(map(_title, findings)),
+        tuple(title for title in map(_title, findings) if title not in doubtful),
+        tuple(f"something at {f.text('place')}" + _of(f) for f in unknown),
+        questions,
+        unasked,
+        proposed,
+        doubts,
+    )
 
 
 def _title(finding: Entries) -> str:

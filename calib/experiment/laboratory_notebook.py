@@ -1,4 +1,6 @@
-"""An investigation's looks -> a laboratory notebook: what was thought with odds, what was tried at which chance, what it showed, what was dropped."""
+"""An investigation's looks -> a laboratory notebook: what was thought with odds, what was tried at which chance, what
+it showed, what was dropped.
+"""
 
 from collections.abc import Sequence
 
@@ -6,7 +8,9 @@ from calib.experiment.investigation_folder import Look, Proposed
 
 
 def notebook_text(rig: str, looks: Sequence[Look], budget: float, ended: str, after: Sequence[str]) -> str:
-    """Markdown of an investigation. rig : its name; budget : min; ended : why it ended, "" while it goes on; after : what was done at the end"""
+    """Markdown of an investigation. rig : its name; budget : min; ended : why it ended, "" while it goes on;
+    after : what was done at the end
+    """
     out = [
         f"# What is the matter with {rig}",
         "",
@@ -35,8 +39,12 @@ def _tried(before: Look | None, look: Look) -> list[str]:
     experiment = next_experiment(before) if before is not None else None
     if experiment is None:
         return [*out, "Tried: the first plan, to see what there is.", ""]
-    out += [f"Tried: {experiment.plan}, {experiment.exposures} exposures; it was to settle the question with a chance of {experiment.settles:.0%} "
-            f"and to tell {experiment.bits:.2f} bits.", ""]
+    out += [
+        f"Tried: {experiment.plan}, {experiment.exposures} exposures; it was to settle the question with a "
+        f"chance of {experiment.settles:.0%} "
+        f"and to tell {experiment.bits:.2f} bits.",
+        "",
+    ]
     return out + [f"- the operator was asked, {text}" for text in experiment.asks] + ([""] if experiment.asks else [])
 
 
@@ -50,7 +58,11 @@ def _seen(before: Look | None, look: Look) -> list[str]:
         out = ["- nothing is left out: recordings and model agree within the noise"]
     if before is not None:
         dropped = [title for title, odds in before.odds.items() if title not in look.odds and odds > 0]
-        out += [f"- dropped: {title} (odds before {before.odds[title]:.2f}); with {look.recording} it explains less than 1 in 20 of what is left, "
-                "or nothing" for title in dropped]
+        out += [
+            f"- dropped: {title} (odds before {before.odds[title]:.2f}); with {look.recording} it explains "
+            "less than 1 in 20 of what is left, "
+            "or nothing"
+            for title in dropped
+        ]
         out += [f"- settled: {'no' if look.questions else 'yes'}"] if before.questions else []
     return ["Seen, of all recordings together:", "", *out]

@@ -1,8 +1,10 @@
-"""A plan -> what its recording would say under each hypothesis: a mean and a covariance each, on a basis of all in which they differ.
+"""A plan -> what its recording would say under each hypothesis: a mean and a covariance each, on a basis of all in
+which they differ.
 
-The rig is taken as the diagnosis has it: cameras where they were last, the geometry and every effect's numbers as sure as the recordings so far
-leave them. What is measured anew is corners with the noise that these had (poses, where an instrument measures), seen by whichever camera sees
-them; cameras, lenses, geometry and every frame's pose are as free in it as in a diagnosis.
+The rig is taken as the diagnosis has it: cameras where they were last, the geometry and every effect's numbers as sure
+as the recordings so far leave them. What is measured anew is corners with the noise that these had (poses, where an
+instrument measures), seen by whichever camera sees them; cameras, lenses, geometry and every frame's pose are as free
+in it as in a diagnosis.
 """
 
 from collections.abc import Sequence
@@ -39,8 +41,9 @@ WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """A plan's recording under each hypothesis. fits : [Refined] of each; model : LinearisedModel under the first; other : OperatingPoint under the
-    last; columns : [Column] of each one's own numbers; moved : [Column (1)] of what is seen otherwise than under the first
+    """A plan's recording under each hypothesis. fits : [Refined] of each; model : LinearisedModel under the first;
+    other : OperatingPoint under the last; columns : [Column] of each one's own numbers; moved : [Column (1)] of what is
+        seen otherwise than under the first
     shapes : [Column (1)] of what each does"""
 
     fits: list[Refined]
@@ -79,7 +82,9 @@ def predict_outcomes(question: PlatformQuestion, plan: Plan, warmer: float = 0.0
     kept = values > WEAK * values[-1]
     beyond = (vectors[:, kept] * np.sqrt(values[kept])).T  # (k, columns) of what nuisances leave
     parts = np.split(np.concatenate([found.onto, beyond]), np.cumsum([*counts, len(named)])[: len(counts) + 1], axis=1)
-    nuisances = np.concatenate([np.linalg.pinv(model.nuisances.solve), np.zeros((int(kept.sum()), len(model.nuisances.names)))])
+    nuisances = np.concatenate(
+        [np.linalg.pinv(model.nuisances.solve), np.zeros((int(kept.sum()), len(model.nuisances.names)))]
+    )
     means, covariances = parts[len(counts)].T, []
     for fit, tangent in zip(fits, parts):
         spread = np.concatenate([nuisances, tangent], axis=1)
@@ -90,7 +95,9 @@ def predict_outcomes(question: PlatformQuestion, plan: Plan, warmer: float = 0.0
 
 
 def predict_outcomes_by_frame(question: PlatformQuestion, plan: Plan) -> PerFrame:
-    """PerFrame of a question's two likeliest names. Raises what `predict_outcomes` raises, and ValueError for a question of one name"""
+    """PerFrame of a question's two likeliest names. Raises what `predict_outcomes` raises, and ValueError for a
+    question of one name
+    """
     seen = _seen(replace(question, hypotheses=question.likeliest), plan)
     model, F = seen.model, len(plan.t)
     P = np.linalg.pinv(model.nuisances.solve)
@@ -102,7 +109,12 @@ def predict_outcomes_by_frame(question: PlatformQuestion, plan: Plan) -> PerFram
         d, basis, tangent = (c.parts[n] for c in (difference, model.linear.columns, own))
         if d is None or not len(d):
             continue
-        table = np.concatenate([np.asarray(basis) @ P, np.zeros((len(d), own.count)) if tangent is None else tangent], axis=1) @ root
+        table = (
+            np.concatenate(
+                [np.asarray(basis) @ P, np.zeros((len(d), own.count)) if tangent is None else tangent], axis=1
+            )
+            @ root
+        )
         for f, (a, b) in enumerate(zip(block.edges[:-1], block.edges[1:])):
             of[f] += d[a:b, 0] @ d[a:b, 0]
             onto[f] += table[a:b].T @ d[a:b, 0]
@@ -113,9 +125,15 @@ def predict_outcomes_by_frame(question: PlatformQuestion, plan: Plan) -> PerFram
 def _by_camera(model: LinearisedModel, other: OperatingPoint) -> dict[str, np.ndarray]:
     """{camera: (F,)} squares of what images show otherwise at another OperatingPoint, in units of noise."""
     o, order = model.point.observed.observations, model.corners.order
-    d = np.einsum("nij,nj->ni", model.corners.whiten, (other.pixels() - model.point.pixels())[order]) / model.corners.sigma
+    d = (
+        np.einsum("nij,nj->ni", model.corners.whiten, (other.pixels() - model.point.pixels())[order])
+        / model.corners.sigma
+    )
     squares, frame, camera = (d**2).sum(axis=1), o.frame[order], o.camera[order]
-    return {model.point.design.cameras[i].name: np.bincount(frame[camera == i], squares[camera == i], model.frames) for i in np.unique(camera)}
+    return {
+        model.point.design.cameras[i].name: np.bincount(frame[camera == i], squares[camera == i], model.frames)
+        for i in np.unique(camera)
+    }
 
 
 def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
@@ -134,9 +152,9 @@ def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
     for h, fit, T in zip(named, fits, runs):
         at = replace(model, point=here.with_effects(fit.point.effects))
         columns.append(parameter_directions(at, sensitivities)[1] or _none(model))
-        other = replace(here, T=T, design=fitted_design(fit, here.design), seats=cube_seats(here.design, fit.point.seats)).with_effects(
-            fit.point.effects
-        )
+        other = replace(
+            here, T=T, design=fitted_design(fit, here.design), seats=cube_seats(here.design, fit.point.seats)
+        ).with_effects(fit.point.effects)
         moved.append(_between(model, here, other))
         shapes.append(change(at, _without(fit.point.effects, h.number)))
     return _Seen(fits, model, other, columns, moved, shapes)
@@ -163,8 +181,8 @@ def _without(effects: Sequence[Effect], number: int) -> list[Effect]:
 
 
 def _nuisances(model: LinearisedModel, new: LinearisedModel) -> tuple[list[tuple[str, str | int]], np.ndarray]:
-    """(names of the nuisances (p,) so far and of the new recording's own, (p, p) information on them that the recordings so far, and what
-    remounting may do to a cube that is put back, give)."""
+    """(names of the nuisances (p,) so far and of the new recording's own, (p, p) information on them that the
+    recordings so far, and what remounting may do to a cube that is put back, give)."""
     before = list(model.nuisances.names)
     fresh = [name for name in new.nuisances.names if name not in before]
     P = np.linalg.pinv(model.nuisances.solve)
@@ -177,13 +195,18 @@ def _nuisances(model: LinearisedModel, new: LinearisedModel) -> tuple[list[tuple
 
 
 def _known(fit: Refined, new: LinearisedModel) -> np.ndarray:
-    """(p + c, p + c) covariance of the new recording's nuisances and of a fit's coordinates (c), as the recordings so far have them."""
+    """(p + c, p + c) covariance of the new recording's nuisances and of a fit's coordinates (c), as the recordings so
+    far have them.
+    """
     names, own = _nuisances(fit.model, new)
     n, count = len(names), len(fit.coordinates)
     information = np.zeros((n + count, n + count))
     information[:n, :n] = own
     if fit.column is not None and count:
-        found, wide = fit.model.linear.project(fit.column), prior_standard_deviations(fit.coordinates, fit.point.effects)
+        found, wide = (
+            fit.model.linear.project(fit.column),
+            prior_standard_deviations(fit.coordinates, fit.point.effects),
+        )
         cross = np.linalg.pinv(fit.model.nuisances.solve).T @ found.onto
         information[: len(cross), n:] = cross
         information[n:, : len(cross)] = cross.T
@@ -193,12 +216,28 @@ def _known(fit: Refined, new: LinearisedModel) -> np.ndarray:
     return covariance[np.ix_(at, at)]
 
 
-def _cosines(named: Sequence[Hypothesis[Refined]], fits: Sequence[Refined], new: LinearisedModel, shapes: np.ndarray,
-             nuisances: np.ndarray) -> np.ndarray:
-    """(h, h) cosines between what the hypotheses do in all recordings so far and the new one, cameras and geometry taken out of all together."""
+def _cosines(
+    named: Sequence[Hypothesis[Refined]],
+    fits: Sequence[Refined],
+    new: LinearisedModel,
+    shapes: np.ndarray,
+    nuisances: np.ndarray,
+) -> np.ndarray:
+    """(h, h) cosines between what the hypotheses do in all recordings so far and the new one, cameras and geometry
+    taken out of all together.
+    """
     model = fits[0].model
-    own = join_columns([Column(change(replace(model, point=model.point.with_effects(fit.point.effects)), _without(fit.point.effects, h.number)).parts)
-                  for h, fit in zip(named, fits)])
+    own = join_columns(
+        [
+            Column(
+                change(
+                    replace(model, point=model.point.with_effects(fit.point.effects)),
+                    _without(fit.point.effects, h.number),
+                ).parts
+            )
+            for h, fit in zip(named, fits)
+        ]
+    )
     found = model.linear.project(own)
     P, (names, N) = np.linalg.pinv(model.nuisances.solve), _nuisances(model, new)
     K, G = np.zeros((len(names), len(fits))), found.gram + found.onto.T @ found.onto
@@ -212,7 +251,9 @@ def _cosines(named: Sequence[Hypothesis[Refined]], fits: Sequence[Refined], new:
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
-    """(p, p) pseudo-inverse of information (p, p) whose numbers are of different units: scaled to a diagonal of ones first."""
+    """(p, p) pseudo-inverse of information (p, p) whose numbers are of different units: scaled to a diagonal of ones
+    first.
+    """
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     return np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale
 

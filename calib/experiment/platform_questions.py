@@ -1,4 +1,6 @@
-"""A platform's diagnosis -> questions: for each finding, the hypotheses that are still alike, each fitted with all that is free, and their odds."""
+"""A platform's diagnosis -> questions: for each finding, the hypotheses that are still alike, each fitted with all that
+is free, and their odds.
+"""
 
 from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
@@ -9,7 +11,9 @@ from rig.errors import RigError
 
 
 def questions(diagnosis: PlatformDiagnosis) -> list[PlatformQuestion]:
-    """[PlatformQuestion] of what a diagnosis cannot tell apart, none where it can. Raises RigError for a rig of which no plan can be foretold."""
+    """[PlatformQuestion] of what a diagnosis cannot tell apart, none where it can. Raises RigError for a rig of which
+    no plan can be foretold.
+    """
     d, fit = diagnosis, diagnosis.selection.fit
     size = fit.refined.model.size
     open_ones = [f for f in d.selection.findings if any(not is_ruled_out(f, a, size) for a in f.alternatives)]
@@ -31,6 +35,10 @@ def questions(diagnosis: PlatformDiagnosis) -> list[PlatformQuestion]:
             except RigError as error:
                 unasked.append(f"{candidate.name.replace('_', ' ')} at {candidate.place}: {error}")
                 continue
-            found.append(Rival(candidate.name, candidate.place, a.behind, refined, len(bare.terms), data_log_odds(finding, a, size)))
+            found.append(
+                Rival(
+                    candidate.name, candidate.place, a.behind, refined, len(bare.terms), data_log_odds(finding, a, size)
+                )
+            )
         out.append(PlatformQuestion(hypotheses(found), tuple(unasked)))
     return out

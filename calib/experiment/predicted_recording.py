@@ -1,4 +1,6 @@
-"""A plan's recording as a fit foretells it: cameras and cubes where they stood last, poses, corners with the noise that these had."""
+"""A plan's recording as a fit foretells it: cameras and cubes where they stood last, poses, corners with the noise that
+these had.
+"""
 
 from dataclasses import replace
 
@@ -41,11 +43,21 @@ def point_with_turned_cubes(point: OperatingPoint, plan: Plan) -> OperatingPoint
 
 
 def predicted_sensor_log(log: Sensors | None, plan: Plan, warmer: float) -> Sensors | None:
-    """The log of a recording that is not there yet: temperatures run as in the first one's log, so many K warmer, the payload as the plan has it."""
+    """The log of a recording that is not there yet: temperatures run as in the first one's log, so many K warmer, the
+    payload as the plan has it.
+    """
     if log is None:
-        return add_payload_channel(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {})) if (plan.payload[:, 1] > 0).any() else None
+        return (
+            add_payload_channel(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {}))
+            if (plan.payload[:, 1] > 0).any()
+            else None
+        )
     end = np.searchsorted(log.t, log.starts[0]) if len(log.starts) else len(log.t)
-    first = {name: values[:end] + warmer * name.endswith(TEMPERATURE) for name, values in log.channels.items() if name != PAYLOAD}
+    first = {
+        name: values[:end] + warmer * name.endswith(TEMPERATURE)
+        for name, values in log.channels.items()
+        if name != PAYLOAD
+    }
     return add_payload_channel(plan, Sensors(log.t[:end], first))
 
 
@@ -58,18 +70,35 @@ def fitted_design(fit: Refined, design: Design) -> Design:
 def predicted_poses(fit: Refined, design: Design, plan: Plan, sensors: Sensors | None) -> RigidTransform:
     """T_base_platform (F,) at a plan's exposures, as a fit has the machine."""
     moving = [e for e in fit.point.effects if e.stage != "view"]
-    return motion_simulation.run_machine(fitted_design(fit, design), plan.commands, plan.t, moving, sensors).T_base_platform
+    return motion_simulation.run_machine(
+        fitted_design(fit, design), plan.commands, plan.t, moving, sensors
+    ).T_base_platform
 
 
-def predicted_recording(point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | None, T: RigidTransform) -> OperatingPoint:
+def predicted_recording(
+    point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | None, T: RigidTransform
+) -> OperatingPoint:
     """The OperatingPoint of a plan's recording as one fit foretells it, with noise that is as large as before.
 
     Raises RigError where no camera sees a marker in some of its exposures
     """
     rng, design, F = np.random.default_rng(SEED), fitted_design(fit, point.design), len(plan.t)
     stated = replace(point.stated, cameras=design.cameras, targets=design.targets)
-    here = OperatingPoint(design, stated, np.arange(F), plan.t, T, {}, None, plan.commands, sensors, None, fit.point.effects,
-                          standing=point.standing, seats=cube_seats(design, fit.point.seats))
+    here = OperatingPoint(
+        design,
+        stated,
+        np.arange(F),
+        plan.t,
+        T,
+        {},
+        None,
+        plan.commands,
+        sensors,
+        None,
+        fit.point.effects,
+        standing=point.standing,
+        seats=cube_seats(design, fit.point.seats),
+    )
     if point.seen is None:
         own = point.own if point.own is not None else np.zeros((1, 6, 6))
         typical = np.median(own, axis=0)
@@ -77,13 +106,24 @@ def predicted_recording(point: OperatingPoint, fit: Refined, plan: Plan, sensors
         return replace(here, T=T * exp(noise), own=np.broadcast_to(typical, (F, 6, 6)).copy())
     markers, state = marker_map(here.stated), State(design.cameras, T, {})
     sightings = facing(state, markers)
-    uv = predict_sightings(sightings, state, markers, plan.t, [*fit.point.effects, *here.seats], sensors, here.run(fit.point.effects))
+    uv = predict_sightings(
+        sightings, state, markers, plan.t, [*fit.point.effects, *here.seats], sensors, here.run(fit.point.effects)
+    )
     whole = is_inside_image(sightings, uv, design.cameras)
     sightings, uv = sightings.take(whole), uv[whole].reshape(-1, 2)
     if len(np.unique(sightings.frame)) < F:
-        raise RigError(f"in {F - len(np.unique(sightings.frame))} of the plan's {F} exposures no camera would see a marker")
+        raise RigError(
+            f"in {F - len(np.unique(sightings.frame))} of the plan's {F} exposures no camera would see a marker"
+        )
     sigma = fit.model.corner_noise()
-    corners = Corners(np.repeat(sightings.frame, 4), [design.cameras[i].name for i in np.repeat(sightings.camera, 4)],
-                      np.repeat(markers.key[sightings.marker], 4), np.tile(np.arange(4), len(sightings.frame)),
-                      uv + sigma * rng.normal(size=uv.shape), np.broadcast_to(sigma**2 * np.eye(2), (len(uv), 2, 2)).copy())
-    return replace(here, seen=group_sightings(observations_from_corners(corners, here.frames, here.stated, markers), markers))
+    corners = Corners(
+        np.repeat(sightings.frame, 4),
+        [design.cameras[i].name for i in np.repeat(sightings.camera, 4)],
+        np.repeat(markers.key[sightings.marker], 4),
+        np.tile(np.arange(4), len(sightings.frame)),
+        uv + sigma * rng.normal(size=uv.shape),
+        np.broadcast_to(sigma**2 * np.eye(2), (len(uv), 2, 2)).copy(),
+    )
+    return replace(
+        here, seen=group_sightings(observations_from_corners(corners, here.frames, here.stated, markers), markers)
+    )

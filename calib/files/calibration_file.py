@@ -43,45 +43,80 @@ from rig.recording.exposures import LARGEST_IMAGE_FILE
 from rig.recording.recording_folder import Recording
 
 SCHEMA = "calibration/1"
-WITH_PHYSICS = "calibration/2"  # which a program that knows no physics refuses, as it would leave half of the correction out
+WITH_PHYSICS = (
+    "calibration/2"  # which a program that knows no physics refuses, as it would leave half of the correction out
+)
 WITH_POSE_MAPS = "calibration/3"  # which one that knows no maps in pose space refuses for the same reason
 UNITS = "m, rad, s; covariances in their products"
-FRAMES = ("T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
-          "tangent x y z rx ry rz on the right, in the platform frame; commanded length = joint distance - strut zero")
-ARM_FRAMES = ("T_base_platform maps the target on the hand to the frame of poses.csv = base A_1(theta_1 + q_1) .. A_n tool, "
-              "A = Rz Tz(d) Tx(a) Rx(alpha) Ry(beta); base and tool of the nominal arm are fitted where [instrument] says free; "
-              "a joint turns to q - remainder(q); a slide's q adds to d, m; tangents x y z rx ry rz on the right")
+FRAMES = (
+    "T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
+    "tangent x y z rx ry rz on the right, in the platform frame; commanded length = joint distance - strut zero"
+)
+ARM_FRAMES = (
+    "T_base_platform maps the target on the hand to the frame of poses.csv = base A_1(theta_1 + q_1) .. A_n tool, "
+    "A = Rz Tz(d) Tx(a) Rx(alpha) Ry(beta); base and tool of the nominal arm are fitted where [instrument] says free; "
+    "a joint turns to q - remainder(q); a slide's q adds to d, m; tangents x y z rx ry rz on the right"
+)
 ARM_FRAMES_KNOWN = (ARM_FRAMES, ARM_FRAMES.replace("a slide's q adds to d, m; ", ""))  # before arms had slides
-CONTENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # what a schema's files must hold, and what they cannot
-    SCHEMA: ((), ("physics", "pose_maps")), WITH_PHYSICS: (("physics",), ("pose_maps",)), WITH_POSE_MAPS: (("pose_maps",), ())}
-PARAMETERS = {"hexapod": "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6",
-              "planar2": "base joints 1, 2 (x y), strut zeros 1, 2"}
+CONTENTS: dict[
+    str, tuple[tuple[str, ...], tuple[str, ...]]
+] = {  # what a schema's files must hold, and what they cannot
+    SCHEMA: ((), ("physics", "pose_maps")),
+    WITH_PHYSICS: (("physics",), ("pose_maps",)),
+    WITH_POSE_MAPS: (("pose_maps",), ()),
+}
+PARAMETERS = {
+    "hexapod": "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6",
+    "planar2": "base joints 1, 2 (x y), strut zeros 1, 2",
+}
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
 
 _NONE = Figures(0, (math.nan,) * 3, (math.nan,) * 3, (math.nan,) * 6, (math.nan,) * 2)
-NOT_HELD_OUT = HeldOut(_NONE, _NONE, (math.nan,) * 2, (math.nan,) * 3, 0)  # keeps the file's shape where nothing was held out
+NOT_HELD_OUT = HeldOut(
+    _NONE, _NONE, (math.nan,) * 2, (math.nan,) * 3, 0
+)  # keeps the file's shape where nothing was held out
 
 
-def calibration_provenance(recording: Recording, arguments: Sequence[str], seed: int, used_images: bool, beside: Iterable[Path] = (),
-               data: Iterable[str] = ()) -> dict[str, Any]:
-    """dict of the inputs' SHA-256, the marks of their data (see rig.recording.data_provenance), versions, arguments and seed.
+def calibration_provenance(
+    recording: Recording,
+    arguments: Sequence[str],
+    seed: int,
+    used_images: bool,
+    beside: Iterable[Path] = (),
+    data: Iterable[str] = (),
+) -> dict[str, Any]:
+    """dict of the inputs' SHA-256, the marks of their data (see rig.recording.data_provenance), versions, arguments and
+    seed.
 
-    recording : Recording; used_images : whether they were read; beside : other files that were read, data : marks of theirs
+    recording : Recording; used_images : whether they were read; beside : other files that were read, data : marks of
+        theirs
     """
     files: dict[str, str] = {}
     for k, part in enumerate(recording.apart):
         own = input_digests(part.recording, used_images)
-        files |= {f"{k + 1} {part.recording.name}/{name}": digest for name, digest in own.items()} if recording.parts else own
+        files |= (
+            {f"{k + 1} {part.recording.name}/{name}": digest for name, digest in own.items()}
+            if recording.parts
+            else own
+        )
     files.update({Path(path).name: _hash([path]) for path in beside})
-    return {"recording": recording.name, "inputs_sha256": files, "data": sorted({*marks_of_frames(content_marks(recording)), *data}),
-            "arguments": list(arguments), "seed": seed, "versions": package_versions(),
-            "created": datetime.now(UTC).isoformat(timespec="seconds")}
+    return {
+        "recording": recording.name,
+        "inputs_sha256": files,
+        "data": sorted({*marks_of_frames(content_marks(recording)), *data}),
+        "arguments": list(arguments),
+        "seed": seed,
+        "versions": package_versions(),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
 
 
 def input_digests(recording: Recording, used_images: bool) -> dict[str, str]:
     """{file: SHA-256} of a recording's files, its images together. used_images : whether they were read"""
     folder = recording.folder
-    files = {name: _hash([folder / name]) for name in remote_folders.list_folder(folder) if name.endswith((".toml", ".csv"))}
+    files = {
+        name: _hash([folder / name]) for name in remote_folders.list_folder(folder) if name.endswith((".toml", ".csv"))
+    }
     if used_images:
         names = sorted(name for name in recording.exposures.image if name)
         files[f"images ({len(names)})"] = _hash([folder / name for name in names])
@@ -94,7 +129,9 @@ def package_versions() -> dict[str, str]:
 
 
 def pass_provenance(own: dict[str, Any], before: Calibration, asked: dict[str, Any]) -> dict[str, Any]:
-    """The provenance of a pass: its own and what it is, the passes before it in their order, and the marks of the data of all."""
+    """The provenance of a pass: its own and what it is, the passes before it in their order, and the marks of the data
+    of all.
+    """
     kept = ("recording", "inputs_sha256", "arguments", "created", "pass")
     first = {name: before.provenance[name] for name in kept if name in before.provenance}
     passes = [*before.provenance.get("passes", []), first]
@@ -102,7 +139,9 @@ def pass_provenance(own: dict[str, Any], before: Calibration, asked: dict[str, A
 
 
 def frames_used_in_calibration(calibration: Calibration, recording: Recording) -> list[int]:
-    """The frames of a recording that a calibration was made from, be it by way of what was measured from it, or it from them."""
+    """The frames of a recording that a calibration was made from, be it by way of what was measured from it, or it from
+    them.
+    """
     return frames_with_known_data(content_marks(recording), calibration.provenance.get("data", ()))
 
 
@@ -119,26 +158,32 @@ def save(path: Path | str, calibration: Calibration) -> None:
     arm = isinstance(correction, ArmCorrection)
     tree = {
         "schema": WITH_POSE_MAPS if correction.posed else SCHEMA if calibration.physics is None else WITH_PHYSICS,
-        "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
-        "nominal": mechanism_dict(correction.nominal), "fitted": mechanism_dict(correction.fitted), "parameter_order": _order(correction),
-        "parameter_covariance": calibration.covariance.tolist(), _scatter_key(correction.nominal): calibration.scatter.tolist(),
+        "units": UNITS,
+        "frames": ARM_FRAMES if arm else FRAMES,
+        "nominal": mechanism_dict(correction.nominal),
+        "fitted": mechanism_dict(correction.fitted),
+        "parameter_order": _order(correction),
+        "parameter_covariance": calibration.covariance.tolist(),
+        _scatter_key(correction.nominal): calibration.scatter.tolist(),
         **({} if calibration.strut_covariance is None else {"strut_covariance": calibration.strut_covariance.tolist()}),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
         **({"extension": kinds.field_to_dict(correction.extension)} if correction.extension is not None else {}),
         **({"pose_maps": [pose_map_dict(one) for one in correction.posed]} if correction.posed else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
-        "held_out": json_file.nan_to_null(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
+        "held_out": json_file.nan_to_null(asdict(calibration.held_out or NOT_HELD_OUT)),
+        "claim": calibration.claim and asdict(calibration.claim),
         **({} if calibration.physics is None else {"physics": physics_dict(calibration.physics)}),
         **({} if calibration.workspace is None else {"workspace": workspace_dict(calibration.workspace)}),
-        **({} if calibration.confounds is None else {"confounds": calibration.confounds.tree()}), "provenance": calibration.provenance,
+        **({} if calibration.confounds is None else {"confounds": calibration.confounds.tree()}),
+        "provenance": calibration.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
 
 def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
-    """Calibration of a calibration.json, in which no effects stand but those known (kinds). Raises FileError for a file that is missing, cut off,
-    of another schema, or that holds an array of another shape or a number that cannot be."""
+    """Calibration of a calibration.json, in which no effects stand but those known (kinds). Raises FileError for a file
+    that is missing, cut off, of another schema, or that holds an array of another shape or a number that cannot be."""
     tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
     nominal, fitted = mechanism_from_entries(tree.table("nominal"), True), mechanism_from_entries(tree.table("fitted"))
     require_same_ranges(tree, nominal, fitted)
@@ -146,25 +191,39 @@ def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
     require_contents(tree, *CONTENTS[schema])
     correction = _correction_in(tree, nominal, fitted)
     nominal = correction.nominal
-    for key, known in (("units", (UNITS,)), ("frames", ARM_FRAMES_KNOWN if isinstance(nominal, Arm) else (FRAMES,)),
-                       ("parameter_order", (_order(correction),))):
+    for key, known in (
+        ("units", (UNITS,)),
+        ("frames", ARM_FRAMES_KNOWN if isinstance(nominal, Arm) else (FRAMES,)),
+        ("parameter_order", (_order(correction),)),
+    ):
         require_text(tree, key, known)
-    count = len((chains.names if isinstance(nominal, Chain) else names if isinstance(nominal, Arm) else parameters)(nominal))
+    count = len(
+        (chains.names if isinstance(nominal, Chain) else names if isinstance(nominal, Arm) else parameters)(nominal)
+    )
     fit = tree.table("fit")
-    return Calibration(correction, covariance_in(tree, count), _spread_in(tree, _scatter_key(nominal), len(nominal.axes)),
-                       fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
-                       _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
-                       physics_from_entries(tree.table("physics"), nominal, count, kinds) if "physics" in tree.tree else None,
-                       workspace_from_entries(tree.table("workspace")) if tree.get("workspace", None) is not None else None,
-                       confounds_from_entries(tree.table("confounds")) if tree.get("confounds", None) is not None else None,
-                       _strut_covariance_in(tree) if "strut_covariance" in tree.tree else None)
+    return Calibration(
+        correction,
+        covariance_in(tree, count),
+        _spread_in(tree, _scatter_key(nominal), len(nominal.axes)),
+        fit.wholes("frames"),
+        fit.wholes("left_out"),
+        _held_out_in(tree.table("held_out")),
+        _provenance_in(tree),
+        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
+        physics_from_entries(tree.table("physics"), nominal, count, kinds) if "physics" in tree.tree else None,
+        workspace_from_entries(tree.table("workspace")) if tree.get("workspace", None) is not None else None,
+        confounds_from_entries(tree.table("confounds")) if tree.get("confounds", None) is not None else None,
+        _strut_covariance_in(tree) if "strut_covariance" in tree.tree else None,
+    )
 
 
 def _correction_in(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts | Arm | Chain) -> Correction[Any, Any]:
     axes = len(nominal.axes)
     extension = kinds.field_from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
     if isinstance(nominal, Arm) and isinstance(fitted, Arm):
-        return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)), extension=extension)
+        return ArmCorrection(
+            nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)), extension=extension
+        )
     posed = tuple(pose_map_from_entries(one, struts_of(nominal)) for one in tree.tables("pose_maps"))
     return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension, posed=posed)
 
@@ -182,30 +241,52 @@ def _scatter_key(nominal: Struts | Arm | Chain) -> str:
 
 
 def _part_out(part: Radial | Profile) -> dict[str, Any]:
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in
-            ((name, getattr(part, name)) for name in type(part).__slots__)}
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in ((name, getattr(part, name)) for name in type(part).__slots__)
+    }
 
 
 def _parts_in(tree: Entries, axes: int, arm: bool) -> tuple[Any, ...]:
     """Per axis a Radial, of an arm a Profile, or None."""
     listed = tree.get("remainder")
-    if not isinstance(listed, list) or len(listed) != axes or not all(part is None or isinstance(part, dict) for part in listed):
+    if (
+        not isinstance(listed, list)
+        or len(listed) != axes
+        or not all(part is None or isinstance(part, dict) for part in listed)
+    ):
         tree.fail(f"remainder must list {axes} parts, each a table or null", "remainder")
-    tables = [None if part is None else Entries(part, ("remainder", i), tree.file, tree.places) for i, part in enumerate(listed)]
-    return tuple(None if table is None else (_profile_in if arm else kinds.gaussian_process_from_entries)(table, axes) for table in tables)
+    tables = [
+        None if part is None else Entries(part, ("remainder", i), tree.file, tree.places)
+        for i, part in enumerate(listed)
+    ]
+    return tuple(
+        None if table is None else (_profile_in if arm else kinds.gaussian_process_from_entries)(table, axes)
+        for table in tables
+    )
 
 
 def _profile_in(table: Entries, axes: int) -> Profile:
     orders = table.array("orders", (None,))
-    return Profile(table.whole("axis", 0, most=axes - 1), orders, table.array("own", (2 * len(orders),)), table.array("others", (axes, 2)))
+    return Profile(
+        table.whole("axis", 0, most=axes - 1),
+        orders,
+        table.array("own", (2 * len(orders),)),
+        table.array("others", (axes, 2)),
+    )
 
 
 def covariance_in(tree: Entries, count: int, key: str = "parameter_covariance") -> np.ndarray:
-    """(count, count) covariance under a key, symmetric to rounding, in the file's units (m, rad). Raises FileError for what is none."""
+    """(count, count) covariance under a key, symmetric to rounding, in the file's units (m, rad). Raises FileError for
+    what is none.
+    """
     covariance = tree.array(key, (count, count))
     scale = np.sqrt(np.abs(np.diag(covariance)))
-    if (np.diag(covariance) < 0).any() or (np.abs(covariance) > 1.001 * np.outer(scale, scale) + 1e-30).any() or \
-            not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
+    if (
+        (np.diag(covariance) < 0).any()
+        or (np.abs(covariance) > 1.001 * np.outer(scale, scale) + 1e-30).any()
+        or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300)
+    ):
         tree.fail(f"{key} is no covariance", key)
     return covariance
 
@@ -232,19 +313,40 @@ def _strut_covariance_in(tree: Entries) -> np.ndarray:
 def _held_out_in(table: Entries) -> HeldOut | None:
     """HeldOut, or None where nothing was held out."""
     ratio, after = table.array("ratio", (3,), nulls=True), _figures_in(table.table("after"))
-    configurations = table.whole("configurations", 0) if "configurations" in table.tree else after.n  # not in files of before they were counted
-    return HeldOut(_figures_in(table.table("before")), after, tuple(table.array("floor", (2,), nulls=True).tolist()), tuple(ratio.tolist()),
-                   configurations) if after.n else None
+    configurations = (
+        table.whole("configurations", 0) if "configurations" in table.tree else after.n
+    )  # not in files of before they were counted
+    return (
+        HeldOut(
+            _figures_in(table.table("before")),
+            after,
+            tuple(table.array("floor", (2,), nulls=True).tolist()),
+            tuple(ratio.tolist()),
+            configurations,
+        )
+        if after.n
+        else None
+    )
 
 
 def _claim_in(table: Entries) -> Claim:
     def numbers(name: str, shape: tuple[int, ...]) -> Any:
         return None if table.get(name) is None else _tuples(table.array(name, shape).tolist())
 
-    return Claim(table.whole("distinct", 0), table.whole("determined", 0), table.whole("better", 0), table.whole("unknowns", 0),
-                 table.text("tolerance"), table.text("workspace"), numbers("before", (2, 3)), numbers("after", (2, 3)), numbers("ratio", (3,)),
-                 numbers("measured", (3,)), None if table.get("reason") is None else table.text("reason"),
-                 table.texts("unexplained") if "unexplained" in table.tree else ())
+    return Claim(
+        table.whole("distinct", 0),
+        table.whole("determined", 0),
+        table.whole("better", 0),
+        table.whole("unknowns", 0),
+        table.text("tolerance"),
+        table.text("workspace"),
+        numbers("before", (2, 3)),
+        numbers("after", (2, 3)),
+        numbers("ratio", (3,)),
+        numbers("measured", (3,)),
+        None if table.get("reason") is None else table.text("reason"),
+        table.texts("unexplained") if "unexplained" in table.tree else (),
+    )
 
 
 def _tuples(values: Any) -> Any:
@@ -252,8 +354,13 @@ def _tuples(values: Any) -> Any:
 
 
 def _figures_in(table: Entries) -> Figures:
-    return Figures(table.whole("n", 0), *(tuple(table.array(name, (count,), nulls=True).tolist())
-                                          for name, count in (("position", 3), ("rotation", 3), ("bias", 6), ("mean", 2))))
+    return Figures(
+        table.whole("n", 0),
+        *(
+            tuple(table.array(name, (count,), nulls=True).tolist())
+            for name, count in (("position", 3), ("rotation", 3), ("bias", 6), ("mean", 2))
+        ),
+    )
 
 
 def _provenance_in(tree: Entries) -> dict[str, Any]:

@@ -20,12 +20,19 @@ from rig.recording.recording_folder import Recording
 SEED = 0  # of draws; results are the same from run to run
 
 
-def calibration_with_provenance(recording: Recording, sampled: Sampled, done: Certified | ArmCertified | ChainCertified, claim: Claim,
-         arguments: Sequence[str] = (), known: tuple[Physics, np.ndarray] | None = None,
-         before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
+def calibration_with_provenance(
+    recording: Recording,
+    sampled: Sampled,
+    done: Certified | ArmCertified | ChainCertified,
+    claim: Claim,
+    arguments: Sequence[str] = (),
+    known: tuple[Physics, np.ndarray] | None = None,
+    before: tuple[Calibration, dict[str, Any]] | None = None,
+) -> Calibration:
     """Calibration of what was found, with where it came from and what it does to the workspace.
 
-    arguments : of the command; known : (Physics, covariance of the parameters with it, m^2), or None; before : on which this is one more pass
+    arguments : of the command; known : (Physics, covariance of the parameters with it, m^2), or None; before : on which
+        this is one more pass
     """
     frames, found = sampled.samples.frame, done.found
     covariance, scatter, together = found.covariance, found.scatter, None
@@ -33,10 +40,23 @@ def calibration_with_provenance(recording: Recording, sampled: Sampled, done: Ce
         covariance, together = done.covariance, done.strut_covariance  # with all that these samples leave unknown
         scatter = np.sqrt(np.diag(together))
     physics, covariance = (None, covariance) if known is None else known
-    source = calibration_file.calibration_provenance(recording, arguments, SEED, sampled.source == "images", sampled.files, sampled.data)
+    source = calibration_file.calibration_provenance(
+        recording, arguments, SEED, sampled.source == "images", sampled.files, sampled.data
+    )
     if before is not None:
         source = calibration_file.pass_provenance(source, *before)
-    return add_workspace(Calibration(
-        done.correction, covariance, scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
-        done.held_out, source, claim, physics, confounds=confounds_of_samples(sampled.samples, recording.design.mechanism),
-        strut_covariance=together))
+    return add_workspace(
+        Calibration(
+            done.correction,
+            covariance,
+            scatter,
+            tuple(frames[found.inliers].tolist()),
+            tuple(frames[~found.inliers].tolist()),
+            done.held_out,
+            source,
+            claim,
+            physics,
+            confounds=confounds_of_samples(sampled.samples, recording.design.mechanism),
+            strut_covariance=together,
+        )
+    )

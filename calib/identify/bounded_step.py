@@ -6,10 +6,13 @@ from scipy.linalg import null_space
 NULL = 1e-11  # of the greatest eigenvalue; directions below are not stepped along
 
 
-def bounded_step(b: np.ndarray, G: np.ndarray, values: np.ndarray, ends: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def bounded_step(
+    b: np.ndarray, G: np.ndarray, values: np.ndarray, ends: np.ndarray, kept: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(step (c,) of values (c,), to a bound at the most, their covariance (c, c), of which bounds know nothing).
 
-    b : (c,) gradient; G : (c, c) information, priors included in both; ends : (c, 2) bounds; kept : (k, c) sums that the step must not change
+    b : (c,) gradient; G : (c, c) information, priors included in both; ends : (c, 2) bounds; kept : (k, c) sums that
+        the step must not change
     """
     low, high = ends.T
     step, covariance = _solved(b, G, kept)
@@ -20,7 +23,9 @@ def bounded_step(b: np.ndarray, G: np.ndarray, values: np.ndarray, ends: np.ndar
             break
         held |= over
         step[held] = np.clip(values + step, low, high)[held] - values[held]
-        step[~held] = _solved(b[~held] - G[np.ix_(~held, held)] @ step[held], G[np.ix_(~held, ~held)], kept[:, ~held])[0]
+        step[~held] = _solved(b[~held] - G[np.ix_(~held, held)] @ step[held], G[np.ix_(~held, ~held)], kept[:, ~held])[
+            0
+        ]
     return step, covariance
 
 

@@ -1,8 +1,9 @@
-"""Weighted least squares over blocks of observations, in square-root information form: the engine behind every fit of parameters.
+"""Weighted least squares over blocks of observations, in square-root information form: the engine behind every fit of
+parameters.
 
-A problem hands over whitened residuals and their derivatives, block by block (a block: a pose, a configuration of an arm). What
-all blocks share (the cameras' errors, say) is solved for beside the parameters and then marginalised. Source: Bierman,
-Factorization Methods for Discrete Sequential Estimation, 1977, ch. IV and V.
+A problem hands over whitened residuals and their derivatives, block by block (a block: a pose, a configuration of an
+arm). What all blocks share (the cameras' errors, say) is solved for beside the parameters and then marginalised.
+Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, ch. IV and V.
 """
 
 from collections.abc import Callable
@@ -18,7 +19,9 @@ from rig.errors import NotEnoughData, RigError
 MAX_ITERATIONS = 30
 CHUNK = 2048  # rows reduced at a time, so that the work stays in the cache
 SETTLED = 1e-5  # standard deviations; the length of the last step, all parameters together
-ROUNDED = 1e-3  # standard deviations; a step so short that is no shorter than half the last one is the residuals' rounding
+ROUNDED = (
+    1e-3  # standard deviations; a step so short that is no shorter than half the last one is the residuals' rounding
+)
 GATE = 1e-9  # share of honest blocks that lie beyond and are lost
 
 
@@ -27,7 +30,8 @@ class Linear:
     """A problem at some parameters, whitened: its noise has unit covariance.
 
     residual : (n, m) measured less predicted; jacobian : (n, m, k) of what is predicted with the parameters
-    common : (n, m, c) what one draw z ~ N(0, I), shared by all blocks, adds to the measured: residual = jacobian dp + common z + noise
+    common : (n, m, c) what one draw z ~ N(0, I), shared by all blocks, adds to the measured: residual = jacobian dp +
+        common z + noise
     """
 
     residual: np.ndarray
@@ -55,14 +59,24 @@ class Fit:
     iterations: int
 
 
-def fit(linearise: Callable[[np.ndarray], Linear], start: np.ndarray, mean: np.ndarray, sigma: np.ndarray, basis: np.ndarray | None = None,
-        inliers: np.ndarray | None = None, robust: bool = False) -> Fit:
+def fit(
+    linearise: Callable[[np.ndarray], Linear],
+    start: np.ndarray,
+    mean: np.ndarray,
+    sigma: np.ndarray,
+    basis: np.ndarray | None = None,
+    inliers: np.ndarray | None = None,
+    robust: bool = False,
+) -> Fit:
     """Gauss-Newton to the optimum, docs/mathematics.md (7).
 
-    linearise : function of parameters (k,) -> Linear; start : (k,); mean, sigma : (k,) the prior, sigma infinite where there is none
-    basis : (k, j) directions in which the parameters may move from the start (constraints hold the others), or None for all
+    linearise : function of parameters (k,) -> Linear; start : (k,); mean, sigma : (k,) the prior, sigma infinite where
+        there is none
+    basis : (k, j) directions in which the parameters may move from the start (constraints hold the others), or None for
+        all
     inliers : (n,) bool blocks to use, or None for all; robust : whether blocks that disagree are sorted out, in rounds
-    Returns Fit. Raises NotEnoughData where the data and prior leave a direction open, RigError where the steps do not settle.
+    Returns Fit. Raises NotEnoughData where the data and prior leave a direction open, RigError where the steps do not
+        settle.
     """
     p, spans = np.array(start, float), np.eye(len(start)) if basis is None else np.asarray(basis, float)
     mean, weight = np.asarray(mean, float), 1 / np.asarray(sigma, float)
@@ -82,9 +96,20 @@ def fit(linearise: Callable[[np.ndarray], Linear], start: np.ndarray, mean: np.n
         if (kept == used).all():
             half = solve_triangular(step.root, np.eye(len(step.root)))
             c = linear.common.shape[2]
-            return Fit(p, spans @ half @ half.T @ spans.T, step.shared, data[c:-1, c:-1] @ spans.T, left, used, step.cost, iteration)
+            return Fit(
+                p,
+                spans @ half @ half.T @ spans.T,
+                step.shared,
+                data[c:-1, c:-1] @ spans.T,
+                left,
+                used,
+                step.cost,
+                iteration,
+            )
         used = kept
-    raise RigError(f"the least squares did not settle in {MAX_ITERATIONS} iterations: the last step was {last:.3g} sigma")
+    raise RigError(
+        f"the least squares did not settle in {MAX_ITERATIONS} iterations: the last step was {last:.3g} sigma"
+    )
 
 
 def _triangle(linear: Linear, inliers: np.ndarray, basis: np.ndarray | None) -> np.ndarray:
@@ -98,13 +123,17 @@ def _triangle(linear: Linear, inliers: np.ndarray, basis: np.ndarray | None) -> 
 def _r(rows: np.ndarray, width: int) -> np.ndarray:
     """Upper triangle (width, width) of the QR factorisation of rows, with zeros below where there are fewer rows."""
     if len(rows) > 2 * CHUNK:
-        rows = np.concatenate([np.asarray(np.linalg.qr(rows[at : at + CHUNK], mode="r")) for at in range(0, len(rows), CHUNK)])
+        rows = np.concatenate(
+            [np.asarray(np.linalg.qr(rows[at : at + CHUNK], mode="r")) for at in range(0, len(rows), CHUNK)]
+        )
     R = np.asarray(np.linalg.qr(rows, mode="r"))
     return R if len(R) == width else np.concatenate([R, np.zeros((width - len(R), width))])
 
 
 class _Step(NamedTuple):
-    """parameters : (j,); shared : (c,) draw; root : (j, j) square root of the information with the prior; cost : at the step's end."""
+    """parameters : (j,); shared : (c,) draw; root : (j, j) square root of the information with the prior; cost : at the
+    step's end.
+    """
 
     parameters: np.ndarray
     shared: np.ndarray
@@ -115,7 +144,9 @@ class _Step(NamedTuple):
 def _step(data: np.ndarray, c: int, weight: np.ndarray, to_mean: np.ndarray, basis: np.ndarray) -> _Step:
     """The step that the triangle of the data and the prior, of weight (k,) and to_mean (k,) away, ask for together."""
     held = np.isfinite(weight) & (weight > 0)
-    prior = np.concatenate([np.zeros((held.sum(), c)), weight[held, None] * basis[held], (weight * to_mean)[held, None]], axis=1)
+    prior = np.concatenate(
+        [np.zeros((held.sum(), c)), weight[held, None] * basis[held], (weight * to_mean)[held, None]], axis=1
+    )
     R = _r(np.concatenate([data, prior]), data.shape[1])
     root, right = R[c:-1, c:-1], R[c:-1, -1]
     size = np.abs(np.diag(root))
@@ -138,7 +169,8 @@ def _agreeing(left: np.ndarray, inliers: np.ndarray) -> np.ndarray:
 class Visibility:
     """What data tell of parameters, each measured in the size that it plausibly has.
 
-    singular : (j,) descending; 1 / singular is the standard error, in plausible sizes, along directions (j, k), a row each
+    singular : (j,) descending; 1 / singular is the standard error, in plausible sizes, along directions (j, k), a row
+        each
     condition : greatest over smallest; parameters : covariance-ordered permutation, the best determined first
     """
 
@@ -149,7 +181,9 @@ class Visibility:
 
 
 def visibility(root: np.ndarray, size: np.ndarray) -> Visibility:
-    """Visibility of parameters from a square root of their information. root : (j, k); size : (k,) what each plausibly is."""
+    """Visibility of parameters from a square root of their information. root : (j, k); size : (k,) what each plausibly
+    is.
+    """
     _, s, directions = np.linalg.svd(root * size, full_matrices=False)
     order = qr(root * size, mode="r", pivoting=True)[1]
     return Visibility(s, directions, float(s[0] / s[-1]) if s[-1] > 0 else np.inf, order)

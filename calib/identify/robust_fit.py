@@ -1,8 +1,10 @@
-"""Robust fits, and wild rows: what is far off all that smooth functions allow, and off its neighbours in time and configuration as well.
+"""Robust fits, and wild rows: what is far off all that smooth functions allow, and off its neighbours in time and
+configuration as well.
 
-All that may be smooth is first fitted by weights that fall to nothing with the residual (Tukey's biweight, from the start that Huber's weights
-reach), so that no wild row hides itself or another. A short event is not wild: the row before or after it, or one at nearly the same
-configuration, shows the same. Source: Maronna, Martin and Yohai, Robust statistics, 2006, ch. 5.
+All that may be smooth is first fitted by weights that fall to nothing with the residual (Tukey's biweight, from the
+start that Huber's weights reach), so that no wild row hides itself or another. A short event is not wild: the row
+before or after it, or one at nearly the same configuration, shows the same. Source: Maronna, Martin and Yohai, Robust
+statistics, 2006, ch. 5.
 """
 
 from collections.abc import Sequence
@@ -37,16 +39,24 @@ class Robust:
 
 
 def robust_fit(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> Robust:
-    """Robust of parts [(residual (n, k), columns (n, k, p))], each whitened and with columns of its own; a row has one weight in all of them."""
+    """Robust of parts [(residual (n, k), columns (n, k, p))], each whitened and with columns of its own; a row has one
+    weight in all of them.
+    """
     n = len(parts[0][0])
     free = [1 - min(columns.shape[2] / max(n * columns.shape[1], 1), 0.8) for _, columns in parts]
     weight = np.ones(n)
     for turn in range(2 * ROUNDS):
         left = np.concatenate([_left(residual, columns, weight) for residual, columns in parts], axis=1)
-        scale = np.concatenate([np.full(residual.shape[1], 1 / np.sqrt(share)) for (residual, _), share in zip(parts, free)])
+        scale = np.concatenate(
+            [np.full(residual.shape[1], 1 / np.sqrt(share)) for (residual, _), share in zip(parts, free)]
+        )
         scale = np.maximum(scale * CONSISTENT * np.median(np.abs(left), axis=0), 1e-300)
         far = np.abs(left / scale).max(axis=1)
-        weight = np.minimum(1.0, HUBER / np.maximum(far, 1e-12)) if turn < ROUNDS else (1 - np.minimum(far / TUKEY, 1.0) ** 2) ** 2
+        weight = (
+            np.minimum(1.0, HUBER / np.maximum(far, 1e-12))
+            if turn < ROUNDS
+            else (1 - np.minimum(far / TUKEY, 1.0) ** 2) ** 2
+        )
     return Robust(left, scale)
 
 
@@ -66,7 +76,8 @@ def outlier_rows(relative: np.ndarray, t: np.ndarray, q: np.ndarray, gate: float
     """(n,) bool, rows with a residual beyond the gate that no neighbour shares.
 
     relative : (n, k) residuals over their scatter; t : (n,) s; q : (n, axes) where rows stand
-    gate : where what is left is normal; where its tail is longer, as what is left out of a model has it, by as much more
+    gate : where what is left is normal; where its tail is longer, as what is left out of a model has it, by as much
+        more
     """
     far = np.abs(relative).max(axis=1)
     far = far > gate * tail(relative, gate)
@@ -86,7 +97,9 @@ def outlier_rows(relative: np.ndarray, t: np.ndarray, q: np.ndarray, gate: float
 
 
 def tail(relative: np.ndarray, gate: float) -> float:
-    """How much longer than a normal one's the tail is of rows (n, k) within a gate, residuals over their scatter; 1 at the least."""
+    """How much longer than a normal one's the tail is of rows (n, k) within a gate, residuals over their scatter; 1 at
+    the least.
+    """
     size = np.abs(relative).max(axis=1)
     near = size[size <= gate]
     usual = scipy.special.ndtri((1 + TAIL ** (1 / relative.shape[1])) / 2)
@@ -94,8 +107,9 @@ def tail(relative: np.ndarray, gate: float) -> float:
 
 
 def many_deviations(relative: np.ndarray, gate: float) -> np.ndarray:
-    """(n,) bool, rows of which more than one number is far off: a wrong pose moves all struts, what one strut does by itself shows in that one;
-    and rows of which one is GROSS times farther off than it takes, as where a neighbour on a ladder of one strut took its place.
+    """(n,) bool, rows of which more than one number is far off: a wrong pose moves all struts, what one strut does by
+    itself shows in that one; and rows of which one is GROSS times farther off than it takes, as where a neighbour on a
+    ladder of one strut took its place.
 
     relative : (n, k) residuals over their scatter; gate : of the greatest; half of it counts as far off in the second
     """

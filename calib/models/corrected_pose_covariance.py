@@ -14,7 +14,9 @@ from rig.model.design import Arm, Chain
 
 
 def pose_covariance(calibration: Calibration, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
-    """(n, 6, 6) covariance (m, rad) of the poses (n,) that commands (n, axes) m or rad give, docs/mathematics.md (21)."""
+    """(n, 6, 6) covariance (m, rad) of the poses (n,) that commands (n, axes) m or rad give, docs/mathematics.md
+    (21).
+    """
     if isinstance(calibration.correction.nominal, Arm):
         return arms.model_covariance(calibration, commands)
     if isinstance(calibration.correction.nominal, Chain):
@@ -29,4 +31,7 @@ def add_workspace(calibration: Calibration) -> Calibration:
     """
     if isinstance(calibration.correction.nominal, Chain):
         return calibration
-    return replace(calibration, workspace=map_workspace(calibration.correction, lambda T, commands: pose_covariance(calibration, T, commands)))
+    return replace(
+        calibration,
+        workspace=map_workspace(calibration.correction, lambda T, commands: pose_covariance(calibration, T, commands)),
+    )

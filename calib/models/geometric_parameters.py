@@ -1,4 +1,6 @@
-"""What calibration may move of a machine of any kind: its parameters, what each may be off by, and what they do to the measured pose."""
+"""What calibration may move of a machine of any kind: its parameters, what each may be off by, and what they do to the
+measured pose.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,8 +19,9 @@ from rig.model.mechanism_kinds import Mechanism, struts_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Freedoms:
-    """names, units : of p parameters, "m" or "rad"; size : (p,) what each may be off by; jacobian : values (n, axes) m or rad -> (n, 6, p) change of
-    the pose's tangent on the right; alike : whether some combinations of them no pose tells, so that only `size` holds them"""
+    """names, units : of p parameters, "m" or "rad"; size : (p,) what each may be off by; jacobian : values (n, axes) m
+    or rad -> (n, 6, p) change of the pose's tangent on the right; alike : whether some combinations of them no pose
+    tells, so that only `size` holds them"""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -32,10 +35,22 @@ def geometric_freedoms(mechanism: Mechanism) -> Freedoms:
     if isinstance(mechanism, Arm):
         free = identification.parameters(mechanism, "pose")
         size = np.array([PLAUSIBLE[unit] for unit in error_model.units(mechanism)])
-        return _asked(free, error_model.names(mechanism), error_model.units(mechanism), size, partial(error_model.parameter_jacobian, arm=mechanism))
+        return _asked(
+            free,
+            error_model.names(mechanism),
+            error_model.units(mechanism),
+            size,
+            partial(error_model.parameter_jacobian, arm=mechanism),
+        )
     if isinstance(mechanism, Chain):
         size = chains.prior(mechanism)
-        found = _asked(size > 0, chains.names(mechanism), chains.units(mechanism), size, partial(chains.parameter_jacobian, chain=mechanism))
+        found = _asked(
+            size > 0,
+            chains.names(mechanism),
+            chains.units(mechanism),
+            size,
+            partial(chains.parameter_jacobian, chain=mechanism),
+        )
         return Freedoms(found.names, found.units, found.size, found.jacobian, True)
     struts = struts_of(mechanism)
     names = NAMES[struts.kind]
@@ -46,8 +61,19 @@ def _of_struts(struts: Hexapod | Planar2, values: np.ndarray) -> np.ndarray:
     return pose_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts)
 
 
-def _asked(free: np.ndarray, names: tuple[str, ...], units: tuple[str, ...], size: np.ndarray,
-           jacobian: Callable[[np.ndarray], np.ndarray]) -> Freedoms:
+def _asked(
+    free: np.ndarray,
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    size: np.ndarray,
+    jacobian: Callable[[np.ndarray], np.ndarray],
+) -> Freedoms:
     """Freedoms of those of the parameters that are free (p,) bool."""
     kept = np.flatnonzero(free).tolist()
-    return Freedoms(tuple(names[k] for k in kept), tuple(units[k] for k in kept), size[kept], lambda values: jacobian(values)[..., kept], False)
+    return Freedoms(
+        tuple(names[k] for k in kept),
+        tuple(units[k] for k in kept),
+        size[kept],
+        lambda values: jacobian(values)[..., kept],
+        False,
+    )

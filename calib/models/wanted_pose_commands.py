@@ -1,4 +1,6 @@
-"""Wanted poses -> commands through a calibration, with an approach where it makes a pose surer, and how sure each pose then is."""
+"""Wanted poses -> commands through a calibration, with an approach where it makes a pose surer, and how sure each pose
+then is.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +12,12 @@ from scipy.spatial.transform import RigidTransform
 from calib.certify.calibration import Calibration
 from calib.correct.correction import Responses, require_reachable
 from calib.correct.physics import Physics
-from calib.correct.physics_compensation import Machine, commands_at_poses, path_memory_length, unknown_history_uncertainty
+from calib.correct.physics_compensation import (
+    Machine,
+    commands_at_poses,
+    path_memory_length,
+    unknown_history_uncertainty,
+)
 from calib.correct.pose_route import Pace, Route, timed_route, untimed_route
 from calib.models.corrected_pose_covariance import pose_covariance
 from rig.effects.framework.effect import Effect
@@ -25,8 +32,9 @@ ANY_TIME, GOLDEN = 60.0, 0.5 * (np.sqrt(5) - 1)  # s over which moments are spre
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commanded:
-    """values : (n, axes) m or rad to command at the wanted poses; route : Route; T_base_platform : (n,) poses that come of them by the calibration,
-    those wanted but for an arm of too few joints; covariance : (n, 6, 6) of these (m, rad, on the right), None for commands that were given;
+    """values : (n, axes) m or rad to command at the wanted poses; route : Route; T_base_platform : (n,) poses that come
+    of them by the calibration, those wanted but for an arm of too few joints; covariance : (n, 6, 6) of these (m, rad,
+    on the right), None for commands that were given;
     missing : sensor channels that nobody logged, whose spread is in it."""
 
     values: np.ndarray
@@ -38,48 +46,74 @@ class Commanded:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spread:
-    """covariance : (n, 6, 6) of poses; responses : Responses there; missing : channels that nobody logged and that change something."""
+    """covariance : (n, 6, 6) of poses; responses : Responses there; missing : channels that nobody logged and that
+    change something.
+    """
 
     covariance: np.ndarray
     responses: Responses
     missing: tuple[str, ...]
 
 
-def commanded(calibration: Calibration, wanted: RigidTransform, t: np.ndarray | None = None, sensors: Sensors | None = None,
-              start: np.ndarray | None = None, approach: str = "auto") -> Commanded:
-    """Commanded for wanted poses T_base_platform (n,), or one (), in their order: what `rig correct` writes, all that the calibration knows undone.
+def commanded(
+    calibration: Calibration,
+    wanted: RigidTransform,
+    t: np.ndarray | None = None,
+    sensors: Sensors | None = None,
+    start: np.ndarray | None = None,
+    approach: str = "auto",
+) -> Commanded:
+    """Commanded for wanted poses T_base_platform (n,), or one (), in their order: what `rig correct` writes, all that
+    the calibration knows undone.
 
-    t : (n,) s, when each is held, None for each until all has come to rest; sensors : Sensors over that time, None for as when calibrated
+    t : (n,) s, when each is held, None for each until all has come to rest; sensors : Sensors over that time, None for
+        as when calibrated
     start : (axes,) m or rad where the axes stand at first, home by default; approach : as of `commands_along_route`
-    Raises Unreachable listing the poses that leave the axes' ranges or come too soon, NotConverged where no commands are found
+    Raises Unreachable listing the poses that leave the axes' ranges or come too soon, NotConverged where no commands
+        are found
     """
     nominal = calibration.correction.nominal
     T = RigidTransform.from_matrix(wanted.as_matrix().reshape(-1, 4, 4))
     begin = mechanisms.kinematics_of(nominal).home(nominal) if start is None else np.asarray(start, float)
     done = commands_along_route(
-        calibration, T, begin, None if t is None else route_pace(calibration, np.asarray(t, float), sensors), sensors, approach
+        calibration,
+        T,
+        begin,
+        None if t is None else route_pace(calibration, np.asarray(t, float), sensors),
+        sensors,
+        approach,
     )
     require_reachable(done.values, nominal, [f"pose {i}" for i in range(len(done.values))])
     return done
 
 
 def route_pace(calibration: Calibration, t: np.ndarray, sensors: Sensors | None) -> Pace:
-    """Pace of poses held at times t (n,) s: half the axes' top speed, where that is known, as plans go; the axes stand at the start from where
-    the sensors' log begins, so that a warm-up counts from there."""
+    """Pace of poses held at times t (n,) s: half the axes' top speed, where that is known, as plans go; the axes stand
+    at the start from where the sensors' log begins, so that a warm-up counts from there."""
     top = calibration.physics.actuator.max_speed if calibration.physics is not None else None
     unstated = min(UNSTATED_SPEED[unit] for unit in mechanisms.axis_units(calibration.correction.nominal))
     begin = float(sensors.t[0]) if sensors is not None and len(sensors.t) > 1 else None
     return Pace(t, begin, SPEED * top if top else unstated, top)
 
 
-def commands_along_route(calibration: Calibration, T: RigidTransform, start: np.ndarray, pace: Pace | None = None, sensors: Sensors | None = None,
-            approach: str = "auto", given: np.ndarray | None = None) -> Commanded:
+def commands_along_route(
+    calibration: Calibration,
+    T: RigidTransform,
+    start: np.ndarray,
+    pace: Pace | None = None,
+    sensors: Sensors | None = None,
+    approach: str = "auto",
+    given: np.ndarray | None = None,
+) -> Commanded:
     """Commanded for wanted poses T (n,), in their order.
 
-    start : (axes,) m or rad, where the axes stand; pace : Pace, when the poses are held, or None: each until all has come to rest
-    sensors : Sensors over that time, or None; approach : "auto" where it makes a pose surer, "always" or "never"; without a pace there is none
+    start : (axes,) m or rad, where the axes stand; pace : Pace, when the poses are held, or None: each until all has
+        come to rest
+    sensors : Sensors over that time, or None; approach : "auto" where it makes a pose surer, "always" or "never";
+        without a pace there is none
     given : (n, axes) m or rad to command at the poses as they are, for comparison, or None
-    Raises Unreachable for poses that come too soon, NotConverged where no commands are found; limits are for `require_reachable` to check
+    Raises Unreachable for poses that come too soon, NotConverged where no commands are found; limits are for
+        `require_reachable` to check
     """
     of = Machine(calibration.correction, calibration.physics, sensors)
     plain = calibration.correction.inverse_without_physics(T) if given is None else given
@@ -97,13 +131,19 @@ def commands_along_route(calibration: Calibration, T: RigidTransform, start: np.
         if found is not route:
             route, values = found, commands_at_poses(of, T, found, values)
             base = _covariance(calibration, calibration.physics, of, T, (route, values))
-    doubt = unknown_history_uncertainty(of, T, route, values) ** 2 / 3  # anywhere between the two, as likely here as there
+    doubt = (
+        unknown_history_uncertainty(of, T, route, values) ** 2 / 3
+    )  # anywhere between the two, as likely here as there
     forgotten = np.einsum("nij,nj,nkj->nik", base.responses.axes, doubt, base.responses.axes)
     return Commanded(values, route, T, base.covariance + forgotten, base.missing)
 
 
-def _approached(of: Machine, T: RigidTransform, route: Route, values: np.ndarray, pace: Pace, sure: np.ndarray | None) -> Route:
-    """The Route with approaches. sure : (n, axes) m^2, variances that forgotten ways must exceed to be worth one; None: to every pose"""
+def _approached(
+    of: Machine, T: RigidTransform, route: Route, values: np.ndarray, pace: Pace, sure: np.ndarray | None
+) -> Route:
+    """The Route with approaches. sure : (n, axes) m^2, variances that forgotten ways must exceed to be worth one; None:
+    to every pose
+    """
     n, (low, high) = len(values), mechanisms.kinematics_of(of.correction.nominal).travel(of.correction.nominal).T
     wanted, room = BEYOND * path_memory_length(of), values - BEYOND * path_memory_length(of) >= low
     side = np.where(room, -wanted, np.where(values + wanted <= high, wanted, 0.0))
@@ -137,13 +177,17 @@ def _exists(of: Machine, T: RigidTransform, values: np.ndarray) -> np.ndarray:
 
 
 def _axes(covariance: np.ndarray, A: np.ndarray) -> np.ndarray:
-    """(n, axes) variances of the axes that poses' covariance (n, 6, 6) amounts to. A : (n, axes, 6) of the axes with the pose"""
+    """(n, axes) variances of the axes that poses' covariance (n, 6, 6) amounts to. A : (n, axes, 6) of the axes with
+    the pose
+    """
     return np.einsum("nij,njk,nik->ni", A, covariance, A)
 
 
-def _covariance(calibration: Calibration, physics: Physics, of: Machine, T: RigidTransform, at: tuple[Route, np.ndarray]) -> _Spread:
-    """_Spread: of the calibration without its physics, of the physics and of both together, of channels that nobody logged, and of what comes again
-    at no moment that anybody knows. docs/mathematics.md (21)
+def _covariance(
+    calibration: Calibration, physics: Physics, of: Machine, T: RigidTransform, at: tuple[Route, np.ndarray]
+) -> _Spread:
+    """_Spread: of the calibration without its physics, of the physics and of both together, of channels that nobody
+    logged, and of what comes again at no moment that anybody knows. docs/mathematics.md (21)
 
     at : (Route, values (n, axes) at its poses)
     """
@@ -153,7 +197,9 @@ def _covariance(calibration: Calibration, physics: Physics, of: Machine, T: Rigi
     responses = calibration.correction.responses(T, lengths)
 
     def stands(at: np.ndarray, effects: tuple[Effect, ...] = of.effects, sensors: Sensors | None = None) -> np.ndarray:
-        """(n, 6) m and rad, of which differences tell how the machine moves between effects, or sensors, at times `at` (n,) s."""
+        """(n, 6) m and rad, of which differences tell how the machine moves between effects, or sensors, at times `at`
+        (n,) s.
+        """
         lengths, sway = of.reached(commands, at, T, effects, sensors)
         return (responses.axes @ lengths[..., None])[..., 0] + sway
 
@@ -165,16 +211,24 @@ def _covariance(calibration: Calibration, physics: Physics, of: Machine, T: Rigi
         if moved.any():
             parts.append(moved[..., None])
             missing.append(name)
-    any_time = t + ANY_TIME * (np.arange(len(t)) * GOLDEN % 1)  # not the poses' own times, which may all meet a sinusoid alike
+    any_time = t + ANY_TIME * (
+        np.arange(len(t)) * GOLDEN % 1
+    )  # not the poses' own times, which may all meet a sinusoid alike
     for effect in physics.scattering():
         moved = (stands(any_time, (*of.effects, effect)) - stands(any_time))[..., None]
         parts.append(np.sqrt(np.mean(moved**2, axis=0, keepdims=True)) * np.eye(6))
-    covariance = pose_covariance(calibration, T, lengths) + J @ physics.own @ np.swapaxes(J, 1, 2) + both + np.swapaxes(both, 1, 2)
+    covariance = (
+        pose_covariance(calibration, T, lengths)
+        + J @ physics.own @ np.swapaxes(J, 1, 2)
+        + both
+        + np.swapaxes(both, 1, 2)
+    )
     return _Spread(sum((part @ np.swapaxes(part, 1, 2) for part in parts), covariance), responses, tuple(missing))
 
 
 def _columns(physics: Physics, of: Machine, stands: Callable[[tuple[Effect, ...]], np.ndarray]) -> np.ndarray:
-    """(n, 6, c) m and rad by which poses move with each coordinate of the physics; nothing for what commands do not undo.
+    """(n, 6, c) m and rad by which poses move with each coordinate of the physics; nothing for what commands do not
+    undo.
 
     stands : effects -> (n, 6), of which differences tell how the machine moves between them
     """

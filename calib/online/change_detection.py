@@ -1,8 +1,10 @@
-"""What changed, by likelihood ratio, docs/mathematics.md (23): a strut's length, a strut's joint, several struts, or the measuring frame.
+"""What changed, by likelihood ratio, docs/mathematics.md (23): a strut's length, a strut's joint, several struts, or
+the measuring frame.
 
-Every hypothesis is held to the same innovations of the last poses: it must explain what is there beyond chance, and what it
-leaves must be no more than noise. The simplest that does wins; where two equally simple ones do, the next pose decides. What changed, and since
-which pose, is searched for: a ratio counts by the chance that the greatest of all that were looked at is as great (Bonferroni's bound).
+Every hypothesis is held to the same innovations of the last poses: it must explain what is there beyond chance, and
+what it leaves must be no more than noise. The simplest that does wins; where two equally simple ones do, the next pose
+decides. What changed, and since which pose, is searched for: a ratio counts by the chance that the greatest of all that
+were looked at is as great (Bonferroni's bound).
 """
 
 from dataclasses import dataclass
@@ -21,13 +23,15 @@ COUNTS = 4.0  # standard errors from which one strut of several counts as having
 
 
 def jump_threshold(false_alarm: float, onsets: int = WINDOW) -> float:
-    """Standard errors beyond which the greatest jump of a strut since one of `onsets` poses lies with the chance `false_alarm` at the most."""
+    """Standard errors beyond which the greatest jump of a strut since one of `onsets` poses lies with the chance
+    `false_alarm` at the most.
+    """
     return float(-ndtri(false_alarm / (2 * STRUTS * onsets)))
 
 
 def likelihood_ratio_thresholds(false_alarm: float, onsets: int = WINDOW) -> dict[int, float]:
-    """{k: likelihood ratio} that the greatest of hypotheses with k numbers exceeds with the chance `false_alarm` at the most, over all of them: a
-    joint of each strut, all struts, and the frame, since all onsets but the last."""
+    """{k: likelihood ratio} that the greatest of hypotheses with k numbers exceeds with the chance `false_alarm` at the
+    most, over all of them: a joint of each strut, all struts, and the frame, since all onsets but the last."""
     looks = (STRUTS + 2) * (onsets - 1)
     return {k: float(chdtri(k, false_alarm / looks)) for k in range(1, STRUTS + 1)}
 
@@ -42,10 +46,11 @@ SUSPECT = MOVED[6]  # innovation squared beyond which a pose is held until the n
 class Change:
     """Something jumped.
 
-    kind : "strut" (it is longer by the same at every pose: missed steps), "joint" (by an amount that differs from pose to pose: a
-    knocked joint) or "frame" (the measured poses moved against the base: a camera or the base knocked)
+    kind : "strut" (it is longer by the same at every pose: missed steps), "joint" (by an amount that differs from pose
+    to pose: a knocked joint) or "frame" (the measured poses moved against the base: a camera or the base knocked)
     strut : 1..6 or None; onset : number of the first pose after it, from 0
-    size : m by which the strut is longer than its command says since (a joint: on average), or (6,) m, rad of the frame in the base
+    size : m by which the strut is longer than its command says since (a joint: on average), or (6,) m, rad of the frame
+        in the base
     sigma : its standard error, of the same shape
     """
 
@@ -60,9 +65,9 @@ class Change:
 class Evidence:
     """Innovations of the last poses and their products with what a jump since the first of them would have left there.
 
-    onset : number of the first pose; total : innovations squared; projected : (12,) products; gram : (12, 12) of the signatures,
-    six struts (1/m) and six motions of the frame (1/m, 1/rad); single : (poses, 2, 6) products and squares of the struts' signatures,
-    pose by pose
+    onset : number of the first pose; total : innovations squared; projected : (12,) products; gram : (12, 12) of the
+    signatures, six struts (1/m) and six motions of the frame (1/m, 1/rad); single : (poses, 2, 6) products and squares
+    of the struts' signatures, pose by pose
     """
 
     onset: int
@@ -73,7 +78,9 @@ class Evidence:
 
 
 def detect_changes(evidence: list[Evidence]) -> tuple[Change, ...]:
-    """Changes that the last poses bear out, none where nothing changed. evidence : Evidence of the last 1, 2, .. poses."""
+    """Changes that the last poses bear out, none where nothing changed. evidence : Evidence of the last 1, 2, ..
+    poses.
+    """
     for hypothesis in (_strut, _joint, _several):
         found = hypothesis(evidence)
         if found is not None:
@@ -94,7 +101,9 @@ def _strut(evidence: list[Evidence]) -> tuple[Change, ...] | None:
         if poses == 1:
             found = ()
         elif e.total - z[i] ** 2 < MISFIT[6 * poses - 1]:
-            found = (Change("strut", i + 1, e.onset, float(e.projected[i] / e.gram[i, i]), float(e.gram[i, i] ** -0.5)),)
+            found = (
+                Change("strut", i + 1, e.onset, float(e.projected[i] / e.gram[i, i]), float(e.gram[i, i] ** -0.5)),
+            )
     return found or None
 
 
@@ -129,6 +138,8 @@ def _several(evidence: list[Evidence]) -> tuple[Change, ...] | None:
             continue
         if better is frame:
             return (Change("frame", None, e.onset, frame[1], frame[2]),)
-        return tuple(Change("strut", int(i) + 1, e.onset, float(struts[1][i]), float(struts[2][i]))
-                     for i in np.flatnonzero(np.abs(struts[1]) > COUNTS * struts[2]))
+        return tuple(
+            Change("strut", int(i) + 1, e.onset, float(struts[1][i]), float(struts[2][i]))
+            for i in np.flatnonzero(np.abs(struts[1]) > COUNTS * struts[2])
+        )
     return None

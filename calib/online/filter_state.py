@@ -1,4 +1,5 @@
-"""What the on-line filter knows at one moment, and the steps from one state to the next. A step makes a new state: to go back is to keep one.
+"""What the on-line filter knows at one moment, and the steps from one state to the next. A step makes a new state: to
+go back is to keep one.
 
 Source of the steps: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, docs/mathematics.md (22).
 """
@@ -22,7 +23,9 @@ ASIDE = 2.0  # the same for the joints of a strut that changed in length
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """Where the filter starts. nominal : Hexapod; root : (42, 42) 1/m, square root of the information at the start; machine : Machine."""
+    """Where the filter starts. nominal : Hexapod; root : (42, 42) 1/m, square root of the information at the start;
+    machine : Machine.
+    """
 
     nominal: Hexapod
     root: np.ndarray
@@ -39,8 +42,9 @@ class Learnt(NamedTuple):
 
 
 class State(NamedTuple):
-    """estimate : Estimate; learnt : how many poses, those learnt again too; recent : the last ones, at most WINDOW; first : poses to
-    linearise again, None once that is over; innovation : (6,) whitened, of the last pose; alarm : whether it leaves room for a change."""
+    """estimate : Estimate; learnt : how many poses, those learnt again too; recent : the last ones, at most WINDOW;
+    first : poses to linearise again, None once that is over; innovation : (6,) whitened, of the last pose;
+        alarm : whether it leaves room for a change."""
 
     estimate: Estimate
     learnt: int
@@ -56,7 +60,9 @@ class State(NamedTuple):
 
 
 def initial_estimate(p: np.ndarray, root: np.ndarray, shared: int) -> Estimate:
-    """Estimate of parameters p (42,) m with the square root (42, 42) 1/m of their information, before any pose; `shared` draws, unknown."""
+    """Estimate of parameters p (42,) m with the square root (42, 42) 1/m of their information, before any pose;
+    `shared` draws, unknown.
+    """
     k = shared + 42
     S = np.zeros((k, k + 1 + KINDS * WINDOW))
     S[:shared, :shared], S[shared:, shared:k] = np.eye(shared), root
@@ -69,9 +75,18 @@ def initial_state(start: Start, shared: int) -> State:
 
 
 def state_of_new_session(state: State, shared: int) -> State:
-    """State from which on the poses share other errors: `shared` new draws; what was known of the old ones is marginalised."""
+    """State from which on the poses share other errors: `shared` new draws; what was known of the old ones is
+    marginalised.
+    """
     c, estimate = len(state.estimate.s), state.estimate
-    return State(initial_estimate(estimate.p, estimate.S[c:, c : c + 42], shared), state.learnt, (), None, state.innovation, False)
+    return State(
+        initial_estimate(estimate.p, estimate.S[c:, c : c + 42], shared),
+        state.learnt,
+        (),
+        None,
+        state.innovation,
+        False,
+    )
 
 
 def state_with_pose(state: State, pose: Pose, start: Start, move: bool = True) -> State:
@@ -86,7 +101,10 @@ def state_with_pose(state: State, pose: Pose, start: Start, move: bool = True) -
     except ZeroDivisionError:  # a strut without length
         said = REFUSED
     if said == REFUSED:
-        raise RigError(f"pose {pose.number}: the commanded lengths {pose.command.round(6).tolist()} m close on no pose, or its covariance is none")
+        raise RigError(
+            f"pose {pose.number}: the commanded lengths {pose.command.round(6).tolist()} m close on no pose, "
+            "or its covariance is none"
+        )
     recent = (*state.recent[1 - WINDOW :], Learnt(pose, after.sums[slot].copy(), before, state.first))
     first = state.first
     if first is not None:
@@ -95,7 +113,8 @@ def state_with_pose(state: State, pose: Pose, start: Start, move: bool = True) -
 
 
 def relinearised_state(state: State, start: Start) -> State:
-    """State with all poses so far, which `first` holds, once more from the start, linearised about the present estimate.
+    """State with all poses so far, which `first` holds, once more from the start, linearised about the present
+    estimate.
 
     So the filter ends where the batch does, docs/mathematics.md (7)
     """
@@ -122,7 +141,11 @@ def change_evidence(state: State) -> list[Evidence]:
             break
         last = state.recent[-poses:]
         single = np.array([[each.own[1:7], each.own[1 + KINDS : -1 : KINDS + 1][:6]] for each in last])
-        found.append(Evidence(last[0].pose.number, total[0], total[1 : 1 + KINDS], total[1 + KINDS : -1].reshape(KINDS, KINDS), single))
+        found.append(
+            Evidence(
+                last[0].pose.number, total[0], total[1 : 1 + KINDS], total[1 + KINDS : -1].reshape(KINDS, KINDS), single
+            )
+        )
     return found
 
 
@@ -140,7 +163,9 @@ def state_with_freed_changes(state: State, changes: tuple[Change, ...], start: S
 
 
 def _loosen(estimate: Estimate, change: Change, nominal: Hexapod) -> None:
-    """Process noise along what changed, into the estimate's triangle: x_new = x_old + g w, w ~ N(0, I), in information form."""
+    """Process noise along what changed, into the estimate's triangle: x_new = x_old + g w, w ~ N(0, I), in information
+    form.
+    """
     k, c = len(estimate.S), len(estimate.s)
     if change.strut is not None:
         i, size = change.strut - 1, max(abs(float(change.size)), 3 * float(change.sigma))

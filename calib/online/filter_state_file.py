@@ -1,4 +1,6 @@
-"""The on-line filter's state <-> a JSON file, whole or not at all: the filter before its last poses, and those, which are learnt again."""
+"""The on-line filter's state <-> a JSON file, whole or not at all: the filter before its last poses, and those, which
+are learnt again.
+"""
 
 import json
 from dataclasses import dataclass
@@ -24,7 +26,9 @@ SINGULAR = 1e-12  # 1/m; what a triangle's diagonal must exceed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Saved:
-    """start : Start; scatter : (6,) m; state : State; held : poses that wait; number : poses so far; data : marks of what was learnt."""
+    """start : Start; scatter : (6,) m; state : State; held : poses that wait; number : poses so far; data : marks of
+    what was learnt.
+    """
 
     start: Start
     scatter: np.ndarray
@@ -38,19 +42,32 @@ def save(path: Path | str, saved: Saved) -> None:
     """Write a Saved, whole or not at all."""
     nominal, recent = saved.start.nominal, saved.state.recent
     estimate, first = (recent[0].before, recent[0].first) if recent else (saved.state.estimate, saved.state.first)
-    tree = {"schema": SCHEMA, "nominal": {"base_joints": nominal.base_joints.tolist(), "strut_zeros": nominal.strut_zeros.tolist(),
-                                          "platform_joints": nominal.platform_joints.tolist(), "home": pose_to_vector(nominal.home).tolist(),
-                                          "strut_range": nominal.strut_range.tolist()},
-            "root": saved.start.root.tolist(), "scatter": saved.scatter.tolist(), "p": estimate.p.tolist(), "s": estimate.s.tolist(),
-            "S": estimate.S[:, : len(estimate.S) + 1].tolist(), "number": saved.number, "data": sorted(saved.data),
-            "recent": [_out(each.pose) for each in recent], "held": [_out(pose) for pose in saved.held],
-            "first": None if first is None else [_out(pose) for pose in first]}
+    tree = {
+        "schema": SCHEMA,
+        "nominal": {
+            "base_joints": nominal.base_joints.tolist(),
+            "strut_zeros": nominal.strut_zeros.tolist(),
+            "platform_joints": nominal.platform_joints.tolist(),
+            "home": pose_to_vector(nominal.home).tolist(),
+            "strut_range": nominal.strut_range.tolist(),
+        },
+        "root": saved.start.root.tolist(),
+        "scatter": saved.scatter.tolist(),
+        "p": estimate.p.tolist(),
+        "s": estimate.s.tolist(),
+        "S": estimate.S[:, : len(estimate.S) + 1].tolist(),
+        "number": saved.number,
+        "data": sorted(saved.data),
+        "recent": [_out(each.pose) for each in recent],
+        "held": [_out(pose) for pose in saved.held],
+        "first": None if first is None else [_out(pose) for pose in first],
+    }
     write_text(path, json.dumps(tree) + "\n")
 
 
 def load(path: Path | str) -> Saved:
-    """Saved as `save` wrote it. Raises FileError for a file that is missing, cut off, or none of these: every array's shape is checked,
-    since compiled code takes it on trust."""
+    """Saved as `save` wrote it. Raises FileError for a file that is missing, cut off, or none of these: every array's
+    shape is checked, since compiled code takes it on trust."""
     tree = json_file.load(Path(path), "state of on-line learning", SCHEMA)
     nominal, s = _nominal(tree.table("nominal")), tree.array("s", (None,))
     if len(s) > MOST_SHARED:
@@ -72,14 +89,21 @@ def load(path: Path | str) -> Saved:
         for pose in recent:
             state = state_with_pose(state, pose, start)
     except RigError as error:
-        raise FileError(path, f"is no state of on-line learning: its last poses cannot be learnt again: {error}") from None
+        raise FileError(
+            path, f"is no state of on-line learning: its last poses cannot be learnt again: {error}"
+        ) from None
     return Saved(start, scatter, state, held, number, frozenset(tree.texts("data") if "data" in tree.tree else ()))
 
 
 def _nominal(table: Entries) -> Hexapod:
     home = table.array("home", (6,))
-    return Hexapod(table.array("base_joints", (6, 3), length_limit=LARGEST_RIG), table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG),
-                   table.array("strut_range", (6, 2), length_limit=LARGEST_RIG), pose_of(home[:3], home[3:]), table.array("strut_zeros", (6,)))
+    return Hexapod(
+        table.array("base_joints", (6, 3), length_limit=LARGEST_RIG),
+        table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG),
+        table.array("strut_range", (6, 2), length_limit=LARGEST_RIG),
+        pose_of(home[:3], home[3:]),
+        table.array("strut_zeros", (6,)),
+    )
 
 
 def _out(pose: Pose) -> list[Any]:
@@ -91,5 +115,14 @@ def _in(tree: Entries, key: str, shared: int, most: int) -> tuple[Pose, ...]:
     rows = tree.lists(key, 6)
     if len(rows) > most:
         tree.fail(f"{key} has {len(rows)} poses, more than {most}", key)
-    return tuple(Pose(row.whole(0, 0), row.array(1, (6,)), row.array(2, (3, 3)), row.array(3, (3,)), row.array(4, (6, 6)), row.array(5, (6, shared)))
-                 for row in rows)
+    return tuple(
+        Pose(
+            row.whole(0, 0),
+            row.array(1, (6,)),
+            row.array(2, (3, 3)),
+            row.array(3, (3,)),
+            row.array(4, (6, 6)),
+            row.array(5, (6, shared)),
+        )
+        for row in rows
+    )

@@ -1,8 +1,9 @@
 """The hexapod's 42 parameters one pose at a time: a square-root information filter that watches for changes.
 
-Linearised at every pose about the estimate of the moment, the first poses once more about a later one, it ends where a batch of the
-same poses does. What changed (change_detection.py) is told within three poses; the filter then goes back to before it, opens what
-changed, and learns the poses since anew. A pose that disagrees is held until the next ones say whether it alone was wrong.
+Linearised at every pose about the estimate of the moment, the first poses once more about a later one, it ends where a
+batch of the same poses does. What changed (change_detection.py) is told within three poses; the filter then goes back
+to before it, opens what changed, and learns the poses since anew. A pose that disagrees is held until the next ones say
+whether it alone was wrong.
 Source: docs/mathematics.md (22), (23).
 """
 
@@ -37,7 +38,8 @@ EARLY = 2  # times that the first poses are linearised again before what they se
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Update:
-    """number : of the pose, from 0; innovation : (6,) whitened, N(0, I) where nothing is wrong; changes : Changes found with it
+    """number : of the pose, from 0; innovation : (6,) whitened, N(0, I) where nothing is wrong; changes : Changes found
+    with it
     held : whether the pose waits for the next one's word; dropped : numbers of poses found wrong with it"""
 
     number: int
@@ -50,17 +52,24 @@ class Update:
 class Online:
     """The filter. Its estimate is `hexapod`, with `covariance`; `save` and `load` carry it over a restart exactly.
 
-    number : poses so far; data : marks of what was learnt (see rig.recording.data_provenance), so that it is not learnt again
+    number : poses so far; data : marks of what was learnt (see rig.recording.data_provenance), so that it is not learnt
+        again
     """
 
-    def __init__(self, nominal: Hexapod, shared: int = 0, scatter: np.ndarray | None = None, covariance: np.ndarray | None = None) -> None:
+    def __init__(
+        self, nominal: Hexapod, shared: int = 0, scatter: np.ndarray | None = None, covariance: np.ndarray | None = None
+    ) -> None:
         """A filter before its first pose.
 
         nominal : Hexapod to start from; shared : draws that all poses' errors have in common
         scatter : (6,) m of each strut beyond the poses' covariance, or None
         covariance : (42, 42) m^2 of the start, from a calibration, or None for what an owner's figures are worth (5 mm)
         """
-        root = np.eye(42) / PRIOR if covariance is None else np.asarray(np.linalg.qr(np.linalg.inv(np.linalg.cholesky(covariance)), mode="r"))
+        root = (
+            np.eye(42) / PRIOR
+            if covariance is None
+            else np.asarray(np.linalg.qr(np.linalg.inv(np.linalg.cholesky(covariance)), mode="r"))
+        )
         self.scatter = np.zeros(6) if scatter is None else np.asarray(scatter, float)
         self.start = Start(nominal, root, Machine(np.ascontiguousarray(nominal.home.as_matrix()), self.scatter**2))
         self.state = initial_state(self.start, shared)
@@ -90,25 +99,44 @@ class Online:
         return (half @ half.T)[-42:, -42:]
 
     def new_session(self, shared: int = 0) -> None:
-        """From here on the poses share other errors: `shared` new draws, what was known of the old ones is marginalised.
+        """From here on the poses share other errors: `shared` new draws, what was known of the old ones is
+        marginalised.
 
         Poses that were held are given up.
         """
         self.state, self.held = state_of_new_session(self.state, shared), ()
 
-    def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray, common: np.ndarray | None = None) -> Update:
-        """One pose. x : (6,) m commanded; T_base_platform : RigidTransform measured; covariance : (6, 6) tangent on the right
+    def update(
+        self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray, common: np.ndarray | None = None
+    ) -> Update:
+        """One pose. x : (6,) m commanded; T_base_platform : RigidTransform measured; covariance : (6, 6) tangent on the
+        right
         common : (6, shared) factor of the shared errors, needed where there are any. Returns Update.
 
         A pose whose command closes nowhere by the estimate, but does by the start, is dropped.
-        Raises ValueError for wrong shapes, RigError for a command that closes on no pose or a covariance that is none; then nothing changed
+        Raises ValueError for wrong shapes, RigError for a command that closes on no pose or a covariance that is none;
+            then nothing changed
         """
         matrix, shared = T_base_platform.as_matrix(), len(self.state.estimate.s)
         common = np.zeros((6, 0)) if common is None else np.ascontiguousarray(common, float)
-        pose = Pose(self.number, np.array(x, float), matrix[:3, :3].copy(), matrix[:3, 3].copy(), np.array(covariance, float), common)
-        if pose.command.shape != (6,) or pose.covariance.shape != (6, 6) or common.shape != (6, shared) or not np.isfinite(pose.command).all():
-            raise ValueError(f"expected a command (6,), a covariance (6, 6) and common (6, {shared}), got {pose.command.shape}, "
-                             f"{pose.covariance.shape} and {common.shape}")
+        pose = Pose(
+            self.number,
+            np.array(x, float),
+            matrix[:3, :3].copy(),
+            matrix[:3, 3].copy(),
+            np.array(covariance, float),
+            common,
+        )
+        if (
+            pose.command.shape != (6,)
+            or pose.covariance.shape != (6, 6)
+            or common.shape != (6, shared)
+            or not np.isfinite(pose.command).all()
+        ):
+            raise ValueError(
+                f"expected a command (6,), a covariance (6, 6) and common (6, {shared}), got {pose.command.shape}, "
+                f"{pose.covariance.shape} and {common.shape}"
+            )
         try:
             taken = _taken(self.state, self.held, pose, self.start)
         except RigError:
@@ -119,14 +147,23 @@ class Online:
 
     def save(self, path: Path | str) -> None:
         """Write the state, whole or not at all: the filter before its last poses, and those."""
-        filter_state_file.save(path, filter_state_file.Saved(self.start, self.scatter, self.state, self.held, self.number, frozenset(self.data)))
+        filter_state_file.save(
+            path,
+            filter_state_file.Saved(self.start, self.scatter, self.state, self.held, self.number, frozenset(self.data)),
+        )
 
     @classmethod
     def load(cls, path: Path | str) -> "Online":
         """The filter as saved. Raises FileError for a file that is missing, cut off, or none of these."""
         saved = filter_state_file.load(path)
         made = cls(saved.start.nominal, 0, saved.scatter)
-        made.start, made.state, made.held, made.number, made.data = saved.start, saved.state, saved.held, saved.number, set(saved.data)
+        made.start, made.state, made.held, made.number, made.data = (
+            saved.start,
+            saved.state,
+            saved.held,
+            saved.number,
+            set(saved.data),
+        )
         return made
 
 
@@ -174,7 +211,8 @@ def _taken(before: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -
 
 
 def _unexpected(state: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -> _Taken:
-    """What is made of a pose whose command the geometry as estimated reaches nowhere: it is left out, as one that agrees with no other.
+    """What is made of a pose whose command the geometry as estimated reaches nowhere: it is left out, as one that
+    agrees with no other.
 
     Raises RigError where the geometry that the filter started from reaches it nowhere either, or its covariance is none
     """
@@ -183,7 +221,9 @@ def _unexpected(state: State, waiting: tuple[Pose, ...], pose: Pose, start: Star
 
 
 def _examined(state: State, start: Start) -> tuple[State, tuple[Change, ...]]:
-    """(State, Changes that its last poses bear out); early on, when a pose may still move the estimate far, only once linearised there."""
+    """(State, Changes that its last poses bear out); early on, when a pose may still move the estimate far, only once
+    linearised there.
+    """
     found = detect_changes(change_evidence(state))
     for _ in range(EARLY):
         if state.first is None or not (found or state.square > SUSPECT):

@@ -1,4 +1,5 @@
-"""Other ways of learning the 42 parameters pose by pose, behind the same update(x, pose, covariance) as calib/online/information_filter.py.
+"""Other ways of learning the 42 parameters pose by pose, behind the same update(x, pose, covariance) as
+calib/online/information_filter.py.
 
 They watch for nothing: each says how far a pose was from what it expected, and follows it.
 """
@@ -19,9 +20,11 @@ NO_SCATTER = np.zeros(6)
 
 
 class Learner(ABC):
-    """nominal : Hexapod; the estimate is `hexapod`; `memory` : what is kept of the poses beside it; `setting` : its one choice, named SETTING.
+    """nominal : Hexapod; the estimate is `hexapod`; `memory` : what is kept of the poses beside it; `setting` : its one
+    choice, named SETTING.
 
-    number : poses so far; data : marks of what was learnt (see rig.recording.data_provenance), so that it is not learnt again
+    number : poses so far; data : marks of what was learnt (see rig.recording.data_provenance), so that it is not learnt
+        again
     """
 
     SETTING: ClassVar[str]
@@ -43,7 +46,9 @@ class Learner(ABC):
         """Begin with what a calibration knows. covariance : (42, 42) m^2 of the nominal's parameters"""
 
     def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
-        """One pose, x (6,) m commanded, covariance (6, 6); returns its whitened error (6,). Raises RigError as `rows` does."""
+        """One pose, x (6,) m commanded, covariance (6, 6); returns its whitened error (6,). Raises RigError as `rows`
+        does.
+        """
         e = self._followed(x, T_base_platform, covariance)
         self.number += 1
         return e
@@ -57,21 +62,30 @@ class Learner(ABC):
         """The Hexapod as estimated now."""
         return with_parameters(self.nominal, self.p)
 
-    def rows(self, x: np.ndarray, matrix: np.ndarray, covariance: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def rows(
+        self, x: np.ndarray, matrix: np.ndarray, covariance: np.ndarray, p: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Whitened error (6,) and J_p (6, 42) at parameters p. Raises RigError for a command that closes on no pose."""
         R, t = self.home[:3, :3].copy(), self.home[:3, 3].copy()
         right, J = np.empty((6, 1)), np.zeros((6, 42))
         x, covariance = np.asarray(x, float), np.ascontiguousarray(covariance, float)
-        measured = closed_loop_kernels.Measured(np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]), covariance)
-        if not closed_loop_kernels.pose_of(x, p, R, t) or not closed_loop_kernels.row(R, t, p, measured, NO_SCATTER, right, J)[0]:
+        measured = closed_loop_kernels.Measured(
+            np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]), covariance
+        )
+        if (
+            not closed_loop_kernels.pose_of(x, p, R, t)
+            or not closed_loop_kernels.row(R, t, p, measured, NO_SCATTER, right, J)[0]
+        ):
             raise RigError(f"the commanded lengths {x.round(6).tolist()} m close on no pose, or its covariance is none")
         return right[:, 0], J
 
 
 class Forgetting(Learner):
-    """Recursive least squares that forgets only along what a pose tells, so that nothing winds up where nothing excites it.
+    """Recursive least squares that forgets only along what a pose tells, so that nothing winds up where nothing excites
+    it.
 
-    Its memory is the information (42, 42) 1/m^2. Source: Cao and Schwartz, A directional forgetting algorithm, Automatica 36, 2000
+    Its memory is the information (42, 42) 1/m^2. Source: Cao and Schwartz, A directional forgetting algorithm,
+    Automatica 36, 2000
     """
 
     SETTING = "kept"
@@ -101,7 +115,8 @@ class Forgetting(Learner):
 
 
 class Drifting(Learner):
-    """Iterated extended Kalman filter for parameters that wander: a random walk between poses. Its memory is the covariance (42, 42) m^2.
+    """Iterated extended Kalman filter for parameters that wander: a random walk between poses. Its memory is the
+    covariance (42, 42) m^2.
 
     Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 10.5
     """
@@ -109,7 +124,9 @@ class Drifting(Learner):
     SETTING = "drift"
 
     def __init__(self, nominal: Hexapod, drift: float = 1e-7, prior: float = PRIOR, iterations: int = 3) -> None:
-        """drift : m per pose by which a parameter wanders, standard deviation; prior : m; iterations : linearisations per pose"""
+        """drift : m per pose by which a parameter wanders, standard deviation; prior : m; iterations : linearisations
+        per pose
+        """
         super().__init__(nominal)
         if not 0 <= drift < 1:
             raise ValueError(f"drift is a length (m) of at least 0, got {drift}")
@@ -144,10 +161,11 @@ class Drifting(Learner):
 
 
 class FirstOrder(Learner):
-    """On-line gradient steps, each coordinate's as long as its gradients so far allow; no matrix is kept, and no covariance.
+    """On-line gradient steps, each coordinate's as long as its gradients so far allow; no matrix is kept, and no
+    covariance.
 
-    The regret against the best fixed parameters grows with the root of the number of poses. Its memory is the sum (42,) of the
-    gradients' squares. Source: Duchi, Hazan and Singer, Adaptive subgradient methods, JMLR 12, 2011
+    The regret against the best fixed parameters grows with the root of the number of poses. Its memory is the sum (42,)
+    of the gradients' squares. Source: Duchi, Hazan and Singer, Adaptive subgradient methods, JMLR 12, 2011
     """
 
     SETTING = "step"
@@ -171,4 +189,8 @@ class FirstOrder(Learner):
         return e
 
 
-LEARNERS: dict[str, type[Forgetting | Drifting | FirstOrder]] = {"forgetting": Forgetting, "drifting": Drifting, "first-order": FirstOrder}
+LEARNERS: dict[str, type[Forgetting | Drifting | FirstOrder]] = {
+    "forgetting": Forgetting,
+    "drifting": Drifting,
+    "first-order": FirstOrder,
+}

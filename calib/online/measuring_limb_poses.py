@@ -1,7 +1,7 @@
 """Accepted measuring limbs as a source of a recording's poses, with vision looking at some of them.
 
-Every few poses vision checks; where the struts tell otherwise than the limbs, in whatever pose, it looks at the next ones too, so that a
-limb that slips between two checks is not believed until the next.
+Every few poses vision checks; where the struts tell otherwise than the limbs, in whatever pose, it looks at the next
+ones too, so that a limb that slips between two checks is not believed until the next.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,8 @@ SOURCE = "measuring limbs"
 @dataclass(frozen=True, slots=True, eq=False)
 class LimbPoses:
     """What limbs told of f frames. frames : (f,); lengths : (f, limbs) m read; T_base_platform : RigidTransform (f,)
-    own : (f, 6, 6) covariance of each pose's readings; common : (f, 6, 42) factor of what the limbs' geometry adds to all"""
+    own : (f, 6, 6) covariance of each pose's readings; common : (f, 6, 42) factor of what the limbs' geometry adds to
+        all"""
 
     frames: np.ndarray
     lengths: np.ndarray
@@ -45,7 +46,8 @@ class LimbPoses:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """count : poses that vision looked at, 0 where the recording has none of vision's; frame : where it disagreed first, or None
+    """count : poses that vision looked at, 0 where the recording has none of vision's; frame : where it disagreed
+    first, or None
     disagreement : Disagreement, None where vision agreed"""
 
     count: int
@@ -54,7 +56,8 @@ class Checked:
 
 
 def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
-    """LimbPoses of the frames whose exposures have readings, by the limbs that tell poses, the others left to `check_limb_poses`.
+    """LimbPoses of the frames whose exposures have readings, by the limbs that tell poses, the others left to
+    `check_limb_poses`.
 
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
@@ -65,11 +68,15 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
 
 def samples_of_limb_poses(recording: Recording, poses: LimbPoses) -> Sampled:
     """Sampled of what was commanded and what the limbs told. Raises RigError without commands."""
-    return Sampled(pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common), SOURCE, None, None)
+    return Sampled(
+        pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common), SOURCE, None, None
+    )
 
 
 def is_checked_by_vision(found: Samples, nominal: Hexapod, every: int) -> np.ndarray:
-    """(n,) bool: the poses of Samples by limbs at which vision looks, every so many and those after struts told otherwise."""
+    """(n,) bool: the poses of Samples by limbs at which vision looks, every so many and those after struts told
+    otherwise.
+    """
     look, witness, left = np.arange(len(found)) % every == 0, Online(nominal, found.common.shape[2]), 0
     for k, pose in enumerate(zip(found.commanded, found.T_base_platform, found.covariance, found.common)):
         update = witness.update(*pose)
@@ -81,10 +88,15 @@ def is_checked_by_vision(found: Samples, nominal: Hexapod, every: int) -> np.nda
     return look
 
 
-def check_limb_poses(recording: Recording, accepted: Accepted, poses: LimbPoses, every: int,
-          progress: Callable[[str, int, int], None] | None = None) -> Checked:
-    """Checked by limbs beyond six at every pose, and by vision, every so many poses at least, up to the first disagreement; only the images of
-    those frames are read.
+def check_limb_poses(
+    recording: Recording,
+    accepted: Accepted,
+    poses: LimbPoses,
+    every: int,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Checked:
+    """Checked by limbs beyond six at every pose, and by vision, every so many poses at least, up to the first
+    disagreement; only the images of those frames are read.
 
     Raises what measuring raises
     """
@@ -95,8 +107,11 @@ def check_limb_poses(recording: Recording, accepted: Accepted, poses: LimbPoses,
         return Checked(0, None, None)
     look = np.arange(len(poses.frames)) % every == 0
     if recording.commands is not None:
-        look = is_checked_by_vision(pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common),
-                         hexapod_of(recording.design.mechanism), every)
+        look = is_checked_by_vision(
+            pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common),
+            hexapod_of(recording.design.mechanism),
+            every,
+        )
     measured, _ = measure_recording(select_frames(recording, poses.frames[look]), progress=progress)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     checks = LimbCheck(accepted.limbs, measured.common.shape[2])

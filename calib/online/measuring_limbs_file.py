@@ -1,4 +1,6 @@
-"""limbs.json <-> measuring limbs that were held against vision: geometry, covariance, agreement, tolerance, verdict, and whether it still stands."""
+"""limbs.json <-> measuring limbs that were held against vision: geometry, covariance, agreement, tolerance, verdict,
+and whether it still stands.
+"""
 
 import json
 from dataclasses import dataclass, replace
@@ -19,14 +21,19 @@ from rig.formats.output_files import write_text
 from rig.model.design import Design, Hexapod
 
 SCHEMA = "limbs/1"
-UNITS = "m, rad; covariance in their products, of base joints 1..6 (x y z), platform joints 1..6 (x y z), zeros 1..6; axes x y z rx ry rz"
+UNITS = (
+    "m, rad; covariance in their products, of base joints 1..6 (x y z), platform joints 1..6 (x y z), zeros "
+    "1..6; axes x y z rx ry rz"
+)
 VERDICTS = ("accepted", "refused", "withdrawn")
 SAME = 1e-9  # m; by so much may limbs differ from those that rig.toml states and still be the same
 
 
 @dataclass(frozen=True, slots=True)
 class Withdrawal:
-    """Why an acceptance no longer stands. recording, frame : where it was found; reason : in words; created : when, ISO 8601"""
+    """Why an acceptance no longer stands. recording, frame : where it was found; reason : in words; created : when, ISO
+    8601
+    """
 
     recording: str
     frame: int
@@ -36,7 +43,8 @@ class Withdrawal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Accepted:
-    """limbs : Limbs as found; nominal : Hexapod of them as rig.toml states it; agreement : Agreement with vision on held-out poses
+    """limbs : Limbs as found; nominal : Hexapod of them as rig.toml states it; agreement : Agreement with vision on
+    held-out poses
     withdrawn : Withdrawal, None while the verdict stands; provenance : {what: value} of what they were found from"""
 
     limbs: Limbs
@@ -74,32 +82,46 @@ def save(path: Path | str, found: Accepted) -> None:
             "expected": a.expected.tolist(),
             "moved": a.moved.tolist(),
         },
-        "withdrawn": None if w is None else {"recording": w.recording, "frame": w.frame, "reason": w.reason, "created": w.created},
+        "withdrawn": None
+        if w is None
+        else {"recording": w.recording, "frame": w.frame, "reason": w.reason, "created": w.created},
         "provenance": found.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
 
 def load(path: Path | str) -> Accepted:
-    """Accepted of a limbs.json, whatever its verdict. Raises FileError for a file that is missing, cut off, of another schema, or that holds
-    an array of another shape or a figure that cannot be."""
+    """Accepted of a limbs.json, whatever its verdict. Raises FileError for a file that is missing, cut off, of another
+    schema, or that holds an array of another shape or a figure that cannot be."""
     tree = json_file.load(Path(path), "limbs.json", SCHEMA)
     nominal, hexapod = _hexapod(tree, "stated"), _hexapod(tree, "limbs")
     sigma, table = tree.array("reading_sigma", (6,)), tree.table("agreement")
     if not (sigma > 0).all():
         tree.fail(f"reading_sigma must be positive, got {sigma.tolist()}", "reading_sigma")
-    parts = {name: table.array(name, (2, 6) if name == "limits" else (6,)) for name in ("bias", "scatter", "limits", "surely", "expected", "moved")}
+    parts = {
+        name: table.array(name, (2, 6) if name == "limits" else (6,))
+        for name in ("bias", "scatter", "limits", "surely", "expected", "moved")
+    }
     chosen = np.arange(6) if "chosen" not in tree.tree else tree.array("chosen", (6,)).astype(int) - 1
     if len(set(chosen.tolist())) != 6 or chosen.min() < 0:
         tree.fail(f"chosen must be six different limbs, counted from 1, got {(chosen + 1).tolist()}", "chosen")
     checks = _checks_in(tree)
     others = [] if checks is None else checks.limbs.tolist()
     if sorted([*chosen.tolist(), *others]) != list(range(6 + len(others))):
-        tree.fail(f"chosen {(chosen + 1).tolist()} and the limbs of checks {[i + 1 for i in others]} must be all limbs, each once", "checks")
+        tree.fail(
+            f"chosen {(chosen + 1).tolist()} and the limbs of checks {[i + 1 for i in others]} must be all "
+            "limbs, each once",
+            "checks",
+        )
     proven = parts.pop("surely")
     agreement = Agreement(table.whole("n", 1), tolerance=tree.array("tolerance", (6,)), proven_limits=proven, **parts)
-    found = Accepted(Limbs(hexapod, covariance_in(tree, 42, "covariance"), sigma, chosen, checks), nominal, agreement, _withdrawal(tree),
-                     dict(tree.table("provenance").tree))
+    found = Accepted(
+        Limbs(hexapod, covariance_in(tree, 42, "covariance"), sigma, chosen, checks),
+        nominal,
+        agreement,
+        _withdrawal(tree),
+        dict(tree.table("provenance").tree),
+    )
     verdict = tree.text("verdict", VERDICTS)
     if verdict != found.verdict:
         tree.fail(f"verdict is {verdict!r}, but its own figures say {found.verdict!r}", "verdict")
@@ -107,32 +129,44 @@ def load(path: Path | str) -> Accepted:
 
 
 def accepted_limbs(path: Path | str, design: Design) -> Accepted:
-    """Accepted of a limbs.json whose limbs may stand for vision on a rig. Raises RigError where they were refused, where their acceptance was
-    withdrawn, and where rig.toml states other limbs."""
+    """Accepted of a limbs.json whose limbs may stand for vision on a rig. Raises RigError where they were refused,
+    where their acceptance was withdrawn, and where rig.toml states other limbs."""
     found = load(path)
     limbs, six = stated_limbs(design), found.limbs.chosen
     spare = 0 if found.limbs.checks is None else len(found.limbs.checks.limbs)
     if len(limbs.channels) != len(six) + spare:
-        raise RigError(f"{path} is of other limbs than rig.toml states in [insitu]: of {len(six) + spare}, not of {len(limbs.channels)}")
+        raise RigError(
+            f"{path} is of other limbs than rig.toml states in [insitu]: of {len(six) + spare}, not of "
+            f"{len(limbs.channels)}"
+        )
     other = limb_hexapod(design, six)
     if found.verdict == "refused":
-        raise RigError(f"{path}: these limbs did not pass when they were held against vision; `rig insitu` says by how much")
+        raise RigError(
+            f"{path}: these limbs did not pass when they were held against vision; `rig insitu` says by how much"
+        )
     if found.withdrawn is not None:
         w = found.withdrawn
-        raise RigError(f"{path}: the acceptance of these limbs was withdrawn at frame {w.frame} of {w.recording}: {w.reason}; `rig insitu` accepts "
-                       "them anew")
+        raise RigError(
+            f"{path}: the acceptance of these limbs was withdrawn at frame {w.frame} of {w.recording}: "
+            f"{w.reason}; `rig insitu` accepts "
+            "them anew"
+        )
     for name in ("base_joints", "platform_joints", "strut_zeros"):
         apart = np.abs(getattr(other, name) - getattr(found.nominal, name)).reshape(6, -1).max(axis=1)
         if apart.max() > SAME:
             limb = int(apart.argmax())
-            raise RigError(f"{path} is of other limbs than rig.toml states in [insitu]: {name} of limb {six[limb] + 1} differs by "
-                           f"{apart[limb] * 1e3:.6g} mm")
+            raise RigError(
+                f"{path} is of other limbs than rig.toml states in [insitu]: {name} of limb {six[limb] + 1} differs by "
+                f"{apart[limb] * 1e3:.6g} mm"
+            )
     return found
 
 
 def withdraw_acceptance(found: Accepted, recording: str, frame: int, reason: str) -> Accepted:
     """The same with its acceptance withdrawn from now on. recording, frame : where it was found; reason : in words"""
-    return replace(found, withdrawn=Withdrawal(recording, frame, reason, datetime.now(UTC).isoformat(timespec="seconds")))
+    return replace(
+        found, withdrawn=Withdrawal(recording, frame, reason, datetime.now(UTC).isoformat(timespec="seconds"))
+    )
 
 
 def is_limbs_file(path: Path) -> bool:
@@ -149,7 +183,9 @@ def is_limbs_file(path: Path) -> bool:
 def _hexapod(tree: Entries, key: str) -> Hexapod:
     found = mechanism_from_entries(tree.table(key))
     if not isinstance(found, Hexapod):
-        tree.fail(f"{key} is a mechanism of kind {found.kind!r}; limbs that tell poses are six, as those of a hexapod", key)
+        tree.fail(
+            f"{key} is a mechanism of kind {found.kind!r}; limbs that tell poses are six, as those of a hexapod", key
+        )
     return found
 
 
@@ -157,17 +193,31 @@ def _checks_out(checks: Checks | None) -> list[dict[str, Any]]:
     """The limbs beyond six, one by one."""
     if checks is None:
         return []
-    return [{"limb": int(i) + 1, "base_joint": checks.base[k].tolist(), "platform_joint": checks.platform[k].tolist(), "zero": float(checks.zeros[k]),
-             "covariance": checks.covariance[k].tolist(), "reading_sigma": float(checks.sigma[k])} for k, i in enumerate(checks.limbs)]
+    return [
+        {
+            "limb": int(i) + 1,
+            "base_joint": checks.base[k].tolist(),
+            "platform_joint": checks.platform[k].tolist(),
+            "zero": float(checks.zeros[k]),
+            "covariance": checks.covariance[k].tolist(),
+            "reading_sigma": float(checks.sigma[k]),
+        }
+        for k, i in enumerate(checks.limbs)
+    ]
 
 
 def _checks_in(tree: Entries) -> Checks | None:
     rows = tree.tables("checks") if "checks" in tree.tree else []
     if not rows:
         return None
-    return Checks(np.array([row.whole("limb", 1) - 1 for row in rows]), np.array([row.array("base_joint", (3,)) for row in rows]),
-                  np.array([row.array("platform_joint", (3,)) for row in rows]), np.array([row.number("zero") for row in rows]),
-                  np.array([covariance_in(row, 7, "covariance") for row in rows]), np.array([row.number("reading_sigma", above=0) for row in rows]))
+    return Checks(
+        np.array([row.whole("limb", 1) - 1 for row in rows]),
+        np.array([row.array("base_joint", (3,)) for row in rows]),
+        np.array([row.array("platform_joint", (3,)) for row in rows]),
+        np.array([row.number("zero") for row in rows]),
+        np.array([covariance_in(row, 7, "covariance") for row in rows]),
+        np.array([row.number("reading_sigma", above=0) for row in rows]),
+    )
 
 
 def _withdrawal(tree: Entries) -> Withdrawal | None:

@@ -1,4 +1,6 @@
-"""Poses learnt as a run takes them: what the machine is by now, what jumped, and whether it drifts from its calibration."""
+"""Poses learnt as a run takes them: what the machine is by now, what jumped, and whether it drifts from its
+calibration.
+"""
 
 from copy import copy
 from dataclasses import dataclass, replace
@@ -21,9 +23,12 @@ LATEST = 5  # poses whose median error must exceed the tolerance: one is a bad m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learnt:
-    """What one pose said. error : (6,) m and rad, measured less what was expected of the command, in the platform's frame
-    struts : (6,) m, commanded less what the owner's model says for the measured pose; innovation : RMS of what was expected, 1 is normal
-    changes : jumps found with it; unsure : whether it disagrees and the next ones will say why; drift : (m, rad) beyond the tolerance, or None
+    """What one pose said. error : (6,) m and rad, measured less what was expected of the command, in the platform's
+    frame
+    struts : (6,) m, commanded less what the owner's model says for the measured pose; innovation : RMS of what was
+        expected, 1 is normal
+    changes : jumps found with it; unsure : whether it disagrees and the next ones will say why; drift : (m, rad) beyond
+        the tolerance, or None
     """
 
     error: np.ndarray
@@ -35,15 +40,24 @@ class Learnt:
 
 
 class Learner:
-    """Learns from a run's poses. nominal : Hexapod; calibration : to start from, or None; tolerance : (m, rad) of drift, or None
+    """Learns from a run's poses. nominal : Hexapod; calibration : to start from, or None; tolerance : (m, rad) of
+    drift, or None
     shared : draws that all poses' errors have in common."""
 
-    def __init__(self, nominal: Hexapod, calibration: Calibration | None = None, tolerance: tuple[float, float] | None = None,
-                 shared: int = 0) -> None:
+    def __init__(
+        self,
+        nominal: Hexapod,
+        calibration: Calibration | None = None,
+        tolerance: tuple[float, float] | None = None,
+        shared: int = 0,
+    ) -> None:
         self._nominal, self._tolerance = nominal, tolerance
         self._correction = calibration.correction if calibration else Correction(nominal, nominal, (None,) * 6)
-        self._online = (Online(self._correction.fitted, shared, calibration.scatter, calibration.covariance) if calibration else
-                        Online(nominal, shared))
+        self._online = (
+            Online(self._correction.fitted, shared, calibration.scatter, calibration.covariance)
+            if calibration
+            else Online(nominal, shared)
+        )
         self._kept = copy(self._online)
         self._calibrated, self._errors = calibration is not None, list[np.ndarray]()
         self._drifting = False
@@ -55,19 +69,30 @@ class Learner:
 
     def expected(self, commanded: np.ndarray) -> RigidTransform:
         """T_base_platform that commanded lengths (6,) m should give, by what is known so far."""
-        return mechanisms.kinematics_of(self._nominal).forward(commanded - self._correction.rho(commanded), self._online.hexapod)
+        return mechanisms.kinematics_of(self._nominal).forward(
+            commanded - self._correction.rho(commanded), self._online.hexapod
+        )
 
     def save(self) -> None:
         """Remember what is known now."""
         self._kept = copy(self._online)
 
     def restore(self) -> None:
-        """Know again what was known when it was last kept, nothing of what came since; poses to come share no errors."""
+        """Know again what was known when it was last kept, nothing of what came since; poses to come share no
+        errors.
+        """
         self._online = copy(self._kept)
         self._online.new_session()
 
-    def learn(self, commanded: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray, common: np.ndarray | None = None) -> Learnt:
-        """One pose. commanded : (6,) m; covariance : (6, 6) tangent on the right; common : (6, shared) factor of errors that poses share.
+    def learn(
+        self,
+        commanded: np.ndarray,
+        T_base_platform: RigidTransform,
+        covariance: np.ndarray,
+        common: np.ndarray | None = None,
+    ) -> Learnt:
+        """One pose. commanded : (6,) m; covariance : (6, 6) tangent on the right; common : (6, shared) factor of errors
+        that poses share.
 
         Raises RigError as `Online.update` does.
         """
@@ -75,8 +100,14 @@ class Learner:
         error = pose_difference(expected, T_base_platform)
         struts = commanded - mechanisms.kinematics_of(self._nominal).inverse(T_base_platform, self._nominal)
         update = self._online.update(commanded - self._correction.rho(commanded), T_base_platform, covariance, common)
-        fresh = self._drift(pose_difference(self._correction.predict(commanded), T_base_platform)) if self._calibrated else None
-        return Learnt(error, struts, float(np.sqrt(update.innovation @ update.innovation / 6)), update.changes, update.held, fresh)
+        fresh = (
+            self._drift(pose_difference(self._correction.predict(commanded), T_base_platform))
+            if self._calibrated
+            else None
+        )
+        return Learnt(
+            error, struts, float(np.sqrt(update.innovation @ update.innovation / 6)), update.changes, update.held, fresh
+        )
 
     def _drift(self, error: np.ndarray) -> tuple[float, float] | None:
         """(m, rad) of the drift from the calibration, once, when it leaves the tolerance."""
@@ -90,7 +121,9 @@ class Learner:
 
 
 class LimbWatch:
-    """Measuring limbs read as a run goes: once they are known from enough poses, every further one must agree with vision."""
+    """Measuring limbs read as a run goes: once they are known from enough poses, every further one must agree with
+    vision.
+    """
 
     def __init__(self, design: Design) -> None:
         self._design, self._stated = design, measuring_limbs.stated_limbs(design)
@@ -109,11 +142,23 @@ class LimbWatch:
                 read, poses, covariances = zip(*self._read)
                 T = RigidTransform.concatenate(poses)
                 chosen = redundant_limb_checks.best_six_limbs(self._stated, self._home, T)
-                samples = Samples(n, n.astype(float), np.array(read)[:, chosen], T, np.array(covariances), np.zeros((measuring_limbs.FEWEST, 6, 0)))
-                limbs, _ = measuring_limbs.calibrate_limbs(samples, measuring_limbs.limb_hexapod(self._design, chosen), self._stated.length_sigma)
+                samples = Samples(
+                    n,
+                    n.astype(float),
+                    np.array(read)[:, chosen],
+                    T,
+                    np.array(covariances),
+                    np.zeros((measuring_limbs.FEWEST, 6, 0)),
+                )
+                limbs, _ = measuring_limbs.calibrate_limbs(
+                    samples, measuring_limbs.limb_hexapod(self._design, chosen), self._stated.length_sigma
+                )
                 self._limbs = replace(limbs, chosen=chosen)
             return False
         T = self._limbs.pose(lengths)
         own, common = self._limbs.uncertainty(T)
-        before, self._agreed = self._agreed, measuring_limbs.vision_agrees_with_limbs(T_base_platform, covariance, T, own, common)
+        before, self._agreed = (
+            self._agreed,
+            measuring_limbs.vision_agrees_with_limbs(T_base_platform, covariance, T, own, common),
+        )
         return before and not self._agreed

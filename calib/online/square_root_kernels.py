@@ -1,10 +1,13 @@
-"""One pose into a square-root information filter, compiled: the triangle, the estimate, and what a jump would have looked like.
+"""One pose into a square-root information filter, compiled: the triangle, the estimate, and what a jump would have
+looked like.
 
-The state is a triangle [R | z | signatures]: R dp = z about the present estimate, moved so that z is zero. A pose adds six whitened
-rows; Householder reflections bring the triangle back, and what they leave in the rows is the whitened innovation, docs/mathematics.md (22).
-A column of signatures, carried along, leaves there what a change since a given pose would add to it, less what the parameters
-would have made of it: their inner products are the likelihood ratio of the change, (23). Source: Bierman, Factorization Methods for
-Discrete Sequential Estimation, 1977; Willsky and Jones, IEEE Trans. Automatic Control 21, 1976 (the ratio).
+The state is a triangle [R | z | signatures]: R dp = z about the present estimate, moved so that z is zero. A pose adds
+six whitened rows; Householder reflections bring the triangle back, and what they leave in the rows is the whitened
+innovation, docs/mathematics.md (22).
+A column of signatures, carried along, leaves there what a change since a given pose would add to it, less what the
+parameters would have made of it: their inner products are the likelihood ratio of the change, (23). Source: Bierman,
+Factorization Methods for Discrete Sequential Estimation, 1977; Willsky and Jones, IEEE Trans. Automatic Control 21,
+1976 (the ratio).
 """
 
 from typing import NamedTuple
@@ -18,11 +21,14 @@ from rig.compute.numba_kernels import njit
 KINDS = 12  # signatures of an onset: six struts, six motions of the measuring frame against the base
 REFUSED, QUIET, ALARM = 0, 1, 2  # what `learn` says
 LEAST = MOVED[2]  # innovations squared below which no hypothesis of change_detection.py but a strut's can hold
-SUMS = 1 + KINDS + KINDS * KINDS + 1  # per onset: innovation squared, its products with the signatures, the signatures' own, poses
+SUMS = (
+    1 + KINDS + KINDS * KINDS + 1
+)  # per onset: innovation squared, its products with the signatures, the signatures' own, poses
 
 
 class Pose(NamedTuple):
-    """One pose to learn. number : from 0; command : (6,) m; R : (3, 3) and t : (3,) m, measured; covariance : (6, 6) tangent on the right;
+    """One pose to learn. number : from 0; command : (6,) m; R : (3, 3) and t : (3,) m, measured; covariance : (6, 6)
+    tangent on the right;
     common : (6, c) factor of the errors that all poses share."""
 
     number: int
@@ -34,14 +40,17 @@ class Pose(NamedTuple):
 
 
 class Machine(NamedTuple):
-    """What does not change. home : (4, 4), where forward kinematics starts; variance : (6,) m^2 of each strut beyond the poses' covariance."""
+    """What does not change. home : (4, 4), where forward kinematics starts; variance : (6,) m^2 of each strut beyond
+    the poses' covariance.
+    """
 
     home: np.ndarray
     variance: np.ndarray
 
 
 class Estimate(NamedTuple):
-    """What the poses so far tell. p : (42,) m, parameters; s : (c,) shared draw; S : (c + 42, c + 43 + KINDS WINDOW) triangle, about p and s;
+    """What the poses so far tell. p : (42,) m, parameters; s : (c,) shared draw; S : (c + 42, c + 43 + KINDS WINDOW)
+    triangle, about p and s;
     sums : (WINDOW, SUMS), of the onset that began at each of the last poses."""
 
     p: np.ndarray
@@ -116,11 +125,12 @@ def follow(p: np.ndarray, s: np.ndarray, S: np.ndarray) -> None:
 
 @njit(cache=True)
 def learn(pose: Pose, machine: Machine, estimate: Estimate, slot: int, innovation: np.ndarray, move: bool) -> int:
-    """One pose into the estimate, in place. Returns REFUSED where the command closes on no pose near home or something is not regular;
-    then nothing changed. Else ALARM where something may have changed, or QUIET.
+    """One pose into the estimate, in place. Returns REFUSED where the command closes on no pose near home or something
+    is not regular; then nothing changed. Else ALARM where something may have changed, or QUIET.
 
     pose : Pose; machine : Machine; estimate : Estimate; slot : the onset that begins with this pose
-    innovation : (6,) gets the whitened innovation; move : whether the estimate follows at once; otherwise z gathers, all poses about one p
+    innovation : (6,) gets the whitened innovation; move : whether the estimate follows at once; otherwise z gathers,
+        all poses about one p
     """
     p, s, S, sums = estimate.p, estimate.s, estimate.S, estimate.sums
     c = len(s)
@@ -158,7 +168,9 @@ def learn(pose: Pose, machine: Machine, estimate: Estimate, slot: int, innovatio
 
 @njit(cache=True)
 def begin(S: np.ndarray, sums: np.ndarray, slot: int) -> None:
-    """An onset begins in a slot: its KINDS columns of the triangle S (n, n) and its row of the sums (slots, ..) are nothing yet."""
+    """An onset begins in a slot: its KINDS columns of the triangle S (n, n) and its row of the sums (slots, ..) are
+    nothing yet.
+    """
     at = S.shape[0] + 1 + KINDS * slot
     S[:, at : at + KINDS] = 0.0
     sums[slot] = 0.0
@@ -167,7 +179,9 @@ def begin(S: np.ndarray, sums: np.ndarray, slot: int) -> None:
 
 @njit(cache=True)
 def gather(rows: np.ndarray, k: int, sums: np.ndarray) -> None:
-    """Add to every onset's sums (WINDOW, SUMS) what a pose's rows (6, w) tell of it: the innovation is their column k."""
+    """Add to every onset's sums (WINDOW, SUMS) what a pose's rows (6, w) tell of it: the innovation is their column
+    k.
+    """
     for w in range(WINDOW):
         if sums[w, -1] > 0:
             at = k + 1 + KINDS * w

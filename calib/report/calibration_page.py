@@ -30,21 +30,44 @@ from rig.report.pages.view_3d import view_3d_html as view
 from rig.report.pages.view_3d import view_scripts
 
 
-def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, found: Identified,
-                     links: Sequence[Link] = ()) -> None:
-    """Write the page of a calibration: what it is worth, before and after on held-out poses, strut corrections, coverage, parameters."""
+def calibration_page(
+    path: Path | str,
+    recording: Recording,
+    calibration: Calibration,
+    samples: Samples,
+    found: Identified,
+    links: Sequence[Link] = (),
+) -> None:
+    """Write the page of a calibration: what it is worth, before and after on held-out poses, strut corrections,
+    coverage, parameters.
+    """
     correction = calibration.correction
-    parts = [*evidence_html(calibration), *_held(calibration.held_out),
-             heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
-             correction_error_figures(*errors_before_and_after(correction, samples), samples.frame), *view_3d_html(recording, calibration, samples),
-             heading("What each strut is corrected by"), note("Dots: x - IK(GDK(x)) at the visited configurations. Squares: the correction at the "
-                                                              "same configurations."), _corrections(correction, samples),
-             heading("What the correction leaves"), _left(samples, found), heading("Where the platform went"),
-             pose_coverage_figures(pose_to_vector(samples.T_base_platform)), *workspace_section_html(calibration.workspace, "m"),
-             heading("Parameters"), _combinations(calibration, found), folding_section("Every parameter's change", _parameters(calibration)),
-             heading("Where this came from"), folding_section("Recording, versions, arguments", provenance_html(calibration))]
+    parts = [
+        *evidence_html(calibration),
+        *_held(calibration.held_out),
+        heading("Before and after, pose by pose"),
+        note("All poses; the fit has seen these."),
+        correction_error_figures(*errors_before_and_after(correction, samples), samples.frame),
+        *view_3d_html(recording, calibration, samples),
+        heading("What each strut is corrected by"),
+        note("Dots: x - IK(GDK(x)) at the visited configurations. Squares: the correction at the same configurations."),
+        _corrections(correction, samples),
+        heading("What the correction leaves"),
+        _left(samples, found),
+        heading("Where the platform went"),
+        pose_coverage_figures(pose_to_vector(samples.T_base_platform)),
+        *workspace_section_html(calibration.workspace, "m"),
+        heading("Parameters"),
+        _combinations(calibration, found),
+        folding_section("Every parameter's change", _parameters(calibration)),
+        heading("Where this came from"),
+        folding_section("Recording, versions, arguments", provenance_html(calibration)),
+    ]
     judged = calibration_verdict(calibration)
-    write_page(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)))
+    write_page(
+        path,
+        Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)),
+    )
 
 
 def view_3d_html(recording: Recording, calibration: Calibration, samples: Samples) -> list[str]:
@@ -52,12 +75,20 @@ def view_3d_html(recording: Recording, calibration: Calibration, samples: Sample
     if not samples.measured.startswith("pos"):
         return []
     before, after = errors_before_and_after(calibration.correction, samples)
-    shown = rig_stage(recording.design, samples.frame, samples.T_base_platform, samples.commanded, {"owner's model": -before, "corrected": -after})
+    shown = rig_stage(
+        recording.design,
+        samples.frame,
+        samples.T_base_platform,
+        samples.commanded,
+        {"owner's model": -before, "corrected": -after},
+    )
     return [heading("In three dimensions"), *view(shown)]
 
 
 def evidence_html(calibration: Calibration) -> list[str]:
-    """HTML of what the judgement of a Calibration and its claim rest on; nothing of a calibration that claims nothing."""
+    """HTML of what the judgement of a Calibration and its claim rest on; nothing of a calibration that claims
+    nothing.
+    """
     claim = calibration.claim
     return [] if claim is None else [list_html([*calibration_verdict(calibration).rests_on, *claim_lines(claim)[1:]])]
 
@@ -66,19 +97,28 @@ def _held(held: HeldOut | None) -> list[str]:
     if held is None:
         return []
     rows = [("owner's model", *_figures(held.before)), ("corrected", *_figures(held.after))]
-    return [paragraph(f"Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, {held.configurations} distinct "
-                      f"configurations): the error falls from {held.before.position[0] * 1e3:.3f} mm to {held.after.position[0] * 1e3:.4f} mm RMS. "
-                      f"The measured poses themselves are uncertain by {held.floor[0] * 1e3:.4f} mm and {held.floor[1] * 1e3:.4f} mrad: what is left "
-                      f"is {held.after.position[0] / held.floor[0]:.2f} times that."),
-            table(("held-out pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows)]
+    return [
+        paragraph(
+            f"Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, "
+            f"{held.configurations} distinct "
+            f"configurations): the error falls from {held.before.position[0] * 1e3:.3f} mm to "
+            f"{held.after.position[0] * 1e3:.4f} mm RMS. "
+            f"The measured poses themselves are uncertain by {held.floor[0] * 1e3:.4f} mm and "
+            f"{held.floor[1] * 1e3:.4f} mrad: what is left "
+            f"is {held.after.position[0] / held.floor[0]:.2f} times that."
+        ),
+        table(("held-out pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows),
+    ]
 
 
 def _combinations(calibration: Calibration, found: Identified) -> str:
     """Every combination of the parameters with how well the poses tell it, folded."""
     parts, seen = parameter_combinations(found.root, calibration.correction.fitted)
     rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not told") for part in parts]
-    return folding_section(f"The {len(parts)} combinations that the poses tell, the worst first (condition number {seen.condition:.0f})",
-                  table(("combination", "standard error by the poses alone, um"), rows))
+    return folding_section(
+        f"The {len(parts)} combinations that the poses tell, the worst first (condition number {seen.condition:.0f})",
+        table(("combination", "standard error by the poses alone, um"), rows),
+    )
 
 
 def _figures(f: Figures) -> list[str]:
@@ -86,20 +126,41 @@ def _figures(f: Figures) -> list[str]:
 
 
 def _corrections(correction: Correction[Struts, Radial], samples: Samples) -> str:
-    seen = samples.effective - mechanisms.kinematics_of(correction.nominal).inverse(samples.T_base_platform, correction.nominal)
+    seen = samples.effective - mechanisms.kinematics_of(correction.nominal).inverse(
+        samples.T_base_platform, correction.nominal
+    )
     modelled, commanded = correction.summand(samples.effective) * 1e3, samples.commanded * 1e3
-    return panel_row(*(plot_panel(f"strut {i + 1}", ("commanded, mm", "correction, mm"), [
-        Series(commanded[:, i], modelled[:, i], "correction", "crosses", 1), Series(commanded[:, i], seen[:, i] * 1e3, "measured")])
-        for i in range(seen.shape[1])))
+    return panel_row(
+        *(
+            plot_panel(
+                f"strut {i + 1}",
+                ("commanded, mm", "correction, mm"),
+                [
+                    Series(commanded[:, i], modelled[:, i], "correction", "crosses", 1),
+                    Series(commanded[:, i], seen[:, i] * 1e3, "measured"),
+                ],
+            )
+            for i in range(seen.shape[1])
+        )
+    )
 
 
 def _left(samples: Samples, found: Identified) -> str:
     sigma = float(np.sqrt(np.einsum("nii->ni", found.residual_covariance).mean())) * 1e6
     struts = found.residuals * 1e6
     top = 1.05 * max(float(np.nanmax(np.abs(struts))), 2 * sigma)
-    return paragraph(f"Two standard deviations of a pose are {2 * sigma:.1f} um in a strut.") + panel_row(*(
-        plot_panel(f"strut {i + 1}", ("frame", "left, um"), [Series(samples.frame, struts[:, i])], limits=(-top, top), level=0.0)
-        for i in range(struts.shape[1])))
+    return paragraph(f"Two standard deviations of a pose are {2 * sigma:.1f} um in a strut.") + panel_row(
+        *(
+            plot_panel(
+                f"strut {i + 1}",
+                ("frame", "left, um"),
+                [Series(samples.frame, struts[:, i])],
+                limits=(-top, top),
+                level=0.0,
+            )
+            for i in range(struts.shape[1])
+        )
+    )
 
 
 def _parameters(calibration: Calibration) -> str:
@@ -109,8 +170,13 @@ def _parameters(calibration: Calibration) -> str:
     for name in GEOMETRY[nominal.kind]:
         for i, own in enumerate((getattr(fitted, name) - getattr(nominal, name)).reshape(len(nominal.axes), -1)):
             u = sigma[start : start + len(own)]
-            rows.append((f"{name.replace('_', ' ')[:-1]} {i + 1}", *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" for c, s in zip(own, u)),
-                         *[""] * (3 - len(own))))
+            rows.append(
+                (
+                    f"{name.replace('_', ' ')[:-1]} {i + 1}",
+                    *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" for c, s in zip(own, u)),
+                    *[""] * (3 - len(own)),
+                )
+            )
             start += len(own)
     return table(("change from nominal, mm (k = 2)", "x or zero", "y", "z"), rows)
 
@@ -118,8 +184,10 @@ def _parameters(calibration: Calibration) -> str:
 def provenance_html(calibration: Calibration) -> str:
     """HTML of where a calibration came from; the marks of its data are for programs."""
     rows = {name: part for name, part in calibration.provenance.items() if name not in ("data", "passes")}
-    before = {f"pass {k + 1}": {name: one[name] for name in ("recording", "created", "pass") if name in one}
-              for k, one in enumerate(calibration.provenance.get("passes", ()))}
+    before = {
+        f"pass {k + 1}": {name: one[name] for name in ("recording", "created", "pass") if name in one}
+        for k, one in enumerate(calibration.provenance.get("passes", ()))
+    }
     return table(("what", "value"), flattened_rows(before | rows))
 
 

@@ -18,9 +18,17 @@ def frame_pictures_html(recording: Recording, m: Measurement, frame: int) -> lis
     images = jpeg_pictures.frame_jpegs(recording, frame)
     if not images:
         return []
-    figures = [_figure(m, i, frame, images[camera.name]) for i, camera in enumerate(m.design.cameras) if camera.name in images]
-    return [note(f"Outlined in green: markers that were used; in red: set aside, at a corner at least. Yellow: residuals, {ENLARGED:g} times as "
-                 "long as they are. A marker says its number when it is pointed at."), '<div class="panels">' + "".join(figures) + "</div>"]
+    figures = [
+        _figure(m, i, frame, images[camera.name]) for i, camera in enumerate(m.design.cameras) if camera.name in images
+    ]
+    return [
+        note(
+            "Outlined in green: markers that were used; in red: set aside, at a corner at least. Yellow: "
+            f"residuals, {ENLARGED:g} times as "
+            "long as they are. A marker says its number when it is pointed at."
+        ),
+        '<div class="panels">' + "".join(figures) + "</div>",
+    ]
 
 
 def frame_of_median_residual(m: Measurement) -> int:
@@ -54,12 +62,21 @@ def _figure(m: Measurement, i: int, frame: int, image: bytes) -> str:
         good = bool(m.inliers[own].all())
         points = " ".join(f"{u:.1f},{v:.1f}" for u, v in o.uv[own].tolist())
         said = f"marker {ids[marker]}" + ("" if good else ", set aside")
-        shapes.append(f'<polygon class="quad{"" if good else " aside"}" points="{points}"><title>{said}</title></polygon>')
+        shapes.append(
+            f'<polygon class="quad{"" if good else " aside"}" points="{points}"><title>{said}</title></polygon>'
+        )
     solved = rows[np.isfinite(m.residuals[rows, 0]) & m.inliers[rows]]
-    d = "".join(f"M{u:.1f} {v:.1f}l{du:.1f} {dv:.1f}" for (u, v), (du, dv) in zip(o.uv[solved].tolist(), (ENLARGED * m.residuals[solved]).tolist()))
+    d = "".join(
+        f"M{u:.1f} {v:.1f}l{du:.1f} {dv:.1f}"
+        for (u, v), (du, dv) in zip(o.uv[solved].tolist(), (ENLARGED * m.residuals[solved]).tolist())
+    )
     rms = f", {np.sqrt((m.residuals[solved] ** 2).mean()):.3f} px RMS" if len(solved) else ""
     said = f"frame {frame}, {camera.name}: {len(np.unique(o.marker[rows]))} markers{rms}"
-    return (f'<figure class="picture"><div class="stack"><img alt="{html.escape(said)}" width="{camera.width}" height="{camera.height}" '
-            f'src="data:image/jpeg;base64,{base64.b64encode(image).decode()}">'
-            f'<svg role="img" aria-label="its markers, outlined" viewBox="-0.5 -0.5 {camera.width} {camera.height}">{"".join(shapes)}'
-            f'<path class="residual" d="{d}"/></svg></div><figcaption>{html.escape(said)}</figcaption></figure>')
+    return (
+        f'<figure class="picture"><div class="stack"><img alt="{html.escape(said)}" width="{camera.width}" '
+        f'height="{camera.height}" '
+        f'src="data:image/jpeg;base64,{base64.b64encode(image).decode()}">'
+        f'<svg role="img" aria-label="its markers, outlined" viewBox="-0.5 -0.5 {camera.width} '
+        f'{camera.height}">{"".join(shapes)}'
+        f'<path class="residual" d="{d}"/></svg></div><figcaption>{html.escape(said)}</figcaption></figure>'
+    )

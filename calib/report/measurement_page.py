@@ -1,4 +1,6 @@
-"""The page of a measurement: what the cameras leave over, where the platform went, how well each pose is known, in mm and mrad."""
+"""The page of a measurement: what the cameras leave over, where the platform went, how well each pose is known, in mm
+and mrad.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,9 +31,9 @@ CELLS = 16  # of a residual map, across the image
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasurementResult:
-    """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out; places : vision Places where
-    markers' places were adjusted, else None; statement : lines on what the recording determines; suspects : markers that are not what rig.toml
-    says"""
+    """What there is to say of a measurement. collected : what its images gave, or None; held : of frames held out;
+    places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording
+    determines; suspects : markers that are not what rig.toml says"""
 
     recording: Recording
     measurement: Measurement
@@ -43,27 +45,54 @@ class MeasurementResult:
 
 
 def measurement_page(path: Path | str, told: MeasurementResult, links: Sequence[Link] = ()) -> None:
-    """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames."""
+    """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved
+    frames.
+    """
     m, collected = told.measurement, told.collected
     rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
     position = np.sqrt(np.trace(m.covariance[:, :3, :3], axis1=1, axis2=2))
-    parts = [paragraph(f"{m.inliers.sum()} corners used, {(~m.inliers & np.isfinite(m.residuals[:, 0])).sum()} set aside as outliers. A corner "
-                       f"scatters by {m.noise:.4f} px per axis. {_held(told.held)}"), *_suspects(told.suspects), *_pictures(told),
-             heading("What the cameras leave over"), note("Mean residual over patches of the image, drawn enlarged, on the RMS there; a pattern here "
-                                                          "is a lens that the model lacks."), _residual_maps(m),
-             heading("Where the platform went"), pose_coverage_figures(pose_to_vector(m.T_base_platform)),
-             heading("How well each pose is known"), note("Standard uncertainty of its length, cameras' own included."),
-             _uncertainty(m, position, rotation), heading("Cameras"), _cameras(told.recording, m)]
+    parts = [
+        paragraph(
+            f"{m.inliers.sum()} corners used, {(~m.inliers & np.isfinite(m.residuals[:, 0])).sum()} set "
+            "aside as outliers. A corner "
+            f"scatters by {m.noise:.4f} px per axis. {_held(told.held)}"
+        ),
+        *_suspects(told.suspects),
+        *_pictures(told),
+        heading("What the cameras leave over"),
+        note(
+            "Mean residual over patches of the image, drawn enlarged, on the RMS there; a pattern here "
+            "is a lens that the model lacks."
+        ),
+        _residual_maps(m),
+        heading("Where the platform went"),
+        pose_coverage_figures(pose_to_vector(m.T_base_platform)),
+        heading("How well each pose is known"),
+        note("Standard uncertainty of its length, cameras' own included."),
+        _uncertainty(m, position, rotation),
+        heading("Cameras"),
+        _cameras(told.recording, m),
+    ]
     if told.statement:
         parts += [heading("What this recording determines"), list_html(told.statement)]
     if told.places is not None:
-        parts += [heading("Where the markers really are"),
-                  note("From their stated places, along their own x (right), y (up), z (out), with 95 % intervals. The stated places, taken "
-                       "together, hold the frames."), _moves(told.places), _residuals(told.places)]
+        parts += [
+            heading("Where the markers really are"),
+            note(
+                "From their stated places, along their own x (right), y (up), z (out), with 95 % intervals. "
+                "The stated places, taken "
+                "together, hold the frames."
+            ),
+            _moves(told.places),
+            _residuals(told.places),
+        ]
     disagreeing = _worst_markers(m)
     if disagreeing:
-        parts += [heading("Markers that disagree"), note("Share of a marker's corners set aside: a face askew, a wrong print, a covered marker."),
-                  table(("marker", "corners", "set aside"), disagreeing)]
+        parts += [
+            heading("Markers that disagree"),
+            note("Share of a marker's corners set aside: a face askew, a wrong print, a covered marker."),
+            table(("marker", "corners", "set aside"), disagreeing),
+        ]
     if m.unsolved:
         parts += [heading("Frames without a pose"), table(("frame", "reason"), sorted(m.unsolved.items()))]
     if collected is not None and collected.left_out:
@@ -73,7 +102,10 @@ def measurement_page(path: Path | str, told: MeasurementResult, links: Sequence[
             folding_section(f"{len(rows)} of them", table(("frame", "camera", "marker", "reason"), rows)),
         ]
     title, verdict = f"Measurement of {told.recording.name}", measurement_verdict(told)
-    write_page(path, Page("measure", title, verdict, parts, list(dict.fromkeys([*recommended_actions(told), *verdict.next])), links))
+    write_page(
+        path,
+        Page("measure", title, verdict, parts, list(dict.fromkeys([*recommended_actions(told), *verdict.next])), links),
+    )
 
 
 def measurement_verdict(told: MeasurementResult) -> Verdict:
@@ -86,25 +118,45 @@ def measurement_verdict(told: MeasurementResult) -> Verdict:
     if len(m.frames) < total:
         missing.append(Missing(f"{total - len(m.frames)} frames have no pose"))
     if told.suspects:
-        missing.append(Missing(f"{len(told.suspects)} marker{'s are' if len(told.suspects) > 1 else ' is'} not what rig.toml says"))
+        missing.append(
+            Missing(f"{len(told.suspects)} marker{'s are' if len(told.suspects) > 1 else ' is'} not what rig.toml says")
+        )
     if isinstance(told.held, NotHeldOut):
         missing.append(Missing("no frame could be held out to check the uncertainties"))
     elif abs(told.held.ratio - 1) > 2 * told.held.scatter:
         if told.held.ratio > AGREES**2:
-            unexplained.append(f"frames held out miss by {told.held.ratio:.1f} times the squares predicted: the uncertainties are not to be believed")
+            unexplained.append(
+                f"frames held out miss by {told.held.ratio:.1f} times the squares predicted: the "
+                "uncertainties are not to be believed"
+            )
         elif told.held.ratio < 1 / AGREES**2:
-            missing.append(Missing(f"frames held out miss by {told.held.ratio:.2f} of the squares predicted: the noise of corners, and with it every "
-                                   "uncertainty, is less than stated"))
-    beyond = not isinstance(told.held, NotHeldOut) and told.held.ratio > TWICE and abs(told.held.ratio - 1) > 2 * told.held.scatter
+            missing.append(
+                Missing(
+                    f"frames held out miss by {told.held.ratio:.2f} of the squares predicted: the noise of "
+                    "corners, and with it every "
+                    "uncertainty, is less than stated"
+                )
+            )
+    beyond = (
+        not isinstance(told.held, NotHeldOut)
+        and told.held.ratio > TWICE
+        and abs(told.held.ratio - 1) > 2 * told.held.scatter
+    )
     refuted = [*unexplained] if beyond else []
     if len(m.frames) < SOLVED * total:
         refuted.append("fewer than half of the frames have a pose")
-    return judge_evidence(Evidence(why, unexplained=() if beyond else tuple(unexplained), missing=tuple(missing), refuted=tuple(refuted)))
+    return judge_evidence(
+        Evidence(why, unexplained=() if beyond else tuple(unexplained), missing=tuple(missing), refuted=tuple(refuted))
+    )
 
 
 def recommended_actions(told: MeasurementResult) -> list[str]:
     """What an owner does next with a measurement."""
-    steps = ["Correct what rig.toml says of the markers named below, or their print, and measure again"] if told.suspects else []
+    steps = (
+        ["Correct what rig.toml says of the markers named below, or their print, and measure again"]
+        if told.suspects
+        else []
+    )
     if told.measurement.unsolved:
         steps.append("See below why frames have no pose; `rig view REC --frame N` draws what was read in one")
     if told.held and told.held.ratio > TWICE and abs(told.held.ratio - 1) > 2 * told.held.scatter:
@@ -115,14 +167,21 @@ def recommended_actions(told: MeasurementResult) -> list[str]:
 def _held(held: HeldOut | NotHeldOut) -> str:
     if isinstance(held, NotHeldOut):
         return f"No held-out figure: {held.reason}."
-    return (f"On frames held out, residuals are {held.ratio:.3f} ± {2 * held.scatter:.3f} of what the covariance predicts (1 where it is true), "
-            f"{held.rms:.3f} px RMS over {held.corners} corners.")
+    return (
+        f"On frames held out, residuals are {held.ratio:.3f} ± {2 * held.scatter:.3f} of what the covariance "
+        "predicts (1 where it is true), "
+        f"{held.rms:.3f} px RMS over {held.corners} corners."
+    )
 
 
 def _suspects(suspects: Sequence[Suspect]) -> list[str]:
     if not suspects:
         return []
-    return [heading("Markers that are not what rig.toml says"), note("What disagrees is left out of the poses."), list_html(map(str, suspects))]
+    return [
+        heading("Markers that are not what rig.toml says"),
+        note("What disagrees is left out of the poses."),
+        list_html(map(str, suspects)),
+    ]
 
 
 def _pictures(told: MeasurementResult) -> list[str]:
@@ -131,7 +190,11 @@ def _pictures(told: MeasurementResult) -> list[str]:
     shown = frame_pictures_html(told.recording, m, usual)
     if not shown:
         return []
-    rest = [folding_section(f"The frame with the greatest residuals, {bad}", *frame_pictures_html(told.recording, m, bad))] if bad != usual else []
+    rest = (
+        [folding_section(f"The frame with the greatest residuals, {bad}", *frame_pictures_html(told.recording, m, bad))]
+        if bad != usual
+        else []
+    )
     return [heading(f"A frame as it was read: {usual}"), *shown, *rest]
 
 
@@ -149,13 +212,26 @@ def _residual_map(m: Measurement, i: int) -> str:
     centre, means = patch_means(uv, np.column_stack([r, (r**2).sum(axis=1) / 2]), cell)
     mean, rms = means[:, :2], np.sqrt(means[:, 2])
     longest = max(float(np.linalg.norm(mean, axis=1).max(initial=0)), 1e-6)
-    return image_plane(f"{camera.name}: {rows.sum()} corners", f"longest arrow {longest:.3f} px", size,
-                       (Cells(centre, rms, cell, "px RMS"), Arrows(centre, mean, 1.2 * cell / longest, "px", 3)))
+    return image_plane(
+        f"{camera.name}: {rows.sum()} corners",
+        f"longest arrow {longest:.3f} px",
+        size,
+        (Cells(centre, rms, cell, "px RMS"), Arrows(centre, mean, 1.2 * cell / longest, "px", 3)),
+    )
 
 
 def _uncertainty(m: Measurement, position: np.ndarray, rotation: np.ndarray) -> str:
-    return panel_row(*(plot_panel(name, ("frame", unit), [Series(m.frames, values * 1e6)], limits=(0.0, 1.1e6 * float(values.max()) or 1.0))
-                    for name, unit, values in (("position", "µm", position), ("rotation", "µrad", rotation))))
+    return panel_row(
+        *(
+            plot_panel(
+                name,
+                ("frame", unit),
+                [Series(m.frames, values * 1e6)],
+                limits=(0.0, 1.1e6 * float(values.max()) or 1.0),
+            )
+            for name, unit, values in (("position", "µm", position), ("rotation", "µrad", rotation))
+        )
+    )
 
 
 def _cameras(recording: Recording, m: Measurement) -> str:
@@ -163,21 +239,47 @@ def _cameras(recording: Recording, m: Measurement) -> str:
     rows = []
     for stated, found in zip(recording.design.cameras, m.design.cameras):
         moved = pose_to_vector(stated.pose.inv() * found.pose)
-        rows.append((found.name, f"{np.linalg.norm(moved[:3]) * 1e3:.3f}", f"{np.linalg.norm(moved[3:]) * 1e3:.3f}",
-                     *(f"{value:.3f} ± {2 * sigma.get((found.name, term), 0):.3f}" for term, value in
-                       (("fx", found.matrix[0, 0]), ("fy", found.matrix[1, 1]), ("cx", found.matrix[0, 2]), ("cy", found.matrix[1, 2])))))
+        rows.append(
+            (
+                found.name,
+                f"{np.linalg.norm(moved[:3]) * 1e3:.3f}",
+                f"{np.linalg.norm(moved[3:]) * 1e3:.3f}",
+                *(
+                    f"{value:.3f} ± {2 * sigma.get((found.name, term), 0):.3f}"
+                    for term, value in (
+                        ("fx", found.matrix[0, 0]),
+                        ("fy", found.matrix[1, 1]),
+                        ("cx", found.matrix[0, 2]),
+                        ("cy", found.matrix[1, 2]),
+                    )
+                ),
+            )
+        )
     return table(("camera", "moved, mm", "turned, mrad", "fx, px (k = 2)", "fy", "cx", "cy"), rows)
 
 
 def _moves(places: Places) -> str:
-    rows = [(move.name, "yes" if move.moved else "no", *(f"{by * 1e3:+.3f} ± {half * 1e3:.3f}" for by, half in zip(move.by, move.ci95)))
-            for move in places.moves]
+    rows = [
+        (
+            move.name,
+            "yes" if move.moved else "no",
+            *(f"{by * 1e3:+.3f} ± {half * 1e3:.3f}" for by, half in zip(move.by, move.ci95)),
+        )
+        for move in places.moves
+    ]
     return table(("marker", "moved", "x, mm", "y, mm", "z, mm", "rx, mrad", "ry, mrad", "rz, mrad"), rows)
 
 
 def _residuals(places: Places) -> str:
-    return plot_panel("residuals frame by frame", ("frame", "platform's corners, RMS px"),
-                 [Series(places.frames, places.before, "places as stated", colour=1), Series(places.frames, places.after, "as adjusted")], log=True)
+    return plot_panel(
+        "residuals frame by frame",
+        ("frame", "platform's corners, RMS px"),
+        [
+            Series(places.frames, places.before, "places as stated", colour=1),
+            Series(places.frames, places.after, "as adjusted"),
+        ],
+        log=True,
+    )
 
 
 def _worst_markers(m: Measurement) -> list[tuple[int, int, str]]:

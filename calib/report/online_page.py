@@ -1,4 +1,6 @@
-"""The page of learning on-line: how far each pose was off what was expected, what jumped, how well the geometry is known."""
+"""The page of learning on-line: how far each pose was off what was expected, what jumped, how well the geometry is
+known.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,8 +21,10 @@ ASK = "Determine what acts on the struts or the measurement: `rig diagnose REC -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnlineResult:
-    """What poses taught. frames : (n,) their numbers; innovations : (n, 6) whitened, N(0, I) where nothing is wrong; source : of the poses
-    said : a line for each change; dropped : numbers of frames left out; known : m RMS of joints and zeros, or None; moved : m RMS from rig.toml
+    """What poses taught. frames : (n,) their numbers; innovations : (n, 6) whitened, N(0, I) where nothing is wrong;
+    source : of the poses
+    said : a line for each change; dropped : numbers of frames left out; known : m RMS of joints and zeros, or None;
+        moved : m RMS from rig.toml
     returning : struts that go back and forth, a sentence each; confounds : of the recording, or None
     calibrations : OfCalibrations made from it: what they leave out, these poses teach no better"""
 
@@ -39,15 +43,27 @@ class OnlineResult:
 def write_online_page(path: Path | str, name: str, learnt: OnlineResult, links: Sequence[Link] = ()) -> None:
     """Write the page of what a recording of a name taught."""
     sizes = np.sqrt((learnt.innovations**2).mean(axis=1))
-    parts = [paragraph(f"{len(learnt.frames)} poses from {learnt.source}, learnt one at a time. Joints and zeros moved by "
-                       f"{learnt.moved * 1e3:.4f} mm RMS from rig.toml.")]
+    parts = [
+        paragraph(
+            f"{len(learnt.frames)} poses from {learnt.source}, learnt one at a time. Joints and zeros moved by "
+            f"{learnt.moved * 1e3:.4f} mm RMS from rig.toml."
+        )
+    ]
     if learnt.said:
         parts += [heading("What jumped"), list_html(learnt.said)]
-    parts += [heading("How well each pose was expected"),
-              note("Off what the poses before it let expect, in standard deviations, RMS over the six axes: 1 where nothing is left to learn."),
-              plot_panel("innovation", ("frame", "standard deviations"), [Series(learnt.frames, sizes)], log=True, level=1.0)]
+    parts += [
+        heading("How well each pose was expected"),
+        note(
+            "Off what the poses before it let expect, in standard deviations, RMS over the six axes: 1 where "
+            "nothing is left to learn."
+        ),
+        plot_panel("innovation", ("frame", "standard deviations"), [Series(learnt.frames, sizes)], log=True, level=1.0),
+    ]
     if learnt.dropped:
-        parts += [heading("Left out"), paragraph(f"Frames {', '.join(map(str, learnt.dropped))}: their poses agree with no other.")]
+        parts += [
+            heading("Left out"),
+            paragraph(f"Frames {', '.join(map(str, learnt.dropped))}: their poses agree with no other."),
+        ]
     verdict = online_verdict(learnt)
     write_page(path, Page("online", f"Learning from {name}", verdict, parts, verdict.next, links))
 
@@ -84,5 +100,8 @@ def recommended_actions(learnt: OnlineResult) -> list[str]:
     if len(learnt.said) > MANY or learnt.returning:
         return [ASK]
     if learnt.said:
-        return ["Look at the struts named below for missed steps or a slipped joint, at cameras and base for a knock; home, and record again"]
+        return [
+            "Look at the struts named below for missed steps or a slipped joint, at cameras and base for a "
+            "knock; home, and record again"
+        ]
     return ["Go on with the next recording and the same `--state`"]

@@ -37,11 +37,35 @@ def write_plan_page(path: Path | str, file: str, p: PlanResult, links: Sequence[
     T = mechanisms.kinematics_of(mechanism).forward(p.values, mechanism)
     units = mechanisms.axis_units(mechanism)
     scales = [(1e3, "mm") if unit == "m" else (180 / np.pi, "degrees") for unit in units]
-    axes = panel_row(*(plot_panel(name, ("configuration", unit), [Series(n, p.values[:, i] * scale)])
-                    for i, (name, (scale, unit)) in enumerate(zip(mechanisms.axis_places(mechanism), scales))))
+    axes = panel_row(
+        *(
+            plot_panel(name, ("configuration", unit), [Series(n, p.values[:, i] * scale)])
+            for i, (name, (scale, unit)) in enumerate(zip(mechanisms.axis_places(mechanism), scales))
+        )
+    )
     said = [list_html(p.said[1:])] if p.said[1:] else []
-    parts = [*said, heading("In three dimensions"), *view_3d_html(rig_stage(p.design, n, T, p.values)), heading("Where it goes"),
-             pose_coverage_figures(pose_to_vector(T)), heading("Axis by axis"), axes]
-    steps = [f"Drive it: `rig run RIG.toml --plan commands:{file} --out REC`",
-             f"Or try it first: `rig simulate RIG.toml --plan commands:{file} --out REC`"]
-    write_page(path, Page("plan", f"Plan {file}", p.verdict, parts, steps if p.verdict.state != State.BAD else [], links, view_scripts(parts)))
+    parts = [
+        *said,
+        heading("In three dimensions"),
+        *view_3d_html(rig_stage(p.design, n, T, p.values)),
+        heading("Where it goes"),
+        pose_coverage_figures(pose_to_vector(T)),
+        heading("Axis by axis"),
+        axes,
+    ]
+    steps = [
+        f"Drive it: `rig run RIG.toml --plan commands:{file} --out REC`",
+        f"Or try it first: `rig simulate RIG.toml --plan commands:{file} --out REC`",
+    ]
+    write_page(
+        path,
+        Page(
+            "plan",
+            f"Plan {file}",
+            p.verdict,
+            parts,
+            steps if p.verdict.state != State.BAD else [],
+            links,
+            view_scripts(parts),
+        ),
+    )

@@ -1,4 +1,6 @@
-"""A rig as lines in space, for views in three dimensions: what stands still, what the platform carries, and its poses."""
+"""A rig as lines in space, for views in three dimensions: what stands still, what the platform carries, and its
+poses.
+"""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -16,9 +18,16 @@ SHARE = 0.65  # of the cameras' distance, that the view shows across
 REACH = 0.15  # m, of the cross at an arm's hand
 
 
-def rig_stage(design: Design, frames: np.ndarray, T: RigidTransform, values: np.ndarray | None = None, errors: dict[str, np.ndarray] | None = None,
-          effects: tuple[Effect, ...] = ()) -> Stage:
-    """Stage of a rig. frames : (n,) numbers; T : T_base_platform (n,); values : (n, axes) commanded, by which an arm's links are drawn, or None
+def rig_stage(
+    design: Design,
+    frames: np.ndarray,
+    T: RigidTransform,
+    values: np.ndarray | None = None,
+    errors: dict[str, np.ndarray] | None = None,
+    effects: tuple[Effect, ...] = (),
+) -> Stage:
+    """Stage of a rig. frames : (n,) numbers; T : T_base_platform (n,); values : (n, axes) commanded, by which an arm's
+    links are drawn, or None
     errors : {name: (n, 6) tangent on the right}, NaN where not known"""
     m, markers = design.mechanism, marker_map(design.without_stages()) if design.targets else None
     base = platform = np.zeros((0, 3))
@@ -35,16 +44,34 @@ def rig_stage(design: Design, frames: np.ndarray, T: RigidTransform, values: np.
         links = arms.frames(values, m)[..., :3, 3]
     if not len(platform):
         moved += _cross()
-    return Stage(frames, pose_to_vector(T), fixed, moved, _middle(T, base, links), _size(design, T, links), base, platform, links,
-                 platform if isinstance(m, Hexapod) else np.zeros((1, 3)), errors or {}, effects)
+    return Stage(
+        frames,
+        pose_to_vector(T),
+        fixed,
+        moved,
+        _middle(T, base, links),
+        _size(design, T, links),
+        base,
+        platform,
+        links,
+        platform if isinstance(m, Hexapod) else np.zeros((1, 3)),
+        errors or {},
+        effects,
+    )
 
 
-def mechanism_stage(mechanism: Arm | Chain, frames: np.ndarray, values: np.ndarray, effects: tuple[Effect, ...] = ()) -> Stage:
-    """Stage of a mechanism without cameras and targets. frames : (n,) numbers; values : (n, axes) rad or m. Raises as its forward kinematics"""
+def mechanism_stage(
+    mechanism: Arm | Chain, frames: np.ndarray, values: np.ndarray, effects: tuple[Effect, ...] = ()
+) -> Stage:
+    """Stage of a mechanism without cameras and targets. frames : (n,) numbers; values : (n, axes) rad or m. Raises as
+    its forward kinematics
+    """
     links = arms.frames(values, mechanism)[..., :3, 3] if isinstance(mechanism, Arm) else None
     T = mechanisms.kinematics_of(mechanism).forward(values, mechanism)
     base = np.zeros((1, 3))
-    size = float(np.ptp(np.concatenate([base, T.translation] if links is None else [links.reshape(-1, 3)]), axis=0).max())
+    size = float(
+        np.ptp(np.concatenate([base, T.translation] if links is None else [links.reshape(-1, 3)]), axis=0).max()
+    )
     return Stage(frames, pose_to_vector(T), (), _cross(), _middle(T, base, links), size, links=links, effects=effects)
 
 
@@ -61,9 +88,13 @@ def fixed_rig_lines(design: Design, markers: MarkerMap | None) -> list[dict]:
             continue
         reach = SIGHT * float(np.linalg.norm(camera.pose.translation))
         half = np.array([camera.width / camera.matrix[0, 0], camera.height / camera.matrix[1, 1]]) / 2 * reach
-        corners = camera.pose.apply(np.array([[x * half[0], y * half[1], reach] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]))
+        corners = camera.pose.apply(
+            np.array([[x * half[0], y * half[1], reach] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+        )
         eye = camera.pose.translation
-        parts.append({"kind": "camera", "name": camera.name, "points": [eye.tolist(), *corners.tolist(), corners[0].tolist()]})
+        parts.append(
+            {"kind": "camera", "name": camera.name, "points": [eye.tolist(), *corners.tolist(), corners[0].tolist()]}
+        )
         parts += [{"kind": "camera", "points": [eye.tolist(), corner.tolist()]} for corner in corners[1:]]
     if markers is not None:
         parts += [_face(markers, int(k)) for k in np.flatnonzero(~markers.on_platform)]

@@ -1,4 +1,6 @@
-"""The page of a verification: a calibration held against poses that it may or may not have seen, or wanted poses against those that came."""
+"""The page of a verification: a calibration held against poses that it may or may not have seen, or wanted poses
+against those that came.
+"""
 
 import math
 from collections.abc import Sequence
@@ -26,7 +28,9 @@ from rig.report.refutations import Refutation
 from rig.report.verdict import AGREES, Evidence, Missing, Verdict, judge_evidence
 
 FAR = 3.0  # times the stated uncertainty, which errors that all poses share may reach by chance: beyond it is refuted
-ANOTHER = "Take a recording that the calibration has not seen, and verify by that: `rig verify calibration.json OTHER-REC`"
+ANOTHER = (
+    "Take a recording that the calibration has not seen, and verify by that: `rig verify calibration.json OTHER-REC`"
+)
 CHANGED = "Determine what changed: `rig watch calibration.json REC`; what is left out: `rig diagnose REC --out found`"
 CERTIFY = "State what is promised, with what confidence: `rig certify calibration.json REC --out certificate.html`"
 
@@ -34,9 +38,10 @@ CERTIFY = "State what is promised, with what confidence: `rig certify calibratio
 @dataclass(frozen=True, slots=True, eq=False)
 class Verified:
     """samples; before, after : (n, 6) errors by the owner's model and corrected, m and rad; held : their figures
-    found : Verification of the claim, or None; calibration, refutations : Calibration, and what later recordings found against it
-    same : numbers of frames that it was made from; driven : where poses were wanted, (figures of the errors, stated uncertainty (m, rad),
-    errors (n, 6)), else None; unsolved : {frame number: why it has no pose}
+    found : Verification of the claim, or None; calibration, refutations : Calibration, and what later recordings found
+        against it
+    same : numbers of frames that it was made from; driven : where poses were wanted, (figures of the errors, stated
+    uncertainty (m, rad), errors (n, 6)), else None; unsolved : {frame number: why it has no pose}
     confounds : of the recording, None where it states no conditions"""
 
     design: Design
@@ -55,7 +60,10 @@ class Verified:
 
 def write_verification_page(path: Path | str, name: str, v: Verified, links: Sequence[Link] = ()) -> None:
     """Write the page. name : of the recording"""
-    floor = f"The measured poses themselves are uncertain by {v.held.floor[0] * 1e3:.4f} mm and {v.held.floor[1] * 1e3:.4f} mrad."
+    floor = (
+        f"The measured poses themselves are uncertain by {v.held.floor[0] * 1e3:.4f} mm and "
+        f"{v.held.floor[1] * 1e3:.4f} mrad."
+    )
     errors = {"owner's model": -v.before, "corrected": -v.after}
     parts = [paragraph(floor)] if np.isfinite(v.held.floor).all() else []
     if v.driven is not None:
@@ -72,7 +80,9 @@ def write_verification_page(path: Path | str, name: str, v: Verified, links: Seq
     if v.unsolved:
         parts += [heading("Frames without a pose"), table(("frame", "reason"), sorted(v.unsolved.items()))]
     verdict = verification_verdict(v)
-    write_page(path, Page("verify", f"Verification by {name}", verdict, parts, verdict.next, links, view_scripts(parts)))
+    write_page(
+        path, Page("verify", f"Verification by {name}", verdict, parts, verdict.next, links, view_scripts(parts))
+    )
 
 
 def verification_verdict(v: Verified) -> Verdict:
@@ -80,8 +90,15 @@ def verification_verdict(v: Verified) -> Verdict:
     if v.driven is not None:
         return judge_evidence(_of_driven(v))
     if v.same:
-        return judge_evidence(Evidence("no verdict", missing=(Missing(f"the calibration was made from {len(v.same)} of these frames", ANOTHER),)))
-    known = calibration_evidence(v.calibration, v.refutations, verification_line(v.held, v.calibration.claim, v.found), (CERTIFY,))
+        return judge_evidence(
+            Evidence(
+                "no verdict",
+                missing=(Missing(f"the calibration was made from {len(v.same)} of these frames", ANOTHER),),
+            )
+        )
+    known = calibration_evidence(
+        v.calibration, v.refutations, verification_line(v.held, v.calibration.claim, v.found), (CERTIFY,)
+    )
     known = with_design(known, v.calibration, (v.confounds,), "this recording")
     return judge_evidence(evidence_with_verification(known, v.found, look=CHANGED))
 
@@ -95,10 +112,17 @@ def _of_driven(v: Verified) -> Evidence:
     """Evidence of poses wanted against those that came."""
     assert v.driven is not None
     figures, stated, _ = v.driven
-    pairs = [(size, sigma) for size, sigma in zip((figures.position[0], figures.rotation[0]), stated) if 0 < sigma < math.inf and math.isfinite(size)]
+    pairs = [
+        (size, sigma)
+        for size, sigma in zip((figures.position[0], figures.rotation[0]), stated)
+        if 0 < sigma < math.inf and math.isfinite(size)
+    ]
     times = max((size / sigma for size, sigma in pairs), default=math.nan)
-    line = (f"{figures.n} poses came within {figures.position[0] * 1e3:.4f} mm RMS of those wanted, {times:.2f} times the stated standard "
-            "uncertainty")
+    line = (
+        f"{figures.n} poses came within {figures.position[0] * 1e3:.4f} mm RMS of those wanted, {times:.2f} "
+        "times the stated standard "
+        "uncertainty"
+    )
     known = calibration_evidence(v.calibration, v.refutations, line, (CERTIFY,))
     beyond = f"poses are {times:.3g} times the stated standard uncertainty off those wanted"
     if times > FAR:
@@ -107,14 +131,27 @@ def _of_driven(v: Verified) -> Evidence:
 
 
 def _driven(frames: np.ndarray, figures: Figures, stated: tuple[float, float], errors: np.ndarray) -> str:
-    rows = [("position", *(f"{value * 1e3:.4f} mm" for value in (*figures.position, stated[0]))),
-            ("rotation", *(f"{value * 1e3:.4f} mrad" for value in (*figures.rotation, stated[1])))]
-    seen = [(part, label) for part, label in ((slice(0, 3), "off, mm"), (slice(3, 6), "off, mrad")) if np.isfinite(errors[:, part]).all()]
-    drawn = (plot_panel(label, ("frame", label), [Series(frames, np.linalg.norm(errors[:, part], axis=1) * 1e3)]) for part, label in seen)
-    return table(("off the wanted pose", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]) + panel_row(*drawn)
+    rows = [
+        ("position", *(f"{value * 1e3:.4f} mm" for value in (*figures.position, stated[0]))),
+        ("rotation", *(f"{value * 1e3:.4f} mrad" for value in (*figures.rotation, stated[1]))),
+    ]
+    seen = [
+        (part, label)
+        for part, label in ((slice(0, 3), "off, mm"), (slice(3, 6), "off, mrad"))
+        if np.isfinite(errors[:, part]).all()
+    ]
+    drawn = (
+        plot_panel(label, ("frame", label), [Series(frames, np.linalg.norm(errors[:, part], axis=1) * 1e3)])
+        for part, label in seen
+    )
+    return table(("off the wanted pose", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]) + panel_row(
+        *drawn
+    )
 
 
 def _figures(held: HeldOut) -> str:
-    rows = [(name, *(f"{value * 1e3:.4f}" if value == value else "-" for value in (*f.position, *f.rotation)))
-            for name, f in (("owner's model", held.before), ("corrected", held.after))]
+    rows = [
+        (name, *(f"{value * 1e3:.4f}" if value == value else "-" for value in (*f.position, *f.rotation)))
+        for name, f in (("owner's model", held.before), ("corrected", held.after))
+    ]
     return table(("pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows)

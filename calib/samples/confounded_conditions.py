@@ -1,9 +1,12 @@
-"""What a recording's design cannot separate: how much of direction, time, temperature and load is itself a function of place.
+"""What a recording's design cannot separate: how much of direction, time, temperature and load is itself a function of
+place.
 
-A cause that is a function of place over the poses recorded is absorbed by a correction that is one: its effect then looks like geometry, and
-held-out poses of the same plan agree. Of each axis, a cause is regressed on smooth functions of the configuration (all axes, the axis' own square
-and, for a direction, the half of its own stroke); the share of its variance explained (R^2) is what a correction by place may absorb of it.
-Source: Draper and Smith, Applied Regression Analysis, 3rd ed., ch. 5 and 6 (R^2, its adjustment and its distribution by chance)
+A cause that is a function of place over the poses recorded is absorbed by a correction that is one: its effect then
+looks like geometry, and held-out poses of the same plan agree. Of each axis, a cause is regressed on smooth functions
+of the configuration (all axes, the axis' own square and, for a direction, the half of its own stroke); the share of its
+variance explained (R^2) is what a correction by place may absorb of it.
+Source: Draper and Smith, Applied Regression Analysis, 3rd ed., ch. 5 and 6 (R^2, its adjustment and its distribution by
+    chance)
 """
 
 from collections.abc import Sequence
@@ -22,7 +25,8 @@ from rig.model.mechanism_kinds import Struts
 from rig.recording.recording_folder import PAYLOAD, Recording
 
 DIRECTION, TIME, LOAD = "direction of approach", "time", "load"
-ABSORBED = 0.75  # share of a cause, beyond chance, from which its size is known half as well beside a correction by place as without one
+# share of a cause, beyond chance, from which its size is known half as well beside a correction by place as without one
+ABSORBED = 0.75
 CHANCE = 1e-3  # probability, over all rows, below which a share is no chance
 EVEN = 60.0  # s between configurations of a plan that states no times, long enough for any drift
 SPARE = 3  # configurations beyond the functions of place, without which nothing is stated
@@ -31,9 +35,12 @@ VARIES = {TIME: 60.0, LOAD: 1e-6, "temperature": 0.05}  # s, kg, K: range below 
 
 @dataclass(frozen=True, slots=True)
 class Confound:
-    """One cause at one axis. axis : its place in words, "strut 1"; cause : "direction of approach", "time", "load" or a channel's name
-    share : 0 to 1, of the cause's variance that a smooth function of place explains (R^2); chance : share expected of as many poses in random order
-    p_value : probability of such a share by chance; adjusted : share beyond chance, 1 - (1 - R^2)(n - 1)/(n - p - 1), at least 0"""
+    """One cause at one axis. axis : its place in words, "strut 1"; cause : "direction of approach", "time", "load" or a
+    channel's name
+    share : 0 to 1, of the cause's variance that a smooth function of place explains (R^2); chance : share expected of
+        as many poses in random order
+    p_value : probability of such a share by chance; adjusted : share beyond chance, 1 - (1 - R^2)(n - 1)/(n - p - 1),
+        at least 0"""
 
     axis: str
     cause: str
@@ -45,8 +52,9 @@ class Confound:
 
 @dataclass(frozen=True, slots=True)
 class Confounds:
-    """Of n poses. rows : Confound of every axis and every cause that varied; constant : causes that never varied, of which nothing can be estimated
-    ("direction of approach on strut 2"); unjudged : causes for which there are too few poses"""
+    """Of n poses. rows : Confound of every axis and every cause that varied; constant : causes that never varied, of
+    which nothing can be estimated ("direction of approach on strut 2"); unjudged : causes for which there are too few
+    poses"""
 
     n: int
     rows: tuple[Confound, ...]
@@ -55,9 +63,11 @@ class Confounds:
 
     @property
     def serious(self) -> tuple[Confound, ...]:
-        """The rows that the recording's design cannot separate: a function of place beyond chance, by three quarters or more.
+        """The rows that the recording's design cannot separate: a function of place beyond chance, by three quarters or
+        more.
 
-        The standard error of such a cause's size is twice what it would be without a correction by place (a variance inflation of 4).
+        The standard error of such a cause's size is twice what it would be without a correction by place (a variance
+        inflation of 4).
         """
         limit = CHANCE / max(len(self.rows), 1)
         return tuple(row for row in self.rows if row.adjusted >= ABSORBED and row.p_value < limit)
@@ -65,20 +75,35 @@ class Confounds:
     def line(self) -> str:
         """The confounds of a recording in one line."""
         if self.serious:
-            said = [_sentence(cause, [row for row in self.serious if row.cause == cause]) for cause in dict.fromkeys(r.cause for r in self.serious)]
-            return "; ".join(said) + "; record the same poses in a balanced order (`rig plan` and --plan sobol:N write one)"
+            said = [
+                _sentence(cause, [row for row in self.serious if row.cause == cause])
+                for cause in dict.fromkeys(r.cause for r in self.serious)
+            ]
+            return (
+                "; ".join(said)
+                + "; record the same poses in a balanced order (`rig plan` and --plan sobol:N write one)"
+            )
         if not self.rows:
             return f"confounds with place: none can be estimated from {self.n} poses"
         greatest = max(self.rows, key=lambda row: row.adjusted)
         causes = [cause for cause in (DIRECTION, TIME, LOAD) if any(row.cause == cause for row in self.rows)]
         causes += ["temperatures"] if any(row.cause not in (DIRECTION, TIME, LOAD) for row in self.rows) else []
-        return (f"no cause is confounded with place ({', '.join(causes)}): the greatest, {greatest.cause} on {greatest.axis}, is "
-                f"{greatest.share:.0%} a function of place, {greatest.chance:.0%} by chance").replace("%", " %")
+        return (
+            f"no cause is confounded with place ({', '.join(causes)}): the greatest, {greatest.cause} on "
+            f"{greatest.axis}, is "
+            f"{greatest.share:.0%} a function of place, {greatest.chance:.0%} by chance"
+        ).replace("%", " %")
 
     def tree(self) -> dict[str, Any]:
         """The tree that JSON files hold under "confounds"."""
-        return {"n": self.n, "line": self.line(), "serious": [f"{row.cause} on {row.axis}" for row in self.serious],
-                "rows": [asdict(row) for row in self.rows], "constant": list(self.constant), "unjudged": list(self.unjudged)}
+        return {
+            "n": self.n,
+            "line": self.line(),
+            "serious": [f"{row.cause} on {row.axis}" for row in self.serious],
+            "rows": [asdict(row) for row in self.rows],
+            "constant": list(self.constant),
+            "unjudged": list(self.unjudged),
+        }
 
 
 def confounds_of_samples(samples: Samples, mechanism: Struts | Arm | Chain | Free) -> Confounds | None:
@@ -86,11 +111,17 @@ def confounds_of_samples(samples: Samples, mechanism: Struts | Arm | Chain | Fre
     known = samples.conditions
     if known is None:
         return None
-    return confounds_of_design(samples.commanded, known.direction, known.t, known.channels, mechanisms.axis_places(mechanism))
+    return confounds_of_design(
+        samples.commanded, known.direction, known.t, known.channels, mechanisms.axis_places(mechanism)
+    )
 
 
-def confounds_of_configurations(values: np.ndarray, start: np.ndarray, mechanism: Struts | Arm | Chain | Free) -> Confounds:
-    """Confounds of configurations (n, axes) m or rad visited straight from one to the next, at even times, from start (axes,) on."""
+def confounds_of_configurations(
+    values: np.ndarray, start: np.ndarray, mechanism: Struts | Arm | Chain | Free
+) -> Confounds:
+    """Confounds of configurations (n, axes) m or rad visited straight from one to the next, at even times, from start
+    (axes,) on.
+    """
     way = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
     latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)
     direction = np.where(latest < 0, 0.0, np.take_along_axis(way, np.maximum(latest, 0), axis=0))
@@ -98,7 +129,8 @@ def confounds_of_configurations(values: np.ndarray, start: np.ndarray, mechanism
 
 
 def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
-    """Confounds of the exposures of recordings of one machine, one after the other in time; None where one has no commands.
+    """Confounds of the exposures of recordings of one machine, one after the other in time; None where one has no
+    commands.
 
     A channel counts where every recording has it.
     """
@@ -108,15 +140,23 @@ def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None
     known = [conditions_of_exposures(recording, t) for recording, (_, t, _) in zip(recordings, frames)]
     names = [name for name in known[0].channels if all(name in one.channels for one in known)]
     begins = np.cumsum([0.0, *(float(one.t.max()) for one in known[:-1])])
-    return confounds_of_design(np.concatenate([values for _, _, values in frames]), np.concatenate([one.direction for one in known]),
-                     np.concatenate([one.t + begin for one, begin in zip(known, begins)]),
-                     {name: np.concatenate([one.channels[name] for one in known]) for name in names},
-                     mechanisms.axis_places(recordings[0].design.mechanism))
+    return confounds_of_design(
+        np.concatenate([values for _, _, values in frames]),
+        np.concatenate([one.direction for one in known]),
+        np.concatenate([one.t + begin for one, begin in zip(known, begins)]),
+        {name: np.concatenate([one.channels[name] for one in known]) for name in names},
+        mechanisms.axis_places(recordings[0].design.mechanism),
+    )
 
 
 def confounds_from_entries(table: Entries) -> Confounds:
     """The Confounds of the tree that `Confounds.tree` gave. Raises FileError for anything else."""
-    return Confounds(table.whole("n", 0), tuple(_row_in(row) for row in table.tables("rows")), table.texts("constant"), table.texts("unjudged"))
+    return Confounds(
+        table.whole("n", 0),
+        tuple(_row_in(row) for row in table.tables("rows")),
+        table.texts("constant"),
+        table.texts("unjudged"),
+    )
 
 
 def _row_in(row: Entries) -> Confound:
@@ -124,10 +164,13 @@ def _row_in(row: Entries) -> Confound:
     return Confound(row.text("axis"), row.text("cause"), *shares)
 
 
-def confounds_of_design(values: np.ndarray, direction: np.ndarray, t: np.ndarray, channels: dict[str, np.ndarray], axes: Sequence[str]) -> Confounds:
+def confounds_of_design(
+    values: np.ndarray, direction: np.ndarray, t: np.ndarray, channels: dict[str, np.ndarray], axes: Sequence[str]
+) -> Confounds:
     """Confounds of a plan or recording.
 
-    values : (n, axes) m or rad, configurations; direction : (n, axes) -1, 0, 1; t : (n,) s; channels : {name: (n,)}; axes : their places in words
+    values : (n, axes) m or rad, configurations; direction : (n, axes) -1, 0, 1; t : (n,) s; channels : {name: (n,)};
+        axes : their places in words
     """
     rows, constant, unjudged = [], [], []
     moved = [i for i in range(len(axes)) if np.ptp(values[:, i]) > 0]
@@ -142,7 +185,7 @@ def confounds_of_design(values: np.ndarray, direction: np.ndarray, t: np.ndarray
                 continue
             columns = [*unit[:, moved].T, unit[:, i] ** 2, *([np.sign(unit[:, i])] if cause == DIRECTION else [])]
             if len(t) < len(columns) + 1 + SPARE:
-                columns = columns[len(moved):] + [unit[:, i]]
+                columns = columns[len(moved) :] + [unit[:, i]]
             if len(t) < len(columns) + 1 + SPARE:
                 unjudged.append(f"{cause} on {axes[i]}")
                 continue
@@ -151,7 +194,9 @@ def confounds_of_design(values: np.ndarray, direction: np.ndarray, t: np.ndarray
 
 
 def _shares(columns: np.ndarray, cause: np.ndarray) -> tuple[float, float, float, float]:
-    """(R^2, expected by chance, probability by chance, adjusted R^2) of a cause (n,) by columns (n, p) and a constant."""
+    """(R^2, expected by chance, probability by chance, adjusted R^2) of a cause (n,) by columns (n, p) and a
+    constant.
+    """
     n = len(cause)
     centred = cause - cause.mean()
     basis, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
@@ -166,7 +211,9 @@ def _sentence(cause: str, rows: list[Confound]) -> str:
     """What a cause's serious rows mean."""
     low, high = min(row.share for row in rows), max(row.share for row in rows)
     shares = f"{high:.0%}" if round(low, 2) == round(high, 2) else f"{low:.0%} to {high:.0%}"
-    effect = {DIRECTION: "play and place", TIME: "drift and place", LOAD: "load and place"}.get(cause, "temperature and place")
+    effect = {DIRECTION: "play and place", TIME: "drift and place", LOAD: "load and place"}.get(
+        cause, "temperature and place"
+    )
     axes = _numbered([row.axis for row in rows])
     return f"{cause} is {shares.replace('%', ' %')} a function of place on {axes}: {effect} cannot be separated"
 

@@ -1,4 +1,6 @@
-"""What one effect does to a machine's poses, asked of the effect's own model at several of its sizes, all else as it is."""
+"""What one effect does to a machine's poses, asked of the effect's own model at several of its sizes, all else as it
+is.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,10 +20,17 @@ FACTORS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the size that it has
 NONE = 1e-9  # m and rad; less than this moves no platform
 
 
-def effect_displacements(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect], which: int,
-           sensors: Sensors | None = None) -> view_3d.Effect | None:
-    """What number `which` of some effects does at exposures at t (n,) s, the others acting with it; None for one that moves no platform, and at
-    sizes at which the machine cannot follow no more than at the others is shown. Raises as `machine.run`"""
+def effect_displacements(
+    design: Design,
+    commands: Commands,
+    t: np.ndarray,
+    effects: Sequence[Effect],
+    which: int,
+    sensors: Sensors | None = None,
+) -> view_3d.Effect | None:
+    """What number `which` of some effects does at exposures at t (n,) s, the others acting with it; None for one that
+    moves no platform, and at sizes at which the machine cannot follow no more than at the others is shown. Raises as
+    `machine.run`"""
     effect = effects[which]
     if effect.stage not in MOTION_STAGES:
         return None
@@ -45,9 +54,14 @@ def effect_displacements(design: Design, commands: Commands, t: np.ndarray, effe
 
 
 def scaled_effect(effect: Effect, factor: float) -> Effect:
-    """The same effect so many times as large: what it is linear in times that, what it is inverse in by that, all else as it is."""
-    values = {p.name: _times(getattr(effect, p.name), factor if p.role != "inverse" else 1 / factor)
-              for p in effect.parameters if p.role in ("linear", "size", "inverse")}
+    """The same effect so many times as large: what it is linear in times that, what it is inverse in by that, all else
+    as it is.
+    """
+    values = {
+        p.name: _times(getattr(effect, p.name), factor if p.role != "inverse" else 1 / factor)
+        for p in effect.parameters
+        if p.role in ("linear", "size", "inverse")
+    }
     return replace(effect, **values)
 
 

@@ -10,8 +10,10 @@ from rig.recording.recording_folder import PAYLOAD, Commands, Recording
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weight:
-    """What axes carry, as far as rig.toml states it. gravity : (3,) m/s^2 in the base frame; mass : kg, of the platform, centre : (3,) m, of it, and
-    payload : (3,) m, of what it carries, in the platform's frame. A mass that is not stated counts as 1 kg alone, a centre as the origin."""
+    """What axes carry, as far as rig.toml states it. gravity : (3,) m/s^2 in the base frame; mass : kg, of the
+    platform, centre : (3,) m, of it, and
+    payload : (3,) m, of what it carries, in the platform's frame. A mass that is not stated counts as 1 kg alone, a
+        centre as the origin."""
 
     gravity: np.ndarray
     mass: float | None
@@ -21,7 +23,7 @@ class Weight:
     def wrench(self, T_base_platform: RigidTransform, carried: np.ndarray) -> np.ndarray:
         """(n, 6) N, N m in the platform's frame at poses (n,) with payloads carried (n,) kg."""
         down = np.swapaxes(T_base_platform.rotation.as_matrix(), 1, 2) @ self.gravity
-        own, more = ((1.0, np.zeros_like(carried)) if self.mass is None else (self.mass, carried))
+        own, more = (1.0, np.zeros_like(carried)) if self.mass is None else (self.mass, carried)
         out = np.zeros((len(down), 6))
         for force, centre in ((own * down, self.centre), (more[:, None] * down, self.payload)):
             out += np.concatenate([force, np.zeros_like(force) if centre is None else np.cross(centre, force)], axis=1)
@@ -43,7 +45,12 @@ class Conditions:
 
     def take(self, index: np.ndarray | slice) -> "Conditions":
         """The conditions of an index or mask (n,)."""
-        return Conditions(self.direction[index], self.t[index], {name: values[index] for name, values in self.channels.items()}, self.weight)
+        return Conditions(
+            self.direction[index],
+            self.t[index],
+            {name: values[index] for name, values in self.channels.items()},
+            self.weight,
+        )
 
 
 def conditions_of_exposures(recording: Recording, t: np.ndarray) -> Conditions:
@@ -51,15 +58,23 @@ def conditions_of_exposures(recording: Recording, t: np.ndarray) -> Conditions:
     recording.commanded()
     assert recording.commands is not None
     sensors = recording.sensors
-    names = [] if sensors is None else [name for name in sensors.channels if name.endswith("temperature_C") or name == PAYLOAD]
+    names = (
+        []
+        if sensors is None
+        else [name for name in sensors.channels if name.endswith("temperature_C") or name == PAYLOAD]
+    )
     channels = {} if sensors is None else {name: sensors.at(t, name) for name in names}
     design = recording.design
-    weight = Weight(design.gravity, design.platform.mass, design.platform.centre_of_mass, design.platform.payload_centre_of_mass)
+    weight = Weight(
+        design.gravity, design.platform.mass, design.platform.centre_of_mass, design.platform.payload_centre_of_mass
+    )
     return Conditions(approach_direction(recording.commands, t), t, channels, weight if design.gravity.any() else None)
 
 
 def approach_direction(commands: Commands, t: np.ndarray) -> np.ndarray:
-    """(n, axes) sign of each axis' last commanded move before times t (n,) s; 0 where it had not moved since its recording began."""
+    """(n, axes) sign of each axis' last commanded move before times t (n,) s; 0 where it had not moved since its
+    recording began.
+    """
     moved = np.sign(np.diff(commands.values, axis=0))
     begin = np.isin(commands.t[1:], commands.starts)  # the step from one recording to the next is no move
     latest = np.zeros((len(moved) + 1, commands.values.shape[1]))

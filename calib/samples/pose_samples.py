@@ -14,8 +14,8 @@ from rig.recording.recording_folder import Recording
 class Below:
     """What was measured of a stage of a chain below the last in the n configurations of Samples.
 
-    stage : number, from 1; T_base_stage : RigidTransform (n,); covariance, common : as of Samples, with the same shared draws; seen : (n,) bool,
-    where it was measured: all else is void elsewhere
+    stage : number, from 1; T_base_stage : RigidTransform (n,); covariance, common : as of Samples, with the same shared
+    draws; seen : (n,) bool, where it was measured: all else is void elsewhere
     """
 
     stage: int
@@ -35,10 +35,12 @@ class Samples:
 
     frame : (n,) numbers; t : (n,) s; commanded : (n, axes) m or rad
     T_base_platform : RigidTransform (n,), measured (GDK of the commanded configuration)
-    covariance : (n, 6, 6) of each measured pose, tangent on the right, errors shared by all poses left out; diagonal and
-    infinite for rotations that were not measured
-    common : (n, 6, k) factor of the shared errors: error = common z + own, z ~ N(0, I) once for all poses, docs/mathematics.md (6)
-    known : (n, axes) m or rad by which the axes stood beyond their commands, as far as physics that is known says; None for none
+    covariance : (n, 6, 6) of each measured pose, tangent on the right, errors shared by all poses left out; diagonal
+    and infinite for rotations that were not measured
+    common : (n, 6, k) factor of the shared errors: error = common z + own, z ~ N(0, I) once for all poses,
+        docs/mathematics.md (6)
+    known : (n, axes) m or rad by which the axes stood beyond their commands, as far as physics that is known says; None
+        for none
     below : (Below, ..) of a chain, what else was measured
     conditions : Conditions under which they were measured, None where no recording says
     """
@@ -62,17 +64,26 @@ class Samples:
 
     @property
     def measured(self) -> str:
-        """What of a pose was measured: "pose", "position" or "orientation" alone, or the "distance" of the target from the frame's origin, which
-        then stands along x. What was not has an infinite variance."""
+        """What of a pose was measured: "pose", "position" or "orientation" alone, or the "distance" of the target from
+        the frame's origin, which then stands along x. What was not has an infinite variance."""
         known = np.isfinite(np.diag(self.covariance[0]))
         return {(True, True): "pose", (True, False): "position", (False, True): "orientation"}.get(
-            (bool(known[:3].all()), bool(known[3:].all())), "distance")
+            (bool(known[:3].all()), bool(known[3:].all())), "distance"
+        )
 
     def take(self, index: np.ndarray | slice) -> "Samples":
         """The samples of an index or mask (n,)."""
-        return Samples(self.frame[index], self.t[index], self.commanded[index], self.T_base_platform[index], self.covariance[index],
-                       self.common[index], None if self.known is None else self.known[index], tuple(one.take(index) for one in self.below),
-                       None if self.conditions is None else self.conditions.take(index))
+        return Samples(
+            self.frame[index],
+            self.t[index],
+            self.commanded[index],
+            self.T_base_platform[index],
+            self.covariance[index],
+            self.common[index],
+            None if self.known is None else self.known[index],
+            tuple(one.take(index) for one in self.below),
+            None if self.conditions is None else self.conditions.take(index),
+        )
 
     @property
     def effective(self) -> np.ndarray:
@@ -84,8 +95,13 @@ class Samples:
         return self.covariance + self.common @ np.swapaxes(self.common, 1, 2)
 
 
-def pair_samples(recording: Recording, frames: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray,
-            common: np.ndarray | None = None) -> Samples:
+def pair_samples(
+    recording: Recording,
+    frames: np.ndarray,
+    T_base_platform: RigidTransform,
+    covariance: np.ndarray,
+    common: np.ndarray | None = None,
+) -> Samples:
     """Samples of a recording's commands and poses measured at some of its frames.
 
     frames : (f,) numbers of the measured frames; covariance : (f, 6, 6) without what `common` (f, 6, k) adds
@@ -94,12 +110,27 @@ def pair_samples(recording: Recording, frames: np.ndarray, T_base_platform: Rigi
     known, t, values = recording.commanded()
     at = np.searchsorted(known, frames)
     common = np.zeros((len(frames), 6, 0)) if common is None else common
-    return Samples(np.asarray(frames), t[at], values[at], T_base_platform, covariance, common, conditions=conditions_of_exposures(recording, t[at]))
+    return Samples(
+        np.asarray(frames),
+        t[at],
+        values[at],
+        T_base_platform,
+        covariance,
+        common,
+        conditions=conditions_of_exposures(recording, t[at]),
+    )
 
 
-def add_stage_measurements(samples: Samples, stage: int, frames: np.ndarray, T_base_stage: RigidTransform, covariance: np.ndarray,
-               common: np.ndarray | None = None) -> Samples:
-    """Samples with what was measured of a chain's stage (from 1) at some frames (f,); what has no pose of the platform beside it is left aside.
+def add_stage_measurements(
+    samples: Samples,
+    stage: int,
+    frames: np.ndarray,
+    T_base_stage: RigidTransform,
+    covariance: np.ndarray,
+    common: np.ndarray | None = None,
+) -> Samples:
+    """Samples with what was measured of a chain's stage (from 1) at some frames (f,); what has no pose of the platform
+    beside it is left aside.
 
     covariance : (f, 6, 6) without what `common` (f, 6, k) adds, by the same draws as the platform's
     """
@@ -113,20 +144,26 @@ def add_stage_measurements(samples: Samples, stage: int, frames: np.ndarray, T_b
 
 
 def planar_samples(samples: Samples) -> Samples:
-    """The samples of a hinge that moves in the plane z = 0: where it was measured in that plane, and nothing across it or of how it is turned.
+    """The samples of a hinge that moves in the plane z = 0: where it was measured in that plane, and nothing across it
+    or of how it is turned.
 
-    There poses and their covariance are 0: no strut moves the hinge so, and what is seen of it says how the plate sits on the hinge.
+    There poses and their covariance are 0: no strut moves the hinge so, and what is seen of it says how the plate sits
+    on the hinge.
     """
     R = samples.T_base_platform.rotation.as_matrix()
     place, covariance = samples.T_base_platform.translation * [1, 1, 0], np.zeros_like(samples.covariance)
     covariance[:, :2, :2] = (R @ samples.covariance[:, :3, :3] @ np.swapaxes(R, 1, 2))[:, :2, :2]
     common = np.zeros_like(samples.common)
     common[:, :2] = (R @ samples.common[:, :3])[:, :2]
-    return replace(samples, T_base_platform=RigidTransform.from_translation(place), covariance=covariance, common=common)
+    return replace(
+        samples, T_base_platform=RigidTransform.from_translation(place), covariance=covariance, common=common
+    )
 
 
 def inverse_covariance(covariance: np.ndarray) -> np.ndarray:
-    """(n, 6, 6) inverses of covariances (n, 6, 6), 0 in the directions in which a machine has no freedom (see `planar_samples`)."""
+    """(n, 6, 6) inverses of covariances (n, 6, 6), 0 in the directions in which a machine has no freedom (see
+    `planar_samples`).
+    """
     none = np.diag(1.0 * ~covariance.any(axis=(0, 1)))
     return np.linalg.inv(covariance + none) - none
 
@@ -137,9 +174,13 @@ def time_block_folds(count: int, folds: int) -> np.ndarray:
 
 
 def rms_uncertainty(covariance: np.ndarray) -> tuple[float, float]:
-    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6), of what was measured; else infinite."""
+    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6), of what was
+    measured; else infinite.
+    """
     variances = np.einsum("nii->ni", covariance)
     known = np.where(np.isinf(variances), 0.0, variances)
-    position, rotation = (float(np.sqrt(known[:, part].sum(axis=1).mean())) if np.isfinite(variances[:, part]).any() else np.inf
-                          for part in (slice(0, 3), slice(3, 6)))
+    position, rotation = (
+        float(np.sqrt(known[:, part].sum(axis=1).mean())) if np.isfinite(variances[:, part]).any() else np.inf
+        for part in (slice(0, 3), slice(3, 6))
+    )
     return position, rotation

@@ -22,9 +22,11 @@ CAMERAS = Instrument("free", "free", *UNSTATED)  # that see an arm's hand, or th
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
     """samples : Samples; source : where the poses came from, in words; measurement, collected : from vision, or None
-    files : beside the recording, from which the poses were computed; data : marks of what those were learnt from (see rig.recording.data_provenance)
-    instrument : who saw the poses and whether it is known where it stands and where its target sits: of an arm that cameras see neither is, so
-    that its base among the base's targets and its hand in the platform's frame are solved for; None where all are known
+    files : beside the recording, from which the poses were computed; data : marks of what those were learnt from (see
+        rig.recording.data_provenance)
+    instrument : who saw the poses and whether it is known where it stands and where its target sits: of an arm that
+    cameras see neither is, so that its base among the base's targets and its hand in the platform's frame are solved
+    for; None where all are known
     assumed : whether nobody states the noise of poses.csv, so that UNSTATED stands for it."""
 
     samples: Samples
@@ -37,21 +39,36 @@ class Sampled:
     assumed: bool = False
 
 
-def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "lenses"), progress: Callable[[str, int, int], None] | None = None,
-                     look: Callable[[Corners], None] | None = None) -> Sampled:
-    """Sampled of a recording: its outside instrument's poses where rig.toml names one, else its corners or images, else poses.csv.
+def sample_recording(
+    recording: Recording,
+    free: tuple[str, ...] = ("poses", "lenses"),
+    progress: Callable[[str, int, int], None] | None = None,
+    look: Callable[[Corners], None] | None = None,
+) -> Sampled:
+    """Sampled of a recording: its outside instrument's poses where rig.toml names one, else its corners or images, else
+    poses.csv.
 
     progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None
     Raises RigError without commands, NotEnoughData without poses, and what look raises
     """
     recording.commanded()  # a recording that nobody commanded fails before its images are read
     poses = recording.poses
-    if poses is not None and (recording.design.instrument is not None or (recording.corners is None and not recording.has_images)):
+    if poses is not None and (
+        recording.design.instrument is not None or (recording.corners is None and not recording.has_images)
+    ):
         stated = poses.covariance is not None or recording.design.instrument is not None
-        return Sampled(freedom_conditions(recording, _from_poses(recording, poses)), "poses.csv", None, None, instrument=recording.design.instrument,
-                       assumed=not stated)
+        return Sampled(
+            freedom_conditions(recording, _from_poses(recording, poses)),
+            "poses.csv",
+            None,
+            None,
+            instrument=recording.design.instrument,
+            assumed=not stated,
+        )
     if recording.corners is None and not recording.has_images:
-        raise NotEnoughData(f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured")
+        raise NotEnoughData(
+            f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured"
+        )
     measured, collected = measure_recording(recording, free, progress=progress, look=look)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     source = "images" if collected is not None else "corners.csv"
@@ -59,8 +76,13 @@ def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "le
     for stage, below in measured.stages.items():
         alone = below.covariance - below.common @ np.swapaxes(below.common, 1, 2)
         found = add_stage_measurements(found, stage, below.frames, below.T_base_platform, alone, below.common)
-    return Sampled(freedom_conditions(recording, found), source, measured, collected,
-                   instrument=CAMERAS if recording.design.mechanism.kind == "arm" else None)
+    return Sampled(
+        freedom_conditions(recording, found),
+        source,
+        measured,
+        collected,
+        instrument=CAMERAS if recording.design.mechanism.kind == "arm" else None,
+    )
 
 
 def freedom_conditions(recording: Recording, found: Samples) -> Samples:
@@ -72,13 +94,22 @@ def _from_poses(recording: Recording, poses: Poses) -> Samples:
     instrument = recording.design.instrument
     kind = recording.design.mechanism.kind
     if instrument is not None and "free" in (instrument.base, instrument.tool) and kind != "arm":
-        raise RigError(f"{recording.folder}: an instrument whose place is unknown (base or tool \"free\") is solved for with arms, not with a "
-                       f"mechanism of kind {kind!r}; state its poses in the rig's own frames")
+        raise RigError(
+            f'{recording.folder}: an instrument whose place is unknown (base or tool "free") is solved for '
+            "with arms, not with a "
+            f"mechanism of kind {kind!r}; state its poses in the rig's own frames"
+        )
     if instrument is not None and instrument.kind != "pose" and kind != "arm":
-        raise RigError(f"{recording.folder}: an [instrument] of kind {instrument.kind!r} calibrates arms, not a mechanism of kind {kind!r}")
+        raise RigError(
+            f"{recording.folder}: an [instrument] of kind {instrument.kind!r} calibrates arms, not a "
+            f"mechanism of kind {kind!r}"
+        )
     if instrument is not None and instrument.rotation_sigma is None and kind != "arm":
-        raise RigError(f"{recording.folder}: [instrument] states no rotation_sigma, and positions alone calibrate arms, not a mechanism of "
-                       f"kind {kind!r}")
+        raise RigError(
+            f"{recording.folder}: [instrument] states no rotation_sigma, and positions alone calibrate arms, "
+            "not a mechanism of "
+            f"kind {kind!r}"
+        )
     found = pair_samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument))
     for stage, below in recording.stages.items():
         found = add_stage_measurements(found, stage, below.frame, below.T_base_platform, _covariance(below, instrument))
@@ -89,7 +120,9 @@ def _covariance(poses: Poses, instrument: Instrument | None) -> np.ndarray:
     """(n, 6, 6) of poses: their own, or what their instrument states."""
     if poses.covariance is not None:
         return poses.covariance
-    position, rotation = (instrument.position_sigma, instrument.rotation_sigma or np.inf) if instrument is not None else UNSTATED
+    position, rotation = (
+        (instrument.position_sigma, instrument.rotation_sigma or np.inf) if instrument is not None else UNSTATED
+    )
     variances = np.repeat([position**2, rotation**2], 3)
     if instrument is not None and instrument.kind == "distance":
         variances[1:] = np.inf

@@ -1,21 +1,37 @@
-"""The worked example's figures as SVG: workspace, the four sample poses, the two correction functions, the corrected workspace."""
+"""The worked example's figures as SVG: workspace, the four sample poses, the two correction functions, the corrected
+workspace.
+"""
 
 import html
 from collections.abc import Callable
 
 import numpy as np
 
-from calib.two_strut.worked_example import L1, L2, NOMINAL, REAL, Worked, corrected_hinge_positions, grid, worked_example, workspace
+from calib.two_strut.worked_example import (
+    L1,
+    L2,
+    NOMINAL,
+    REAL,
+    Worked,
+    corrected_hinge_positions,
+    grid,
+    worked_example,
+    workspace,
+)
 from rig.report.pages.svg_elements import text
 
 WIDTH, HEIGHT = 480, 400
 SCALE, LEFT, FLOOR = 560.0, 240.0, 350.0  # px/m; px of the plane's origin
 LARGER = 12.0  # times, by which the real machine's differences are drawn
 NEARER = 2.4  # times, the workspace alone
-STYLE = ("svg{font:13px system-ui,sans-serif}.base{stroke:#888;fill:none}.strut{stroke:#333;stroke-width:4;stroke-linecap:round}"
-         ".real{stroke:#c2722a;stroke-width:3;stroke-dasharray:7 4}.edge{fill:#2a78c2;fill-opacity:.15;stroke:#2a78c2}"
-         ".there{fill:none;stroke:#c2722a}.mesh{stroke:#2a78c2;fill:none}.dot{fill:#c22a4e}.before{stroke:#c2722a;stroke-width:1.5}"
-         ".after{stroke:#2a78c2;stroke-width:1.5}.radius{stroke:#bbb;fill:none}")
+STYLE = (
+    "svg{font:13px "
+    "system-ui,sans-serif}.base{stroke:#888;fill:none}.strut{stroke:#333;stroke-width:4;stroke-linecap:round}"
+    ".real{stroke:#c2722a;stroke-width:3;stroke-dasharray:7 4}.edge{fill:#2a78c2;fill-opacity:.15;stroke:#2a78c2}"
+    ".there{fill:none;stroke:#c2722a}.mesh{stroke:#2a78c2;fill:none}.dot{fill:#c22a4e}.before{stroke:#c2722a;"
+    "stroke-width:1.5}"
+    ".after{stroke:#2a78c2;stroke-width:1.5}.radius{stroke:#bbb;fill:none}"
+)
 
 
 def example_figures() -> dict[str, str]:
@@ -29,8 +45,13 @@ def example_figures() -> dict[str, str]:
 
 
 def _svg(title: str, parts: list[str]) -> str:
-    return (f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}"><title>{html.escape(title)}'
-            f'</title><style>{STYLE}</style><rect width="{WIDTH}" height="{HEIGHT}" fill="#fff"/>' + "\n".join(parts) + "</svg>\n")
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" '
+        f'height="{HEIGHT}"><title>{html.escape(title)}'
+        f'</title><style>{STYLE}</style><rect width="{WIDTH}" height="{HEIGHT}" fill="#fff"/>'
+        + "\n".join(parts)
+        + "</svg>\n"
+    )
 
 
 def _at(place: np.ndarray) -> tuple[float, float]:
@@ -42,8 +63,15 @@ def _text(x: float, y: float, words: str) -> str:
     return text(x, y, words, "middle")
 
 
-def _path(points: np.ndarray, kind: str, closed: bool = False, at: Callable[[np.ndarray], tuple[float, float]] = _at) -> str:
-    return f'<path class="{kind}" d="M' + "L".join("{:.2f},{:.2f}".format(*at(p)) for p in points) + ("Z" if closed else "") + '"/>'
+def _path(
+    points: np.ndarray, kind: str, closed: bool = False, at: Callable[[np.ndarray], tuple[float, float]] = _at
+) -> str:
+    return (
+        f'<path class="{kind}" d="M'
+        + "L".join("{:.2f},{:.2f}".format(*at(p)) for p in points)
+        + ("Z" if closed else "")
+        + '"/>'
+    )
 
 
 def _machine(hinge: np.ndarray, joints: np.ndarray, kind: str) -> list[str]:
@@ -52,8 +80,11 @@ def _machine(hinge: np.ndarray, joints: np.ndarray, kind: str) -> list[str]:
 
 def _radii() -> list[str]:
     """Circles of both lengths about both joints."""
-    return ['<circle class="radius" cx="{:.2f}" cy="{:.2f}" r="{:.2f}"/>'.format(*_at(joint), SCALE * radius)
-            for joint in NOMINAL.base_joints for radius in (L1, L2)]
+    return [
+        '<circle class="radius" cx="{:.2f}" cy="{:.2f}" r="{:.2f}"/>'.format(*_at(joint), SCALE * radius)
+        for joint in NOMINAL.base_joints
+        for radius in (L1, L2)
+    ]
 
 
 def _workspace(w: Worked) -> str:
@@ -76,11 +107,17 @@ def _sample(w: Worked, i: int, name: str) -> str:
     theory, measured = w.theory.translation[i, :2], w.measured.translation[i, :2]
     seen = _enlarged(theory, measured)
     second = " and ".join(f"{value * 1e3:.2f}" for value in w.second[i])
-    parts = [*_radii(), *_machine(theory, NOMINAL.base_joints, "strut"),
-             *_machine(seen, _enlarged(NOMINAL.base_joints, REAL.base_joints), "real")]
+    parts = [
+        *_radii(),
+        *_machine(theory, NOMINAL.base_joints, "strut"),
+        *_machine(seen, _enlarged(NOMINAL.base_joints, REAL.base_joints), "real"),
+    ]
     parts += [f'<circle class="dot" cx="{_at(p)[0]:.2f}" cy="{_at(p)[1]:.2f}" r="4"/>' for p in (theory, seen)]
-    parts += [_text(240, 20, f"commanded ({name}) = {w.x[i, 0] * 1e3:.0f} and {w.x[i, 1] * 1e3:.0f} mm"),
-              _text(240, 38, f"IK of the measured pose: {second} mm"), _text(240, 392, f"differences drawn {LARGER:.0f} times larger")]
+    parts += [
+        _text(240, 20, f"commanded ({name}) = {w.x[i, 0] * 1e3:.0f} and {w.x[i, 1] * 1e3:.0f} mm"),
+        _text(240, 38, f"IK of the measured pose: {second} mm"),
+        _text(240, 392, f"differences drawn {LARGER:.0f} times larger"),
+    ]
     return _svg(f"Fig. {2 + i}: sample pose ({name}), theoretical and measured", parts)
 
 
@@ -104,15 +141,19 @@ def _summand(w: Worked, axis: int) -> str:
     parts += [_path(np.array([point(a, b) for a in levels]), "mesh", at=at) for b in levels]
     for x, value, name in zip(w.x, values, ("L1, L1", "L1, L2", "L2, L1", "L2, L2")):
         here = at(np.r_[x, value])
-        parts += [_path(np.array([np.r_[x, low], np.r_[x, value]]), "base", at=at),
-                  f'<circle class="dot" cx="{here[0]:.2f}" cy="{here[1]:.2f}" r="4"/>',
-                  _text(here[0], here[1] - 9, f"{name}: {value * 1e3:+.3f} mm")]
+        parts += [
+            _path(np.array([np.r_[x, low], np.r_[x, value]]), "base", at=at),
+            f'<circle class="dot" cx="{here[0]:.2f}" cy="{here[1]:.2f}" r="4"/>',
+            _text(here[0], here[1] - 9, f"{name}: {value * 1e3:+.3f} mm"),
+        ]
     parts += [_text(180, 362, "strut 1, L1 to L2"), _text(415, 310, "strut 2, L1 to L2")]
     return _svg(f"Fig. {6 + axis}: correction summand of strut {axis + 1} over the configuration space", parts)
 
 
 def _between(w: Worked, x: np.ndarray) -> np.ndarray:
-    """(..., 2) m, KSF_KR at configurations x (..., 2) m: at a sample what was measured there, between them by interpolation, [0088]."""
+    """(..., 2) m, KSF_KR at configurations x (..., 2) m: at a sample what was measured there, between them by
+    interpolation, [0088].
+    """
     return np.asarray(w.correction.rho(x))
 
 
@@ -126,10 +167,16 @@ def _corrected(w: Worked) -> str:
 
     parts = [_path(workspace(NOMINAL), "edge", True, at)]
     for kind, reached in (("before", before), ("after", after)):
-        parts += [_path(np.stack([place, _enlarged(place, there)]), kind, at=at) for place, there in zip(wanted, reached)]
+        parts += [
+            _path(np.stack([place, _enlarged(place, there)]), kind, at=at) for place, there in zip(wanted, reached)
+        ]
     for place, there in zip(wanted, after):
-        parts.append('<circle class="after" fill="none" cx="{:.2f}" cy="{:.2f}" r="2"/>'.format(*at(_enlarged(place, there))))
+        parts.append(
+            '<circle class="after" fill="none" cx="{:.2f}" cy="{:.2f}" r="2"/>'.format(*at(_enlarged(place, there)))
+        )
     rms = [np.sqrt(((reached - wanted) ** 2).sum(axis=1).mean()) * 1e3 for reached in (before, after)]
-    parts += [_text(240, 374, f"from wanted to reached, {LARGER:.0f} times larger:"),
-              _text(240, 391, f"{rms[0]:.2f} mm RMS as it was (lines), {rms[1]:.4f} mm corrected (circles)")]
+    parts += [
+        _text(240, 374, f"from wanted to reached, {LARGER:.0f} times larger:"),
+        _text(240, 391, f"{rms[0]:.2f} mm RMS as it was (lines), {rms[1]:.4f} mm corrected (circles)"),
+    ]
     return _svg("The workspace, before and after correction by four samples", parts)

@@ -1,6 +1,8 @@
-"""Poses lost and gained: those that the owner's model reaches and the corrected machine does not, and the other way round.
+"""Poses lost and gained: those that the owner's model reaches and the corrected machine does not, and the other way
+round.
 
-Source: configuration-space patent, [0029] and claim 5 (the poses that the control function can give, and those that the machine really takes)
+Source: configuration-space patent, [0029] and claim 5 (the poses that the control function can give, and those that the
+    machine really takes)
 """
 
 from dataclasses import dataclass, replace
@@ -19,9 +21,9 @@ SAME = 1e-6  # m and rad, within which a command gives the pose that it was foun
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Side:
-    """What one machine reaches. commands : (n, axes) m or rad, all over its strokes, those that close on a pose; T_base_platform : RigidTransform
-    (n,), the poses; needed : (n, axes) what the other machine is to be commanded for them, NaN where nothing was found; out : (n,) bool, whether
-    the other machine does not reach them"""
+    """What one machine reaches. commands : (n, axes) m or rad, all over its strokes, those that close on a pose;
+    T_base_platform : RigidTransform (n,), the poses; needed : (n, axes) what the other machine is to be commanded for
+    them, NaN where nothing was found; out : (n,) bool, whether the other machine does not reach them"""
 
     commands: np.ndarray
     T_base_platform: RigidTransform
@@ -31,18 +33,23 @@ class Side:
 
 def uncorrected_machine(correction: Correction[Any, Any]) -> Correction[Any, Any]:
     """The machine as its owner believes it, as a Correction that corrects nothing."""
-    return replace(correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None, posed=())
+    return replace(
+        correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None, posed=()
+    )
 
 
 def reachable_side(machine: Correction[Any, Any], other: Correction[Any, Any], commands: np.ndarray) -> Side:
-    """Side of a machine at commands (m, axes) m or rad, held against another. Raises NotConverged where none of them closes on a pose."""
+    """Side of a machine at commands (m, axes) m or rad, held against another. Raises NotConverged where none of them
+    closes on a pose.
+    """
     commands, T = commands_with_pose(commands, machine)
     needed = other.near(T, commands)
     return Side(commands, T, needed, ~_reached(needed, T, other))
 
 
 def is_pose_lost(correction: Correction[Any, Any], configurations: np.ndarray) -> np.ndarray:
-    """(n,) bool: whether the pose that the owner's model gives for configurations (n, axes) m or rad is out of the corrected machine's reach.
+    """(n,) bool: whether the pose that the owner's model gives for configurations (n, axes) m or rad is out of the
+    corrected machine's reach.
 
     True as well for those that close on no pose
     """
@@ -57,7 +64,9 @@ def is_pose_lost(correction: Correction[Any, Any], configurations: np.ndarray) -
 
 
 def _reached(needed: np.ndarray, T: RigidTransform, machine: Correction[Any, Any]) -> np.ndarray:
-    """(n,) bool: whether commands (n, axes) are within the strokes and give the poses (n,), in the assembly in which the machine stands."""
+    """(n,) bool: whether commands (n, axes) are within the strokes and give the poses (n,), in the assembly in which
+    the machine stands.
+    """
     known = np.isfinite(needed).all(axis=1)
     known[known] = (mechanisms.kinematics_of(machine.nominal).limits(needed[known], machine.nominal) == 0).all(axis=1)
     inside, reached = np.flatnonzero(known), np.zeros(len(needed), bool)

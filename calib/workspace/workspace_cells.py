@@ -1,4 +1,6 @@
-"""The workspace in cells: in each, the poses lost and gained, the room to the limits, how near singularities are, the error bound."""
+"""The workspace in cells: in each, the poses lost and gained, the room to the limits, how near singularities are, the
+error bound.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,24 +21,32 @@ DRAWN, FEWER = 8192, 4096  # configurations of either machine; of an arm, whose 
 ALONG = {2: 16, 3: 10}  # cells along the longest side of a workspace that is flat, and of one that is not
 K = 2.0  # standard uncertainties of a bound
 FLAT = 1e-9  # m, extent of what is flat
-SHORT = ("an arm of fewer than six joints gives no pose of the owner's model but by chance: no share of them is lost or gained, the map has what the "
-         "corrected arm reaches")
+SHORT = (
+    "an arm of fewer than six joints gives no pose of the owner's model but by chance: no share of them is "
+    "lost or gained, the map has what the "
+    "corrected arm reaches"
+)
 
 Covariance = Callable[[RigidTransform, np.ndarray], np.ndarray]  # of poses (n,) at commands (n, axes) -> (n, 6, 6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Workspace:
-    """The workspace by configurations drawn evenly all over the strokes, all axes free of each other, each counting alike.
+    """The workspace by configurations drawn evenly all over the strokes, all axes free of each other, each counting
+    alike.
 
-    drawn : of either machine; lost : share of the owner's model's configurations whose poses are out of the corrected machine's reach, gained :
-    share of the corrected machine's commands whose poses the owner's model has out of reach; None where that means nothing (see SHORT)
+    drawn : of either machine; lost : share of the owner's model's configurations whose poses are out of the corrected
+    machine's reach, gained : share of the corrected machine's commands whose poses the owner's model has out of reach;
+        None where that means
+    nothing (see SHORT)
     origin : (3,) m, a corner of the cells; size : m, their edge; index : (c, 3) of each cell, counted from the corner
-    believed, lost_in, reached, gained_in : (c,) of those configurations with poses in a cell, by the owner's model and corrected
-    room : (c,) m or rad to the nearest limit of an axis, negative beyond it: of the pose in the middle of the cell, turned like home; of a machine
-    without a home the most that a pose drawn there leaves; NaN where no command is known
+    believed, lost_in, reached, gained_in : (c,) of those configurations with poses in a cell, by the owner's model and
+        corrected
+    room : (c,) m or rad to the nearest limit of an axis, negative beyond it: of the pose in the middle of the cell,
+    turned like home; of a machine without a home the most that a pose drawn there leaves; NaN where no command is known
     singular : (c,) least singular value of the Jacobian over the greatest, the least of the poses there; 0 is singular
-    bound : (c, 2) m and rad, expanded uncertainty (k = 2) of a corrected pose, the greatest of the poses there; both NaN where no pose is reached
+    bound : (c, 2) m and rad, expanded uncertainty (k = 2) of a corrected pose, the greatest of the poses there; both
+        NaN where no pose is reached
     """
 
     drawn: int
@@ -97,11 +107,26 @@ def map_workspace(correction: Correction[Any, Any], covariance: Covariance, coun
         return np.bincount(which, weights, cells).astype(int)
 
     C = covariance(real.T_base_platform, real.commands)
-    bound = K * np.sqrt(np.stack([np.trace(C[:, part, part], axis1=1, axis2=2) for part in (slice(0, 3), slice(3, 6))], axis=1))
+    bound = K * np.sqrt(
+        np.stack([np.trace(C[:, part, part], axis1=1, axis2=2) for part in (slice(0, 3), slice(3, 6))], axis=1)
+    )
     middles = origin + (index + 0.5) * size
     room = most(_room(correction, real.commands)) if isinstance(nominal, Arm) else _at_home(correction, middles)
-    return Workspace(count, None if short else float(lost.mean()), None if short else float(gained.mean()), origin, size, index, counted(first),
-                     counted(first, lost), counted(second), counted(second, gained), room, -most(-_singular(correction, real)), most(bound))
+    return Workspace(
+        count,
+        None if short else float(lost.mean()),
+        None if short else float(gained.mean()),
+        origin,
+        size,
+        index,
+        counted(first),
+        counted(first, lost),
+        counted(second),
+        counted(second, gained),
+        room,
+        -most(-_singular(correction, real)),
+        most(bound),
+    )
 
 
 def _corner(positions: np.ndarray) -> tuple[np.ndarray, float]:
@@ -126,10 +151,13 @@ def _at_home(correction: Correction[Any, Any], positions: np.ndarray) -> np.ndar
 
 
 def _singular(correction: Correction[Any, Any], real: Side) -> np.ndarray:
-    """(n,) least over greatest singular value of the corrected machine's Jacobian, turns weighed so that they count like moves on the whole."""
+    """(n,) least over greatest singular value of the corrected machine's Jacobian, turns weighed so that they count
+    like moves on the whole.
+    """
     fitted, kinematics = correction.fitted, mechanisms.kinematics_of(correction.fitted)
     if isinstance(fitted, Arm):
-        J = np.swapaxes(kinematics.jacobian(real.commands - correction.rho(real.commands), fitted), 1, 2)  # type: ignore[attr-defined]
+        corrected = real.commands - correction.rho(real.commands)
+        J = np.swapaxes(kinematics.jacobian(corrected, fitted), 1, 2)  # type: ignore[attr-defined]
     else:
         J = kinematics.jacobian(real.T_base_platform, fitted)  # type: ignore[attr-defined]
     move, turn = (np.sqrt((J[..., part] ** 2).sum(axis=(1, 2)).mean()) for part in (slice(0, 3), slice(3, 6)))

@@ -17,7 +17,9 @@ COUNTED = ("believed", "lost_in", "reached", "gained_in")
 def workspace_dict(w: Workspace) -> dict[str, Any]:
     """dict of a Workspace, as JSON holds it; what is not known is null."""
     tree = {part.name: getattr(w, part.name) for part in fields(w)}
-    return {"schema": SCHEMA} | {name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in tree.items()}
+    return {"schema": SCHEMA} | {
+        name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in tree.items()
+    }
 
 
 def _plain(values: np.ndarray) -> list[Any]:
@@ -33,11 +35,25 @@ def workspace_from_entries(table: Entries) -> Workspace:
     cells = len(index)
     if not cells:
         table.fail(f"{table.name('index')} must list one cell at the least", "index")
-    lost, gained = (None if table.get(name) is None else table.number(name, least=0.0, most=1.0) for name in ("lost", "gained"))
+    lost, gained = (
+        None if table.get(name) is None else table.number(name, least=0.0, most=1.0) for name in ("lost", "gained")
+    )
     believed, lost_in, reached, gained_in = (_whole(table, name, (cells,)) for name in COUNTED)
-    return Workspace(table.whole("drawn", 1), lost, gained, table.array("origin", (3,)), table.number("size", above=0.0), index, believed, lost_in,
-                     reached, gained_in, table.array("room", (cells,), nulls=True),
-                     table.array("singular", (cells,), nulls=True), table.array("bound", (cells, 2), nulls=True))
+    return Workspace(
+        table.whole("drawn", 1),
+        lost,
+        gained,
+        table.array("origin", (3,)),
+        table.number("size", above=0.0),
+        index,
+        believed,
+        lost_in,
+        reached,
+        gained_in,
+        table.array("room", (cells,), nulls=True),
+        table.array("singular", (cells,), nulls=True),
+        table.array("bound", (cells, 2), nulls=True),
+    )
 
 
 def _whole(table: Entries, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
@@ -49,9 +65,17 @@ def _whole(table: Entries, name: str, shape: tuple[int | None, ...]) -> np.ndarr
 
 
 def workspace_rows(w: Workspace) -> Iterator[str]:
-    """The lines of a table of COLUMNS, one for each cell: its middle and edge in m, counts of configurations, the rest as in Workspace."""
-    for place, counts, room, singular, bound in zip(w.centre, zip(*(getattr(w, name) for name in COUNTED)), w.room, w.singular, w.bound):
-        numbers = (*(f"{value:.6f}" for value in (*place, w.size)), *map(str, counts), *(_number(value) for value in (room, singular, *bound)))
+    """The lines of a table of COLUMNS, one for each cell: its middle and edge in m, counts of configurations, the rest
+    as in Workspace.
+    """
+    for place, counts, room, singular, bound in zip(
+        w.centre, zip(*(getattr(w, name) for name in COUNTED)), w.room, w.singular, w.bound
+    ):
+        numbers = (
+            *(f"{value:.6f}" for value in (*place, w.size)),
+            *map(str, counts),
+            *(_number(value) for value in (room, singular, *bound)),
+        )
         yield ",".join(numbers)
 
 

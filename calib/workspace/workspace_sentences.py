@@ -8,14 +8,26 @@ from rig.formats.number_rounding import round_to_digits
 
 
 def workspace_lines(w: Workspace, unit: str) -> list[str]:
-    """Lines on a Workspace: lost and gained, the room, singularities, the bound. unit : of the axes, m, rad or rad or m."""
-    first = SHORT if w.lost is None or w.gained is None else (
-        f"{w.lost * 100:.2f} % of the poses that the owner's model reaches are lost, {w.gained * 100:.2f} % of those that the corrected machine "
-        f"reaches are gained ({w.drawn} configurations of each, all over the strokes, all axes free of each other)")
+    """Lines on a Workspace: lost and gained, the room, singularities, the bound. unit : of the axes, m, rad or rad or
+    m.
+    """
+    first = (
+        SHORT
+        if w.lost is None or w.gained is None
+        else (
+            f"{w.lost * 100:.2f} % of the poses that the owner's model reaches are lost, "
+            f"{w.gained * 100:.2f} % of those that the corrected machine "
+            f"reaches are gained ({w.drawn} configurations of each, all over the strokes, all axes free of each other)"
+        )
+    )
     known, inner = np.isfinite(w.bound[:, 0]), w.room > 0
     turned = f" and {_span(w.bound[known, 1] * 1e6)} urad" if w.turns else ""
-    out = [f"workspace: {first}", f"{known.sum()} cells of {w.size * 1e3:.3g} mm: error bound (k = 2) {_span(w.bound[known, 0] * 1e6)} um{turned}; "
-           f"singular values from {np.nanmin(w.singular):.3f} of the greatest"]
+    out = [
+        f"workspace: {first}",
+        f"{known.sum()} cells of {w.size * 1e3:.3g} mm: error bound (k = 2) {_span(w.bound[known, 0] * 1e6)} "
+        f"um{turned}; "
+        f"singular values from {np.nanmin(w.singular):.3f} of the greatest",
+    ]
     if inner.any():
         scale, shown = DRAWN.get(unit, (1.0, unit))
         out.append(f"{inner.sum()} cells have room to all limits, up to {np.nanmax(w.room) * scale:.4g} {shown}")
@@ -33,5 +45,6 @@ def certified_line(certified: np.ndarray) -> str:
     if not known.any():
         return "the certificate's volume holds the middle of no cell"
     turns = certified[known & np.isfinite(certified[:, 1]), 1]
-    return (f"certified in {known.sum()} cells: position {_span(certified[known, 0] * 1e6)} um"
-            + (f", rotation {_span(turns * 1e6)} urad" if len(turns) else "; no rotation was measured"))
+    return f"certified in {known.sum()} cells: position {_span(certified[known, 0] * 1e6)} um" + (
+        f", rotation {_span(turns * 1e6)} urad" if len(turns) else "; no rotation was measured"
+    )

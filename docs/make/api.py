@@ -1,4 +1,6 @@
-"""The page of the Python interface: what `rig`, `vision`, `calib` hand on, and the rooms below. Made when the documents are built."""
+"""The page of the Python interface: what `rig`, `vision`, `calib` hand on, and the rooms below. Made when the documents
+are built.
+"""
 
 import ast
 import importlib
@@ -11,9 +13,11 @@ ROOT = Path(__file__).parents[2]
 ENTRIES = ("rig", "vision", "calib")
 HEAD = """# From Python
 
-Made from the code. `import rig, vision, calib` gives what stands first here; it is opened when it is first used, so that importing takes no
+Made from the code. `import rig, vision, calib` gives what stands first here; it is opened when it is first used, so \
+that importing takes no
 time. Results show themselves in a notebook; three notebooks go the whole way:
-[measure and calibrate](notebooks/measure-and-calibrate.ipynb), [diagnose](notebooks/diagnose.ipynb), [certify](notebooks/certify.ipynb).
+[measure and calibrate](notebooks/measure-and-calibrate.ipynb), [diagnose](notebooks/diagnose.ipynb), \
+[certify](notebooks/certify.ipynb).
 
     import rig, vision, calib
 
@@ -24,7 +28,8 @@ time. Results show themselves in a notebook; three notebooks go the whole way:
     certificate = calib.certified(calibration, [rig.load("REC2")])
     calib.save("calibration.json", calibration)
 
-Below the entry points all modules may be imported, room by room; arrays are told with shape and unit in their docstrings.
+Below the entry points all modules may be imported, room by room; arrays are told with shape and unit in their \
+docstrings.
 """
 
 
@@ -37,7 +42,11 @@ def page() -> str:
         parts += [_entry(f"{name}.{public}", getattr(package, public)) for public in package.__all__]
     parts.append("\n## The rooms\n\n| module | what it does |\n|---|---|\n")
     for package_name in (*ENTRIES, "synthetic"):
-        parts += [_row(path) for path in sorted((ROOT / package_name).rglob("*.py")) if path.name != "__init__.py" and "cli" not in path.parts]
+        parts += [
+            _row(path)
+            for path in sorted((ROOT / package_name).rglob("*.py"))
+            if path.name != "__init__.py" and "cli" not in path.parts
+        ]
     return "".join(parts)
 
 

@@ -10,9 +10,12 @@ from rig.cli.shared.worker_options import add_workers
 
 HEAD = """# The commands
 
-Made from the commands themselves; `rig COMMAND --help` says the same. A recording is a folder ([its tables](tables.md), [rig.toml](rig-toml.md)); SI
-units and radians in files, millimetres and milliradians where figures are printed. A command ends with 0 (done), 1 (refused, with a reason), 2
-(wrong usage), 3 (of `rig verify`, `rig certify`, `rig watch`: the verdict is bad), 130 (interrupted) or 143 (ended by a signal);
+Made from the commands themselves; `rig COMMAND --help` says the same. A recording is a folder ([its \
+tables](tables.md), [rig.toml](rig-toml.md)); SI
+units and radians in files, millimetres and milliradians where figures are printed. A command ends with 0 (done), 1 \
+(refused, with a reason), 2
+(wrong usage), 3 (of `rig verify`, `rig certify`, `rig watch`: the verdict is bad), 130 (interrupted) or 143 (ended by \
+a signal);
 [what commands write](files.md) says what they never write over.
 """
 
@@ -44,8 +47,16 @@ def _row(action: argparse.Action) -> str:
     names = ", ".join(action.option_strings) or str(action.metavar or action.dest)
     value = "" if action.nargs == 0 or not action.option_strings else f" {_value(action)}"
     words = (action.help or "") % {**vars(action), "prog": "rig"}
-    stated = isinstance(action.default, str | int | float) and not isinstance(action.default, bool) and action.default not in ("", argparse.SUPPRESS)
-    default = f" (default {action.default})" if stated and "default" not in words and f"({action.default})" not in words else ""
+    stated = (
+        isinstance(action.default, str | int | float)
+        and not isinstance(action.default, bool)
+        and action.default not in ("", argparse.SUPPRESS)
+    )
+    default = (
+        f" (default {action.default})"
+        if stated and "default" not in words and f"({action.default})" not in words
+        else ""
+    )
     return f"| `{names}{value}` | {in_cell(words)}{in_cell(default)} |".replace("| ``", "| `")
 
 

@@ -1,6 +1,7 @@
 """docs/pages/*.webp: a picture of every page that commands write, in headless Chromium.
 
-`python -m docs.make.pictures [FOLDER]`, where FOLDER, a new one, keeps the project whose pages they are; it takes the extra `browser` and Chromium.
+`python -m docs.make.pictures [FOLDER]`, where FOLDER, a new one, keeps the project whose pages they are; it takes the
+extra `browser` and Chromium.
 """
 
 import io
@@ -36,7 +37,9 @@ def main(folder: Path) -> None:
             seen += [_taken(opened, page.as_uri(), NARROW, "dark")] if kind in ON_PHONES else []
             _beside(seen).save(PICTURES / f"{kind}.webp", quality=QUALITY, method=6)
         with project.running(folder) as address:
-            _beside([_taken(opened, address, WIDE, "light", SHOWN)]).save(PICTURES / "run.webp", quality=QUALITY, method=6)
+            _beside([_taken(opened, address, WIDE, "light", SHOWN)]).save(
+                PICTURES / "run.webp", quality=QUALITY, method=6
+            )
 
 
 def chromium() -> str | None:
@@ -76,7 +79,11 @@ def _taken(opened: Any, address: str, width: int, scheme: str, frames: int = 0) 
 
 def _beside(pictures: list[Image.Image]) -> Image.Image:
     """Pictures from left to right, on white."""
-    out = Image.new("RGB", (sum(p.width for p in pictures) + BETWEEN * (len(pictures) - 1), max(p.height for p in pictures)), "white")
+    out = Image.new(
+        "RGB",
+        (sum(p.width for p in pictures) + BETWEEN * (len(pictures) - 1), max(p.height for p in pictures)),
+        "white",
+    )
     at = 0
     for picture in pictures:
         out.paste(picture, (at, 0))

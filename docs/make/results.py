@@ -1,4 +1,6 @@
-"""The page of results: every measured figure that the documents state, from the files in docs/results, by version of rig."""
+"""The page of results: every measured figure that the documents state, from the files in docs/results, by version of
+rig.
+"""
 
 import json
 from pathlib import Path
@@ -9,18 +11,24 @@ FOLDER = Path(__file__).parents[1] / "results"
 PAGE = FOLDER.parent / "results.md"
 HEAD = """# Results
 
-Each table is what one benchmark printed. It is stored in `docs/results/VERSION/` with the commit, machine, date and command that gave it, and a file
-is never changed after its version is released. A "+" behind a commit means that the tree differed from it. A benchmark that was not run again for a
-version keeps its newest result; where an older version has the same figure, a column shows it. Other pages state no measured figure but with a link
+Each table is what one benchmark printed. It is stored in `docs/results/VERSION/` with the commit, machine, date and \
+command that gave it, and a file
+is never changed after its version is released. A "+" behind a commit means that the tree differed from it. A \
+benchmark that was not run again for a
+version keeps its newest result; where an older version has the same figure, a column shows it. Other pages state no \
+measured figure but with a link
 to this one, and a test holds their words to these files.
-`make results` measures anew: `make results BENCH="corners arms"` for those that are named. Errors are against simulated truth unless a row says
+`make results` measures anew: `make results BENCH="corners arms"` for those that are named. Errors are against \
+simulated truth unless a row says
 otherwise.
 Times depend on what else the machine was doing: `load` is how many processes wanted to run when the benchmark began.
 """
 
 
 def stored() -> list[dict[str, Any]]:
-    """All stored results, by version, the newest last, and name. Raises ValueError for a file of another schema or in another version's folder."""
+    """All stored results, by version, the newest last, and name. Raises ValueError for a file of another schema or in
+    another version's folder.
+    """
     paths = sorted(FOLDER.glob("*/*.json"), key=lambda path: (_order(path.parent.name), path.stem))
     return [_record(path) for path in paths]
 
@@ -59,11 +67,17 @@ def _before(record: dict[str, Any]) -> dict[str, Any] | None:
 def _section(record: dict[str, Any], before: dict[str, Any] | None) -> str:
     on = record["machine"]
     versions = ", ".join(f"{name} {number}" for name, number in on["versions"].items())
-    made = (f"`{record['command']}`, version {record['version']}, commit `{record['commit']}`, {record['created'][:10]}, seed {record['seed']}; "
-            f"{on['cores']} cores ({on['processor']}), {on['memory_GiB']} GiB, load {on['load']}; {versions}")
+    made = (
+        f"`{record['command']}`, version {record['version']}, commit `{record['commit']}`, "
+        f"{record['created'][:10]}, seed {record['seed']}; "
+        f"{on['cores']} cores ({on['processor']}), {on['memory_GiB']} GiB, load {on['load']}; {versions}"
+    )
     older = {row["figure"]: row["reached"] for row in before["figures"]} if before else {}
     columns = ["figure", "reached", "wanted", *([f"in {before['version']}"] if before else [])]
-    rows = [[row["figure"], row["reached"], row["wanted"], *([older.get(row["figure"], "")] if before else [])] for row in record["figures"]]
+    rows = [
+        [row["figure"], row["reached"], row["wanted"], *([older.get(row["figure"], "")] if before else [])]
+        for row in record["figures"]
+    ]
     lines = [_line(columns), "|" + "---|" * len(columns), *(_line(row) for row in rows)]
     return f"\n## {record['name']}\n\n{_cell(record['title'])}\n\n" + "\n".join(lines) + f"\n\n{made}.\n"
 

@@ -1,4 +1,5 @@
-"""docs/rig-toml.md out of the reader itself: what it asks of every table is written down while it reads rigs that state everything.
+"""docs/rig-toml.md out of the reader itself: what it asks of every table is written down while it reads rigs that state
+everything.
 
 `python -m docs.make.rig_toml > docs/rig-toml.md`
 """
@@ -37,32 +38,63 @@ from rig.planning.layout import hexapod_layout, shipped_arms, two_strut_layout
 
 HEAD = """# rig.toml, table by table
 
-Made from what reads the file (`python -m docs.make.rig_toml`). Lengths are in metres, angles in radians, times in seconds; a rotation is a
+Made from what reads the file (`python -m docs.make.rig_toml`). Lengths are in metres, angles in radians, times in \
+seconds; a rotation is a
 rotation vector. A key that the reader does not know is an error, with its line and the nearest key that is
-known; remarks are TOML comments. `rig design` writes a file to begin with; [conventions](conventions.md) say how frames, faces and corners are meant.
+known; remarks are TOML comments. `rig design` writes a file to begin with; [conventions](conventions.md) say how \
+frames, faces and corners are meant.
 
 `schema = "rig/1"` stands first.
 """
 TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of it)
     "name and [environment]": (Design, "Of the rig as a whole. All of it may be left out."),
-    "[mechanism] kind = \"hexapod\"": (Hexapod, ""), "[mechanism] kind = \"planar2\"": (Planar2, ""),
-    "[mechanism] kind = \"arm\"": (Arm, ""),
+    '[mechanism] kind = "hexapod"': (Hexapod, ""),
+    '[mechanism] kind = "planar2"': (Planar2, ""),
+    '[mechanism] kind = "arm"': (Arm, ""),
     "[[mechanism.joints]]": (Joint, "In place of a row of `joints`."),
-    "[mechanism] kind = \"chain\"": (None, "Two tables `[[mechanism.stage]]` or more, each of a kind above, each on the last; [chains](chains.md) "
-                                          "say more."),
-    "[mechanism] kind = \"free\"": (None, "Moved by hand or by somebody else: there is nothing to command, and nothing else to state."),
-    "[[camera]]": (Camera, "One for each camera."), "[[target]]": (Target, "One for each cube, or other body with markers."),
-    "[target.faces]": (None, "Of a cube: which marker is on which face, `\"+x\" = 3`. Faces that are not stated carry none."),
-    "[[target.marker]]": (Marker, "In place of `edge`, `marker`, `faces` and `pose`, for a target that is no cube: each marker by itself."),
-    "[platform]": (Platform, "May be left out."), "[actuator]": (Actuator, "May be left out."),
-    "[instrument]": (Instrument, "Only where poses.csv comes from an outside instrument (a laser tracker, a coordinate measuring machine)."),
-    "[controller]": (Controller, "Only where `rig run` and the like drive the machine; [controllers](controllers.md) say more."),
-    "[sensors]": (SensorPort, "Only where a run reads thermometers or measuring limbs; [operating](operating.md) says more."),
+    '[mechanism] kind = "chain"': (
+        None,
+        "Two tables `[[mechanism.stage]]` or more, each of a kind above, each on the last; [chains](chains.md) "
+        "say more.",
+    ),
+    '[mechanism] kind = "free"': (
+        None,
+        "Moved by hand or by somebody else: there is nothing to command, and nothing else to state.",
+    ),
+    "[[camera]]": (Camera, "One for each camera."),
+    "[[target]]": (Target, "One for each cube, or other body with markers."),
+    "[target.faces]": (
+        None,
+        'Of a cube: which marker is on which face, `"+x" = 3`. Faces that are not stated carry none.',
+    ),
+    "[[target.marker]]": (
+        Marker,
+        "In place of `edge`, `marker`, `faces` and `pose`, for a target that is no cube: each marker by itself.",
+    ),
+    "[platform]": (Platform, "May be left out."),
+    "[actuator]": (Actuator, "May be left out."),
+    "[instrument]": (
+        Instrument,
+        "Only where poses.csv comes from an outside instrument (a laser tracker, a coordinate measuring machine).",
+    ),
+    "[controller]": (
+        Controller,
+        "Only where `rig run` and the like drive the machine; [controllers](controllers.md) say more.",
+    ),
+    "[sensors]": (
+        SensorPort,
+        "Only where a run reads thermometers or measuring limbs; [operating](operating.md) says more.",
+    ),
     "[insitu]": (MeasuringLimbs, "Only where there are measuring limbs; [measuring](measuring.md) says more."),
     "[experiment]": (Permission, "Only where [experiments](investigate.md) may do more than move."),
-    "[turned]": (None, "Cubes that were taken off and put back since their `pose` was stated, each with its quarter turns about its own z, "
-                       "right-handed: `P1 = 1`; 0 for one that looks as before. Their places are known only to what remounting may do, so that "
-                       "their markers hold no pose; several recordings [together](investigate.md) find them."),
+    "[turned]": (
+        None,
+        "Cubes that were taken off and put back since their `pose` was stated, each with its quarter turns "
+        "about its own z, "
+        "right-handed: `P1 = 1`; 0 for one that looks as before. Their places are known only to what "
+        "remounting may do, so that "
+        "their markers hold no pose; several recordings [together](investigate.md) find them.",
+    ),
     "[dynamics]": (ArmDynamics, "Of arms, only where forces at the hand are asked for; [forces](force.md) say more."),
     "[sensor]": (Sensor, "What simulated cameras do to light; real ones need none of it."),
 }
@@ -111,15 +143,25 @@ class Log(Entries):
         return super().get(key, default)
 
     def text(self, key: Key, choices: Any = None, default: Any = REQUIRED) -> Any:
-        self._note(key, "one of " + ", ".join(f"`{c}`" for c in choices) if choices and len(choices) < 9 else "text", default)
+        self._note(
+            key, "one of " + ", ".join(f"`{c}`" for c in choices) if choices and len(choices) < 9 else "text", default
+        )
         return super().text(key, choices, default)
 
     def whole(self, key: Key, least: int, default: Any = REQUIRED, most: int = 1 << 53) -> int:
         self._note(key, "whole number", default, f"from {least}" + (f" to {most}" if most < 1 << 53 else ""))
         return super().whole(key, least, default, most)
 
-    def number(self, key: Key, default: Any = REQUIRED, least: float | None = None, most: float | None = None, above: float | None = None,
-               unit: str = "", nulls: bool = False) -> Any:
+    def number(
+        self,
+        key: Key,
+        default: Any = REQUIRED,
+        least: float | None = None,
+        most: float | None = None,
+        above: float | None = None,
+        unit: str = "",
+        nulls: bool = False,
+    ) -> Any:
         self._note(key, "number", default, _limits(least, most, above, unit))
         return super().number(key, default, least, most, above, unit, nulls)
 
@@ -128,11 +170,17 @@ class Log(Entries):
         self._note(key, "number, or one for each axis", default, within)
         return super().each(key, count, default, **limits)
 
-    def array(self, key: Key, shape: Any, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False) -> Any:
+    def array(
+        self, key: Key, shape: Any, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False
+    ) -> Any:
         if str(self.tree.get("kind")) == "arm" or self.path == ("dynamics",):
             shape = (None, *shape[1:])
-        self._note(key, "x".join("n" if n is None else str(n) for n in shape) + " numbers", default,
-                   f"none beyond {length_limit:g} m" if length_limit else "")
+        self._note(
+            key,
+            "x".join("n" if n is None else str(n) for n in shape) + " numbers",
+            default,
+            f"none beyond {length_limit:g} m" if length_limit else "",
+        )
         return super().array(key, shape, default, length_limit, nulls)
 
     def pose(self, key: Key) -> Any:
@@ -140,11 +188,19 @@ class Log(Entries):
         return Entries.pose(Entries(self.tree, self.path, self.file, self.places), key)
 
 
-HANGS_ON_ANOTHER = {("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter", ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
-                    ("[[target.marker]]", "margin"): "an eighth of `side`"}
-KINDS_OF_GET = {"homing": "true or false", "axes": "list of names", "may": "list of `payload`, `wait`, `turn cube NAME`", "channels": "list of names",
-                "joints": "rows `[theta, d, a, alpha]`, or five numbers with beta; a slide's begins with `\"prismatic\"`; or tables "
-                          "`[[mechanism.joints]]`"}
+HANGS_ON_ANOTHER = {
+    ("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter",
+    ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
+    ("[[target.marker]]", "margin"): "an eighth of `side`",
+}
+KINDS_OF_GET = {
+    "homing": "true or false",
+    "axes": "list of names",
+    "may": "list of `payload`, `wait`, `turn cube NAME`",
+    "channels": "list of names",
+    "joints": 'rows `[theta, d, a, alpha]`, or five numbers with beta; a slide\'s begins with `"prismatic"`; or tables '
+    "`[[mechanism.joints]]`",
+}
 
 
 def _shown(value: Any) -> str:
@@ -156,8 +212,11 @@ def _shown(value: Any) -> str:
 
 
 def _limits(least: float | None, most: float | None, above: float | None, unit: str) -> str:
-    words = [f"above {above:g}" if above is not None else "", f"from {least:g}" if least is not None else "",
-             f"to {most:g}" if most is not None else ""]
+    words = [
+        f"above {above:g}" if above is not None else "",
+        f"from {least:g}" if least is not None else "",
+        f"to {most:g}" if most is not None else "",
+    ]
     return " ".join(filter(None, [*words, unit.split(" (")[0]]))
 
 
@@ -191,8 +250,33 @@ def asked() -> dict[tuple[str, Key], Asked]:
     return {at: what for at, what in found.items() if at[1] not in TABLE_KEYS or at == ("[instrument]", "kind")}
 
 
-TABLE_KEYS = ("schema", "environment", "mechanism", "camera", "target", "platform", "actuator", "instrument", "controller", "sensors", "insitu",
-              "experiment", "turned", "sensor", "dynamics", "faces", "position", "rotvec", "kind", "+x", "-x", "+y", "-y", "+z", "-z")
+TABLE_KEYS = (
+    "schema",
+    "environment",
+    "mechanism",
+    "camera",
+    "target",
+    "platform",
+    "actuator",
+    "instrument",
+    "controller",
+    "sensors",
+    "insitu",
+    "experiment",
+    "turned",
+    "sensor",
+    "dynamics",
+    "faces",
+    "position",
+    "rotvec",
+    "kind",
+    "+x",
+    "-x",
+    "+y",
+    "-y",
+    "+z",
+    "-z",
+)
 
 
 def page() -> str:
@@ -201,13 +285,17 @@ def page() -> str:
     parts = [HEAD]
     for heading, (kind, words) in TABLES.items():
         about = "" if kind is None else headline(kind)
-        parts.append(f"\n## {heading}\n\n" + " ".join(filter(None, [about if kind is not Design else "", words])) + "\n")
+        parts.append(
+            f"\n## {heading}\n\n" + " ".join(filter(None, [about if kind is not Design else "", words])) + "\n"
+        )
         told = {} if kind is None else fields_told(kind)
         rows = [_row(at, what, told) for at, what in found.items() if at[0] == heading]
         if rows:
             parts.append("\n| key | takes | if left out | what |\n|---|---|---|---|\n" + "\n".join(rows) + "\n")
     whole = _indented(hexapod_layout.hexapod_layout(0.3, cameras=1, cubes=1))
-    return "".join(parts) + f"\n## A whole one\n\nAs `rig design --radius 0.3 --cameras 1 --cubes 1` writes it:\n\n{whole}"
+    return (
+        "".join(parts) + f"\n## A whole one\n\nAs `rig design --radius 0.3 --cameras 1 --cubes 1` writes it:\n\n{whole}"
+    )
 
 
 def _row(at: tuple[str, Key], what: Asked, told: dict[str, str]) -> str:

@@ -1,4 +1,6 @@
-"""MkDocs hooks: pages made from the code join those that are written, and formulae become MathML, which browsers show by themselves."""
+"""MkDocs hooks: pages made from the code join those that are written, and formulae become MathML, which browsers show
+by themselves.
+"""
 
 import html
 import re
@@ -37,4 +39,8 @@ def _formula(found: re.Match) -> str:
     made = convert(TAG.sub("", latex).strip(), display="block" if block else "inline")
     if not block:
         return made
-    return f'<div class="formula" role="math">{made}' + (f'<span class="number">({number[1]})</span>' if number else "") + "</div>"
+    return (
+        f'<div class="formula" role="math">{made}'
+        + (f'<span class="number">({number[1]})</span>' if number else "")
+        + "</div>"
+    )

@@ -1,4 +1,5 @@
-"""docs/tables.md out of the reader itself: the columns that it asks of every CSV file while it reads a recording that has all of them.
+"""docs/tables.md out of the reader itself: the columns that it asks of every CSV file while it reads a recording that
+has all of them.
 
 `python -m docs.make.tables > docs/tables.md`
 """
@@ -16,32 +17,55 @@ from rig.recording import recording_folder
 
 HEAD = """# The tables of a recording, column by column
 
-Made from what reads them (`python -m docs.make.tables`). Comma separated, a header line, decimal points, UTF-8. SI units and radians throughout.
-Columns may stand in any order; a column that is not known is kept aside, unless it is one slip away from one that is known: then that is an error.
-Times `t` are of one clock, in seconds from any origin (0, boot, 1970). [rig import](check.md) makes these files of nearly anything.
+Made from what reads them (`python -m docs.make.tables`). Comma separated, a header line, decimal points, UTF-8. SI \
+units and radians throughout.
+Columns may stand in any order; a column that is not known is kept aside, unless it is one slip away from one that is \
+known: then that is an error.
+Times `t` are of one clock, in seconds from any origin (0, boot, 1970). [rig import](check.md) makes these files of \
+nearly anything.
 """
 FILES = {  # what each holds
-    "commands.csv": "What was commanded: `t` and one column for each axis. Between two rows every axis moves linearly; equal rows are a dwell; after "
-                    "the last row it stays. Not there where nothing was commanded. An arm has `q1..qn` in place of `l1..l6`, two struts `l1,l2`.",
-    "frames.csv": "One row for each exposure. Rows with the same `frame` were exposed together (within 1 ms). Always there.",
-    "sensors.csv": "`t` and any channels; linear between rows. One row alone states what never changed; otherwise the log covers the exposures. "
-                   "May be left out.",
-    "corners.csv": "Corners of markers as somebody found them in the images. With it the images themselves may be left out.",
-    "poses.csv": "Poses of the platform in the base, of an outside instrument or of vision. May be left out. The same columns, with or without "
-                 "`t`, are those of the wanted poses that `rig correct --poses` reads. Of a chain, `poses_stage1.csv` .. have those of the bodies "
-                 "that its stages below the last move, in the base.",
+    "commands.csv": "What was commanded: `t` and one column for each axis. Between two rows "
+    "every axis moves linearly; equal "
+    "rows are a dwell; after "
+    "the last row it stays. Not there where nothing was commanded. An arm has `q1..qn` in place of `l1..l6`, "
+    "two struts `l1,l2`.",
+    "frames.csv": "One row for each exposure. Rows with the same `frame` were exposed together "
+    "(within 1 ms). Always there.",
+    "sensors.csv": "`t` and any channels; linear between rows. One row alone states what never "
+    "changed; otherwise the log "
+    "covers the exposures. "
+    "May be left out.",
+    "corners.csv": "Corners of markers as somebody found them in the images. With it the images "
+    "themselves may be left out.",
+    "poses.csv": "Poses of the platform in the base, of an outside instrument or of vision. May be left out. The same "
+    "columns, with or without "
+    "`t`, are those of the wanted poses that `rig correct --poses` reads. Of a chain, `poses_stage1.csv` .. "
+    "have those of the bodies "
+    "that its stages below the last move, in the base.",
 }
 WORDS = {
     "t": "s, increasing; in frames.csv the middle of the exposure of the image's middle row",
     "l": "m, commanded length of each strut, joint centre to joint centre, controller zero included",
-    "frame": "whole number from 0, in order; the same for all cameras exposed together", "camera": "name, as in rig.toml",
+    "frame": "whole number from 0, in order; the same for all cameras exposed together",
+    "camera": "name, as in rig.toml",
     "image": "path relative to the folder, as `images/cam0/0000.png`; empty where only corners are kept",
-    "marker": "the marker's identity in its dictionary", "corner": "0..3 from the marker's own top left, clockwise",
-    "u": "px, to the right; the centre of the first pixel is 0", "v": "px, downwards; the centre of the first pixel is 0",
+    "marker": "the marker's identity in its dictionary",
+    "corner": "0..3 from the marker's own top left, clockwise",
+    "u": "px, to the right; the centre of the first pixel is 0",
+    "v": "px, downwards; the centre of the first pixel is 0",
     "sigma": "px, standard deviation of the corner along u as along v",
-    "cuu": "px^2, variance along u", "cuv": "px^2, covariance of u and v", "cvv": "px^2, variance along v",
-    "x": "m, platform in base", "y": "m", "z": "m", "rx": "rad, rotation vector, platform in base", "ry": "rad", "rz": "rad",
-    "c": "m, rad: upper triangle of the covariance, order x y z rx ry rz, the small motion on the right, in the platform's frame; all 21 or none",
+    "cuu": "px^2, variance along u",
+    "cuv": "px^2, covariance of u and v",
+    "cvv": "px^2, variance along v",
+    "x": "m, platform in base",
+    "y": "m",
+    "z": "m",
+    "rx": "rad, rotation vector, platform in base",
+    "ry": "rad",
+    "rz": "rad",
+    "c": "m, rad: upper triangle of the covariance, order x y z rx ry rz, the small motion on the right, in the "
+    "platform's frame; all 21 or none",
     "channel": "any value; the name says the unit",
 }
 RIG = {"cameras": 1, "cubes": 1}
@@ -67,9 +91,13 @@ def _sample(folder: Path) -> Path:
     design = recording_folder.design_file.load(folder / "rig.toml")
     lengths = ",".join(f"{x:.4f}" for x in design.mechanism.strut_range.mean(axis=1))
     marker = design.targets[0].ids[0]
-    for file, header, row in (("commands.csv", "t,l1,l2,l3,l4,l5,l6", f"0,{lengths}"), ("frames.csv", "frame,t,camera,image", "0,1,cam0,"),
-                              ("sensors.csv", "t,ambient_temperature_C", "0,20"), ("poses.csv", "frame,x,y,z,rx,ry,rz", "0,0,0,0.4,0,0,0"),
-                              ("corners.csv", "frame,camera,marker,corner,u,v", f"0,cam0,{marker},0,10,10")):
+    for file, header, row in (
+        ("commands.csv", "t,l1,l2,l3,l4,l5,l6", f"0,{lengths}"),
+        ("frames.csv", "frame,t,camera,image", "0,1,cam0,"),
+        ("sensors.csv", "t,ambient_temperature_C", "0,20"),
+        ("poses.csv", "frame,x,y,z,rx,ry,rz", "0,0,0,0.4,0,0,0"),
+        ("corners.csv", "frame,camera,marker,corner,u,v", f"0,cam0,{marker},0,10,10"),
+    ):
         (folder / file).write_text(f"{header}\n{row}\n")
     return folder
 
@@ -78,8 +106,11 @@ def page() -> str:
     """The page in Markdown."""
     parts = [HEAD]
     for file, (required, optional) in asked().items():
-        rows = [f"| {name} | {there} | {words} |" for there, names in (("must be there", required), ("may be there", optional))
-                for name, words in _folded(names)]
+        rows = [
+            f"| {name} | {there} | {words} |"
+            for there, names in (("must be there", required), ("may be there", optional))
+            for name, words in _folded(names)
+        ]
         if file == "sensors.csv":
             rows += [f"| `{name}` | may be there | {words} |" for name, words in channels()]
         parts.append(f"\n## {file}\n\n{FILES[file]}\n\n| column | | what |\n|---|---|---|\n" + "\n".join(rows) + "\n")
@@ -89,9 +120,12 @@ def page() -> str:
 def channels() -> list[tuple[str, str]]:
     """Names that a sensors.csv's channels have where the program knows what they are, with their units."""
     temperatures = (AMBIENT, "strut1_temperature_C` .. `strut6_temperature_C", "camera_NAME_temperature_C")
-    return [*((name, "degrees Celsius") for name in temperatures), ("payload_mass_kg", "kg"),
-            ("m1` .. `mn", "m, measuring limbs"),
-            ("anything else", "a covariate that the diagnosis may use by its name")]
+    return [
+        *((name, "degrees Celsius") for name in temperatures),
+        ("payload_mass_kg", "kg"),
+        ("m1` .. `mn", "m, measuring limbs"),
+        ("anything else", "a covariate that the diagnosis may use by its name"),
+    ]
 
 
 def _folded(names: tuple[str, ...]) -> list[tuple[str, str]]:

@@ -6,7 +6,13 @@ import numpy as np
 
 from rig.checks.user_mistake import Mistake
 
-UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9, "minutes": 1 / 60, "hours": 1 / 3600}  # per second
+UNITS = {
+    "milliseconds": 1e3,
+    "microseconds": 1e6,
+    "nanoseconds": 1e9,
+    "minutes": 1 / 60,
+    "hours": 1 / 3600,
+}  # per second
 LIKE = 0.3  # share by which a ratio of spans may differ from a unit's
 APART = 0.5  # share of the recording's span that must lie within the commands, for the clocks to be one
 QUARTER = 900.0  # s; time zones differ by multiples of it
@@ -27,17 +33,32 @@ def time_range_mistakes(times: dict[str, np.ndarray]) -> Iterator[Mistake]:
     start, end = ends["frames.csv"]
     odd = _odd_units(ends)
     for name, (unit, others) in odd.items():
-        yield Mistake(f"{name}: times are in {unit}, while {' and '.join(others)} {'are' if len(others) > 1 else 'is'} in seconds",
-                      f"Divide t of {name} by {UNITS[unit]:g}" if UNITS[unit] > 1 else f"Multiply t of {name} by {1 / UNITS[unit]:g}", proof=0.95)
+        yield Mistake(
+            f"{name}: times are in {unit}, while {' and '.join(others)} {'are' if len(others) > 1 else 'is'} "
+            "in seconds",
+            f"Divide t of {name} by {UNITS[unit]:g}"
+            if UNITS[unit] > 1
+            else f"Multiply t of {name} by {1 / UNITS[unit]:g}",
+            proof=0.95,
+        )
     for name, (low, high) in ends.items():
         if name == "frames.csv" or name in odd or "frames.csv" in odd:
             continue
         inside = max(0.0, min(high, end) - max(low, start)) / max(end - start, 1e-9)
         if inside < APART:
-            shift = (low - start) if abs((high - low) - (end - start)) < LIKE * (end - start) else (low + high - start - end) / 2
-            yield Mistake(f"{name} and frames.csv are on different clocks: frames run from {start:.10g} to {end:.10g} s, {name} from {low:.10g} to "
-                          f"{high:.10g} s" + _zone(shift), f"Bring both to one clock: t of one of them is about {abs(shift):.10g} s off", proof=0.9,
-                          spoils=name == "commands.csv")
+            shift = (
+                (low - start)
+                if abs((high - low) - (end - start)) < LIKE * (end - start)
+                else (low + high - start - end) / 2
+            )
+            yield Mistake(
+                f"{name} and frames.csv are on different clocks: frames run from {start:.10g} to {end:.10g} "
+                f"s, {name} from {low:.10g} to "
+                f"{high:.10g} s" + _zone(shift),
+                f"Bring both to one clock: t of one of them is about {abs(shift):.10g} s off",
+                proof=0.9,
+                spoils=name == "commands.csv",
+            )
 
 
 def _odd_units(ends: dict[str, tuple[float, float]]) -> dict[str, tuple[str, list[str]]]:
@@ -67,30 +88,51 @@ def _zone(shift: float) -> str:
     return ""
 
 
-def speed_mistakes(t: np.ndarray, values: np.ndarray, frames: np.ndarray, unit: str, top: float | None) -> Iterator[Mistake]:
+def speed_mistakes(
+    t: np.ndarray, values: np.ndarray, frames: np.ndarray, unit: str, top: float | None
+) -> Iterator[Mistake]:
     """Speeds and frame rates that no machine has: all times in another unit.
 
-    t : (n,) s and values : (n, axes) m or rad of the commands; frames : (F,) s; unit : "m" or "rad"; top : m/s stated, or None
+    t : (n,) s and values : (n, axes) m or rad of the commands; frames : (F,) s; unit : "m" or "rad"; top : m/s stated,
+        or None
     """
     step = np.abs(np.diff(values, axis=0)).max(axis=1) / np.maximum(np.diff(t), 1e-12) if len(t) > 1 else np.zeros(0)
     if len(step) and step.max() > 0:
         fastest = float(np.quantile(step[step > 0], 0.9))
         low, high = (SLOWEST * top, FASTEST * top) if top else USUAL[unit]
-        against = f"the top speed is stated as {top:g} {unit}/s" if top else f"machines move by {low:g} to {high:g} {unit}/s"
+        against = (
+            f"the top speed is stated as {top:g} {unit}/s" if top else f"machines move by {low:g} to {high:g} {unit}/s"
+        )
         if not low <= fastest <= high:
             factor = (top or np.sqrt(low * high)) / fastest
             named = min((n for n in UNITS), key=lambda n: abs(np.log(factor / UNITS[n])))
             near = abs(np.log(factor / UNITS[named])) < np.log(30.0)
-            yield Mistake(f"commands.csv: times are not in seconds{f' but look like {named}' if near else ''}: the axes move by {fastest:.3g} "
-                          f"{unit}/s, and {against}", f"State t in seconds in all files ({named}: divide by {UNITS[named]:g})" if near else
-                          "Look at the column t, or at the unit of the lengths or angles", proof=0.8, spoils=False)
+            yield Mistake(
+                f"commands.csv: times are not in seconds{f' but look like {named}' if near else ''}: the "
+                f"axes move by {fastest:.3g} "
+                f"{unit}/s, and {against}",
+                f"State t in seconds in all files ({named}: divide by {UNITS[named]:g})"
+                if near
+                else "Look at the column t, or at the unit of the lengths or angles",
+                proof=0.8,
+                spoils=False,
+            )
             return
     gaps = np.diff(np.unique(frames))
     if len(gaps):
         rate = 1 / float(np.median(gaps))
         if not RATE[0] <= rate <= RATE[1]:
-            unit_said = "too far apart: are times in milliseconds?" if rate < RATE[0] else "too close together: are times in minutes or hours?"
-            yield Mistake(f"frames.csv: {rate:.3g} frames per second is implausible, they are {unit_said}", "State t in seconds", False, 0.5)
+            unit_said = (
+                "too far apart: are times in milliseconds?"
+                if rate < RATE[0]
+                else "too close together: are times in minutes or hours?"
+            )
+            yield Mistake(
+                f"frames.csv: {rate:.3g} frames per second is implausible, they are {unit_said}",
+                "State t in seconds",
+                False,
+                0.5,
+            )
 
 
 def repeated_time_mistakes(t: np.ndarray) -> Iterator[Mistake]:
@@ -98,5 +140,10 @@ def repeated_time_mistakes(t: np.ndarray) -> Iterator[Mistake]:
     if len(t) > 3:
         same = int((np.diff(t) == 0).sum())
         if same > 0.2 * len(t):
-            yield Mistake(f"frames.csv: {same + 1} of {len(t)} frames have the time of the frame before: times are rounded or copied",
-                          "Write t with milliseconds at least", True, 0.7)
+            yield Mistake(
+                f"frames.csv: {same + 1} of {len(t)} frames have the time of the frame before: times are "
+                "rounded or copied",
+                "Write t with milliseconds at least",
+                True,
+                0.7,
+            )

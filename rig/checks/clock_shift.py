@@ -1,4 +1,6 @@
-"""Two clocks held against each other: by how much frames are to be moved so that they were taken while the commands stood still."""
+"""Two clocks held against each other: by how much frames are to be moved so that they were taken while the commands
+stood still.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,7 +20,9 @@ MOST_PAIRS = 4_000_000
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """shift : s to add to frames; room : s, half the width of the shifts that serve as well; frames : how many then lie in a dwell."""
+    """shift : s to add to frames; room : s, half the width of the shifts that serve as well; frames : how many then lie
+    in a dwell.
+    """
 
     shift: float
     room: float
@@ -33,7 +37,9 @@ def standing_shift(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> Sta
     dwells = _dwells(t, values)
     if min(len(frames), len(dwells)) < FEWEST or len(frames) * len(dwells) > MOST_PAIRS:
         return None
-    at = np.concatenate([np.subtract.outer(dwells[:, 0], frames).ravel(), np.subtract.outer(dwells[:, 1], frames).ravel()])
+    at = np.concatenate(
+        [np.subtract.outer(dwells[:, 0], frames).ravel(), np.subtract.outer(dwells[:, 1], frames).ravel()]
+    )
     step = np.repeat([1, -1], len(at) // 2)
     order = np.lexsort((-step, at))  # a dwell begins before another ends at the same shift
     at, count = at[order], np.cumsum(step[order])
@@ -46,7 +52,8 @@ def standing_shift(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> Sta
 
 
 def clock_offset_mistake(frames: np.ndarray, t: np.ndarray, values: np.ndarray) -> Iterator[Mistake]:
-    """The Mistake of clocks that differ though they overlap: frames taken while axes moved, which another offset puts where they stand.
+    """The Mistake of clocks that differ though they overlap: frames taken while axes moved, which another offset puts
+    where they stand.
 
     frames : (m,) s; t : (n,) s of the commands; values : (n, axes) m or rad
     """
@@ -61,10 +68,14 @@ def clock_offset_mistake(frames: np.ndarray, t: np.ndarray, values: np.ndarray) 
     if found is None or abs(found.shift) <= LAG:
         return
     way = "behind" if found.shift > 0 else "ahead of"
-    yield Mistake(f"frames.csv: the frames' clock is {abs(found.shift):.4g} s {way} the commands' (+-{found.room:.2g} s): {found.frames} of "
-                  f"{len(frames)} frames were then taken while the commands stand still, as it stands {now}",
-                  f"{'Add' if found.shift > 0 else 'Subtract'} {abs(found.shift):.4g} s to t of frames.csv (rig import --set "
-                  f"images.shift={found.shift:.3f}, or poses.shift), or log both by one clock", proof=0.9)
+    yield Mistake(
+        f"frames.csv: the frames' clock is {abs(found.shift):.4g} s {way} the commands' (+-{found.room:.2g} "
+        f"s): {found.frames} of "
+        f"{len(frames)} frames were then taken while the commands stand still, as it stands {now}",
+        f"{'Add' if found.shift > 0 else 'Subtract'} {abs(found.shift):.4g} s to t of frames.csv (rig import --set "
+        f"images.shift={found.shift:.3f}, or poses.shift), or log both by one clock",
+        proof=0.9,
+    )
 
 
 def _dwells(t: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""Commands that are no lengths or angles of this machine: in millimetres, in steps, from home, in degrees, with the other sign."""
+"""Commands that are no lengths or angles of this machine: in millimetres, in steps, from home, in degrees, with the
+other sign.
+"""
 
 from collections.abc import Iterator
 
@@ -45,34 +47,62 @@ def _lengths(q: np.ndarray, ranges: np.ndarray, home: np.ndarray) -> Iterator[Mi
     said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m"
     if axes.mean() <= FEW:
         which = ", ".join(str(k + 1) for k in np.flatnonzero(axes))
-        yield Mistake(f"commands.csv: lengths of strut {which} alone lie outside strut_range ({outside:.1%} of all): {said}",
-                      "Look at its zero, at its strut_range or at those rows", bool(outside > MUCH), 0.3)
+        yield Mistake(
+            f"commands.csv: lengths of strut {which} alone lie outside strut_range ({outside:.1%} of all): {said}",
+            "Look at its zero, at its strut_range or at those rows",
+            bool(outside > MUCH),
+            0.3,
+        )
         return
     for unit, per_metre in UNITS.items():
         if _beyond(q / per_metre, ranges) <= outside / 4:
-            yield Mistake(f"commands.csv: lengths are in {unit}: {said}", f"Divide them by {per_metre:.6g}; {advice}", True, 0.95)
+            yield Mistake(
+                f"commands.csv: lengths are in {unit}: {said}", f"Divide them by {per_metre:.6g}; {advice}", True, 0.95
+            )
             return
-    for text, mended, how in (("relative to home", q + home, "Add each strut's length at home"),
-                              ("relative to the shortest length", q + ranges[:, 0], "Add each strut's shortest length"),
-                              ("of the wrong sign", -q, "Turn their sign"),
-                              ("relative to home and of the wrong sign", home - q, "Subtract them from each strut's length at home"),
-                              ("relative to the longest length", ranges[:, 1] - q, "Subtract them from each strut's longest length")):
+    for text, mended, how in (
+        ("relative to home", q + home, "Add each strut's length at home"),
+        ("relative to the shortest length", q + ranges[:, 0], "Add each strut's shortest length"),
+        ("of the wrong sign", -q, "Turn their sign"),
+        ("relative to home and of the wrong sign", home - q, "Subtract them from each strut's length at home"),
+        ("relative to the longest length", ranges[:, 1] - q, "Subtract them from each strut's longest length"),
+    ):
         if _beyond(mended, ranges) <= outside / 4:
             yield Mistake(f"commands.csv: lengths are {text}: {said}", f"{how}; {advice}", True, 0.9)
             return
     for unit, per_metre in UNITS.items():
-        if _beyond(q / per_metre + home, ranges) <= outside / 4 and np.ptp(q) > 0.02 * per_metre * np.ptp(ranges, axis=1).min():
-            yield Mistake(f"commands.csv: lengths are in {unit} and relative to home: {said}",
-                          f"Divide them by {per_metre:.6g} and add the home lengths; {advice}", True, 0.9)
+        if (
+            _beyond(q / per_metre + home, ranges) <= outside / 4
+            and np.ptp(q) > 0.02 * per_metre * np.ptp(ranges, axis=1).min()
+        ):
+            yield Mistake(
+                f"commands.csv: lengths are in {unit} and relative to home: {said}",
+                f"Divide them by {per_metre:.6g} and add the home lengths; {advice}",
+                True,
+                0.9,
+            )
             return
     if np.median(np.abs(q)) > 10 * ranges.max():
-        yield Mistake(f"commands.csv: lengths are in steps or counts: {said}", f"Divide them by the steps per metre; {advice}", True, 0.7)
+        yield Mistake(
+            f"commands.csv: lengths are in steps or counts: {said}",
+            f"Divide them by the steps per metre; {advice}",
+            True,
+            0.7,
+        )
     elif outside > MUCH:
-        yield Mistake(f"commands.csv: {outside:.0%} of the lengths lie outside strut_range: {said}",
-                      f"Look at the unit, at the zero and at strut_range; {advice}", True, 0.5)
+        yield Mistake(
+            f"commands.csv: {outside:.0%} of the lengths lie outside strut_range: {said}",
+            f"Look at the unit, at the zero and at strut_range; {advice}",
+            True,
+            0.5,
+        )
     else:
-        yield Mistake(f"commands.csv: some lengths ({outside:.1%}) lie outside strut_range: {said}", "Look at strut_range or at those rows", False,
-                      0.3)
+        yield Mistake(
+            f"commands.csv: some lengths ({outside:.1%}) lie outside strut_range: {said}",
+            "Look at strut_range or at those rows",
+            False,
+            0.3,
+        )
 
 
 def _slides(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
@@ -82,10 +112,19 @@ def _slides(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
     said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's limits are {limits.min():.6g} to {limits.max():.6g} m"
     for unit, per_metre in UNITS.items():
         if _beyond(q / per_metre, limits) <= outside / 4:
-            yield Mistake(f"commands.csv: slides are in {unit}: {said}", f"Divide them by {per_metre:.6g}; slides are in metres", True, 0.95)
+            yield Mistake(
+                f"commands.csv: slides are in {unit}: {said}",
+                f"Divide them by {per_metre:.6g}; slides are in metres",
+                True,
+                0.95,
+            )
             return
-    yield Mistake(f"commands.csv: {outside:.1%} of the slides' positions lie outside the limits: {said}", "Look at their unit, zeros and limits",
-                  outside > MUCH, 0.5 if outside > MUCH else 0.3)
+    yield Mistake(
+        f"commands.csv: {outside:.1%} of the slides' positions lie outside the limits: {said}",
+        "Look at their unit, zeros and limits",
+        outside > MUCH,
+        0.5 if outside > MUCH else 0.3,
+    )
 
 
 def _angles(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
@@ -96,8 +135,16 @@ def _angles(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
     if outside > 0 and _beyond(np.radians(q), limits) <= outside / 4 and np.abs(q).max() > 2.5 * np.pi:
         yield Mistake(f"commands.csv: joint angles are in degrees: {said}", "State them in radians", True, 0.95)
     elif outside > MUCH:
-        yield Mistake(f"commands.csv: {outside:.0%} of the joint angles lie outside the limits: {said}", "Look at their unit, zeros and limits", True,
-                      0.5)
+        yield Mistake(
+            f"commands.csv: {outside:.0%} of the joint angles lie outside the limits: {said}",
+            "Look at their unit, zeros and limits",
+            True,
+            0.5,
+        )
     elif outside > 0:
-        yield Mistake(f"commands.csv: some joint angles ({outside:.1%}) lie outside the limits: {said}", "Look at limits or at those rows", False,
-                      0.3)
+        yield Mistake(
+            f"commands.csv: some joint angles ({outside:.1%}) lie outside the limits: {said}",
+            "Look at limits or at those rows",
+            False,
+            0.3,
+        )

@@ -1,4 +1,6 @@
-"""What sensors.csv and [environment], [platform] say that nature does not: kelvins, Fahrenheit, grams, a wrong sign, exchanged channels."""
+"""What sensors.csv and [environment], [platform] say that nature does not: kelvins, Fahrenheit, grams, a wrong sign,
+exchanged channels.
+"""
 
 from collections.abc import Iterator
 
@@ -24,20 +26,42 @@ def sensor_mistakes(log: Sensors, design: Design) -> Iterator[Mistake]:
     for name, values in warm.items():
         middle = float(np.median(values))
         if KELVIN[0] < middle < KELVIN[1]:
-            yield Mistake(f"sensors.csv: {name} is in Kelvin: {middle:.4g} in the middle", "Subtract 273.15; temperatures are in degrees Celsius",
-                          False, 0.9)
+            yield Mistake(
+                f"sensors.csv: {name} is in Kelvin: {middle:.4g} in the middle",
+                "Subtract 273.15; temperatures are in degrees Celsius",
+                False,
+                0.9,
+            )
         elif middle < COLDEST or middle >= KELVIN[1]:
-            yield Mistake(f"sensors.csv: {name} = {middle:.4g} is no temperature in degrees Celsius", "Look at the channel's unit and wiring",
-                          False, 0.6)
+            yield Mistake(
+                f"sensors.csv: {name} = {middle:.4g} is no temperature in degrees Celsius",
+                "Look at the channel's unit and wiring",
+                False,
+                0.6,
+            )
     room = log.channels.get("ambient_temperature_C")
     if room is not None and FAHRENHEIT[0] < np.median(room) < FAHRENHEIT[1]:
-        yield Mistake(f"sensors.csv: ambient_temperature_C is in Fahrenheit: a room of {np.median(room):.4g} C is implausible, "
-                      f"{np.median(room):.4g} F is {(np.median(room) - 32) / 1.8:.3g} C", "Convert: (F - 32) / 1.8", False, 0.8)
+        yield Mistake(
+            f"sensors.csv: ambient_temperature_C is in Fahrenheit: a room of {np.median(room):.4g} C is implausible, "
+            f"{np.median(room):.4g} F is {(np.median(room) - 32) / 1.8:.3g} C",
+            "Convert: (F - 32) / 1.8",
+            False,
+            0.8,
+        )
     elif room is not None:
         for name, values in warm.items():
-            if values is not room and abs((np.median(values) - 32) / 1.8 - np.median(room)) < 8 and np.median(values) > np.median(room) + 20:
-                yield Mistake(f"sensors.csv: {name} is in Fahrenheit: {np.median(values):.4g}, where the room has {np.median(room):.4g} C",
-                              "Convert: (F - 32) / 1.8", False, 0.75)
+            if (
+                values is not room
+                and abs((np.median(values) - 32) / 1.8 - np.median(room)) < 8
+                and np.median(values) > np.median(room) + 20
+            ):
+                yield Mistake(
+                    f"sensors.csv: {name} is in Fahrenheit: {np.median(values):.4g}, where the room has "
+                    f"{np.median(room):.4g} C",
+                    "Convert: (F - 32) / 1.8",
+                    False,
+                    0.75,
+                )
         yield from _exchanged(room, warm)
     load = log.channels.get("payload_mass_kg")
     if load is not None:
@@ -52,22 +76,48 @@ def _exchanged(room: np.ndarray, warm: dict[str, np.ndarray]) -> Iterator[Mistak
     cold = [name for name, above in struts.items() if above < -COLDER]
     spread = sorted(struts.values())
     if len(cold) == 1 and spread[0] < spread[1] - COLDER and np.ptp(spread[1:]) < 3 * (spread[1] - spread[0]) + 2:
-        yield Mistake(f"sensors.csv: ambient_temperature_C and {cold[0]} are exchanged: the one named {cold[0]} is colder than all others, the room "
-                      "warmer than it", "Exchange the two columns' names", False, 0.5)
+        yield Mistake(
+            f"sensors.csv: ambient_temperature_C and {cold[0]} are exchanged: the one named {cold[0]} is "
+            "colder than all others, the room "
+            "warmer than it",
+            "Exchange the two columns' names",
+            False,
+            0.5,
+        )
 
 
 def _load(load: np.ndarray, room: np.ndarray | None, design: Design) -> Iterator[Mistake]:
-    if len(load) > 5 and (np.diff(load) != 0).mean() > 0.5 and 5 < np.median(load) < 60 and np.ptp(load) < 15 and (
-            room is None or (np.diff(room) != 0).mean() < 0.5):
-        yield Mistake("sensors.csv: payload_mass_kg and ambient_temperature_C are exchanged: the load drifts like a temperature"
-                      + ("" if room is None else ", the temperature stands and jumps like a load"), "Exchange the two columns' names", False, 0.8)
+    if (
+        len(load) > 5
+        and (np.diff(load) != 0).mean() > 0.5
+        and 5 < np.median(load) < 60
+        and np.ptp(load) < 15
+        and (room is None or (np.diff(room) != 0).mean() < 0.5)
+    ):
+        yield Mistake(
+            "sensors.csv: payload_mass_kg and ambient_temperature_C are exchanged: the load drifts like a temperature"
+            + ("" if room is None else ", the temperature stands and jumps like a load"),
+            "Exchange the two columns' names",
+            False,
+            0.8,
+        )
         return
     most = float(load.max())
     if load.min() < 0:
-        yield Mistake(f"sensors.csv: payload_mass_kg is negative ({load.min():g} kg)", "Tare the scale or mend the sign", False, 0.7)
+        yield Mistake(
+            f"sensors.csv: payload_mass_kg is negative ({load.min():g} kg)",
+            "Tare the scale or mend the sign",
+            False,
+            0.7,
+        )
     elif most > (HEAVY * design.platform.mass if design.platform.mass else TON):
-        yield Mistake(f"sensors.csv: payload_mass_kg is in grams: {most:g} kg on a platform"
-                      + (f" of {design.platform.mass:g} kg" if design.platform.mass else ""), "Divide payload_mass_kg by 1000", False, 0.8)
+        yield Mistake(
+            f"sensors.csv: payload_mass_kg is in grams: {most:g} kg on a platform"
+            + (f" of {design.platform.mass:g} kg" if design.platform.mass else ""),
+            "Divide payload_mass_kg by 1000",
+            False,
+            0.8,
+        )
 
 
 def environment_mistakes(design: Design) -> Iterator[Mistake]:
@@ -75,14 +125,32 @@ def environment_mistakes(design: Design) -> Iterator[Mistake]:
     g = np.asarray(design.gravity)
     size = float(np.linalg.norm(g))
     if not GRAVITY[0] <= size <= GRAVITY[1]:
-        said = next((text for unit, text in ((1.0, "in units of g"), (9806.65, "in mm/s^2"), (980.665, "in cm/s^2"), (32.174, "in ft/s^2"))
-                     if abs(size / unit - 1) < 0.02), "not the Earth's 9.81 m/s^2")
-        yield Mistake(f"rig.toml: gravity is {said}: {size:g}", "State environment.gravity in m/s^2 in the base frame", False, 0.7)
+        said = next(
+            (
+                text
+                for unit, text in (
+                    (1.0, "in units of g"),
+                    (9806.65, "in mm/s^2"),
+                    (980.665, "in cm/s^2"),
+                    (32.174, "in ft/s^2"),
+                )
+                if abs(size / unit - 1) < 0.02
+            ),
+            "not the Earth's 9.81 m/s^2",
+        )
+        yield Mistake(
+            f"rig.toml: gravity is {said}: {size:g}", "State environment.gravity in m/s^2 in the base frame", False, 0.7
+        )
     if design.mechanism.kind == "hexapod" and size > 0:
         up = design.mechanism.home.translation
         if (g @ up) / (size * np.linalg.norm(up)) > 0.5:
-            yield Mistake("rig.toml: gravity has the wrong sign: it points from the base to the platform, as in a hanging machine",
-                          "Turn the sign of environment.gravity, unless the machine hangs", False, 0.55)
+            yield Mistake(
+                "rig.toml: gravity has the wrong sign: it points from the base to the platform, as in a "
+                "hanging machine",
+                "Turn the sign of environment.gravity, unless the machine hangs",
+                False,
+                0.55,
+            )
     mass = design.platform.mass
     if mass is not None and mass > TON:
         yield Mistake(f"rig.toml: platform.mass is in grams: {mass:g} kg is implausible", "State it in kg", False, 0.6)

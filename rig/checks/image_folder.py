@@ -19,11 +19,19 @@ def unused_cameras(recording: Recording) -> Iterator[Mistake]:
     e, c = recording.exposures, recording.corners
     for camera in recording.design.cameras:
         if camera.name not in e.camera:
-            yield Mistake(f"rig.toml: camera {camera.name} is unused: frames.csv has no exposure of it",
-                          "Add its rows to frames.csv, or take the camera out of rig.toml", False, 0.5)
+            yield Mistake(
+                f"rig.toml: camera {camera.name} is unused: frames.csv has no exposure of it",
+                "Add its rows to frames.csv, or take the camera out of rig.toml",
+                False,
+                0.5,
+            )
         elif c is not None and not recording.has_images and camera.name not in set(c.camera):
-            yield Mistake(f"rig.toml: camera {camera.name} is unused: corners.csv has no corner of it",
-                          "Look whether its corners have another name, or take the camera out of rig.toml", False, 0.5)
+            yield Mistake(
+                f"rig.toml: camera {camera.name} is unused: corners.csv has no corner of it",
+                "Look whether its corners have another name, or take the camera out of rig.toml",
+                False,
+                0.5,
+            )
 
 
 def duplicate_images(recording: Recording) -> Iterator[Mistake]:
@@ -40,9 +48,15 @@ def duplicate_images(recording: Recording) -> Iterator[Mistake]:
     if twice:
         a, b = twice[0][:2]
         other = sum(len(rows) - 1 for rows in twice)
-        yield Mistake(f"frames.csv: an image is there twice: {e.image[b]} (frame {e.frame[b]}, camera {e.camera[b]}) is the same picture as "
-                      f"{e.image[a]} (frame {e.frame[a]}, camera {e.camera[a]})" + (f", and {other - 1} more are repeated" if other > 1 else ""),
-                      "Give each exposure its own image; a camera that stalls repeats its last one", True, 0.9)
+        yield Mistake(
+            f"frames.csv: an image is there twice: {e.image[b]} (frame {e.frame[b]}, camera {e.camera[b]}) "
+            "is the same picture as "
+            f"{e.image[a]} (frame {e.frame[a]}, camera {e.camera[a]})"
+            + (f", and {other - 1} more are repeated" if other > 1 else ""),
+            "Give each exposure its own image; a camera that stalls repeats its last one",
+            True,
+            0.9,
+        )
 
 
 def _moved(recording: Recording, rows: list[int]) -> bool:
@@ -65,18 +79,33 @@ def corners_outside_images(recording: Recording) -> Iterator[Mistake]:
         if not len(uv):
             continue
         if uv.min() > -1.01 and uv.max() < 2:
-            yield Mistake(f"corners.csv: u, v of camera {camera.name} are no pixels: all lie within {uv.min():.3g} to {uv.max():.3g}",
-                          "Write pixels, not shares of the image or normalised coordinates", True, 0.95)
+            yield Mistake(
+                f"corners.csv: u, v of camera {camera.name} are no pixels: all lie within {uv.min():.3g} to "
+                f"{uv.max():.3g}",
+                "Write pixels, not shares of the image or normalised coordinates",
+                True,
+                0.95,
+            )
             continue
         outside = ((uv < -1) | (uv > [w, h])).any(axis=1).mean()
         if outside < OUTSIDE:
             continue
         reach = np.quantile(uv, 0.995, axis=0)
         if w != h and ((uv > [h, w]).any(axis=1) | (uv < -1).any(axis=1)).mean() < OUTSIDE < outside:
-            yield Mistake(f"corners.csv: u and v are exchanged in camera {camera.name}, or width and height are in rig.toml: {outside:.0%} of the "
-                          f"corners lie outside {w} x {h} px, none outside {h} x {w}", "u runs to the right along the width, v down", True, 0.85)
+            yield Mistake(
+                f"corners.csv: u and v are exchanged in camera {camera.name}, or width and height are in "
+                f"rig.toml: {outside:.0%} of the "
+                f"corners lie outside {w} x {h} px, none outside {h} x {w}",
+                "u runs to the right along the width, v down",
+                True,
+                0.85,
+            )
         else:
-            yield Mistake(f"corners.csv: corners of camera {camera.name} are of another image size than {w} x {h} px: {outside:.0%} lie outside it, "
-                          f"up to u = {reach[0]:.0f}, v = {reach[1]:.0f}",
-                          "State width, height and matrix of the images that the corners were read from",
-                          True, 0.85)
+            yield Mistake(
+                f"corners.csv: corners of camera {camera.name} are of another image size than {w} x {h} px: "
+                f"{outside:.0%} lie outside it, "
+                f"up to u = {reach[0]:.0f}, v = {reach[1]:.0f}",
+                "State width, height and matrix of the images that the corners were read from",
+                True,
+                0.85,
+            )

@@ -1,4 +1,6 @@
-"""Commands held against measured poses of a platform on struts: struts, joints, clocks, poses and frames in another order or another way."""
+"""Commands held against measured poses of a platform on struts: struts, joints, clocks, poses and frames in another
+order or another way.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -25,7 +27,10 @@ SMALL = 1e-3  # m, RMS of a disagreement that is always a calibration's matter
 LIKELY = 0.85  # proof of a mistake that explains all: figures that are impossible by themselves go first
 BETTER = 0.35  # of the disagreement that a mistake named may leave
 SURE = 0.15  # m; beyond, lengths are not in metres or not of this machine
-SCALES, SCALED = (0.75, 1.33), 0.03  # of joints' distances from the axis that are tried; beyond the second it is a mistake
+SCALES, SCALED = (
+    (0.75, 1.33),
+    0.03,
+)  # of joints' distances from the axis that are tried; beyond the second it is a mistake
 ALIKE = 1.3  # times the least disagreement, within which two mistakes explain as much
 SHIFTED, CLOCK = "the frames are shifted by", "the frames' clock"
 SHIFTS = (-3, -2, -1, 1, 2, 3)
@@ -38,7 +43,8 @@ QUARTER = 1800.0  # s; time zones
 class Moves:
     """What was commanded and what was measured, of one platform.
 
-    mechanism : Hexapod as stated; frame : (n,) numbers; index : (n,) of these among all frames; times : (F,) s of all frames
+    mechanism : Hexapod as stated; frame : (n,) numbers; index : (n,) of these among all frames; times : (F,) s of all
+        frames
     q : (n, 6) m commanded at the frames; T : RigidTransform (n,) measured
     commands : Commands, for other times; vector : (n, 6) m and rad as poses.csv has them, or None where vision measured
     """
@@ -69,8 +75,11 @@ class Moves:
         return float(np.sqrt((self.left() ** 2).mean()))
 
 
-def moves_of_recording(recording: Recording, frames: np.ndarray, T: RigidTransform, vector: np.ndarray | None = None) -> Moves:
-    """Moves of a recording's commands and poses measured in some of its frames; vector : (n, 6) as poses.csv has them, or None.
+def moves_of_recording(
+    recording: Recording, frames: np.ndarray, T: RigidTransform, vector: np.ndarray | None = None
+) -> Moves:
+    """Moves of a recording's commands and poses measured in some of its frames; vector : (n, 6) as poses.csv has them,
+    or None.
 
     Raises RigError without commands, and for what is no hexapod.
     """
@@ -110,11 +119,17 @@ def command_pose_mistakes(moves: Moves) -> Iterator[Mistake]:
         left, what, do = min(shifts, key=lambda one: one[0])
     said = f"commands and measured poses differ by {before * 1e3:.3g} mm"
     if left < BETTER * before and left < max(AWAY, 0.3 * before):
-        yield Mistake(f"{what}: {said} RMS as it stands, by {left * 1e3:.3g} mm so", do, True, LIKELY * (1 - left / before))
+        yield Mistake(
+            f"{what}: {said} RMS as it stands, by {left * 1e3:.3g} mm so", do, True, LIKELY * (1 - left / before)
+        )
     else:
-        yield Mistake(f"{said} RMS along the struts, and no usual mistake explains it",
-                      "Look at the joints, the struts' order and the zeros in rig.toml, and at whether poses and commands belong together",
-                      before > SURE, 0.3)
+        yield Mistake(
+            f"{said} RMS along the struts, and no usual mistake explains it",
+            "Look at the joints, the struts' order and the zeros in rig.toml, and at whether poses and "
+            "commands belong together",
+            before > SURE,
+            0.3,
+        )
 
 
 Candidate = tuple[str, str, Moves]
@@ -138,35 +153,63 @@ def _struts(moves: Moves) -> Iterator[Candidate]:
     signs = np.sign(C[np.arange(6), order])
     listed = ", ".join(f"strut {i + 1} is column l{k + 1}" for i, k in enumerate(order) if i != k)
     if listed:
-        yield "commands.csv: the struts are in another order: " + listed, "Put the columns, or the joints of rig.toml, in one order", replace(
-            moves, q=moves.q[:, order])
+        yield (
+            "commands.csv: the struts are in another order: " + listed,
+            "Put the columns, or the joints of rig.toml, in one order",
+            replace(moves, q=moves.q[:, order]),
+        )
     if (signs < 0).any() and not listed:
         turned = [i + 1 for i in range(6) if signs[i] < 0]
         q = moves.q.copy()
         middle = kinematics.inverse(moves.mechanism.home, moves.mechanism)
         for i in turned:
             q[:, i - 1] = 2 * middle[i - 1] - q[:, i - 1]
-        which = ("all struts run" if len(turned) == 6 else f"strut {turned[0]} runs" if len(turned) == 1 else
-                 f"struts {', '.join(map(str, turned))} run")
-        yield f"commands.csv: {which} with the sign reversed about home", "Turn the sign of their travel", replace(moves, q=q)
+        which = (
+            "all struts run"
+            if len(turned) == 6
+            else f"strut {turned[0]} runs"
+            if len(turned) == 1
+            else f"struts {', '.join(map(str, turned))} run"
+        )
+        yield (
+            f"commands.csv: {which} with the sign reversed about home",
+            "Turn the sign of their travel",
+            replace(moves, q=q),
+        )
     home = kinematics.inverse(moves.mechanism.home, moves.mechanism)
-    for what, do, q in (("commands.csv: lengths are relative to home", "Add each strut's length at home", moves.q + home),
-                        ("commands.csv: lengths are in millimetres", "Divide them by 1000", moves.q / 1e3)):
+    for what, do, q in (
+        ("commands.csv: lengths are relative to home", "Add each strut's length at home", moves.q + home),
+        ("commands.csv: lengths are in millimetres", "Divide them by 1000", moves.q / 1e3),
+    ):
         yield what, do, replace(moves, q=q)
     offset = np.median(L - moves.q, axis=0)
     if np.ptp(offset) < 0.3 * abs(offset.mean()):
-        yield (f"commands.csv: all lengths are {abs(offset.mean()) * 1e3:.3g} mm too {'short' if offset.mean() > 0 else 'long'}: they are not joint "
-               "centre to joint centre", "Add what lies between the controller's zero and the joints' centres", replace(moves, q=moves.q + offset))
+        yield (
+            f"commands.csv: all lengths are {abs(offset.mean()) * 1e3:.3g} mm too "
+            f"{'short' if offset.mean() > 0 else 'long'}: they are not joint "
+            "centre to joint centre",
+            "Add what lies between the controller's zero and the joints' centres",
+            replace(moves, q=moves.q + offset),
+        )
     else:
         worst = int(np.argmax(np.abs(offset)))
         q = moves.q.copy()
         q[:, worst] += offset[worst]
-        yield (f"commands.csv: strut {worst + 1} is {abs(offset[worst]) * 1e3:.3g} mm {'longer' if offset[worst] > 0 else 'shorter'} than commanded "
-               "throughout: its zero is wrong", "Home it again, or mend its zero", replace(moves, q=q))
+        yield (
+            f"commands.csv: strut {worst + 1} is {abs(offset[worst]) * 1e3:.3g} mm "
+            f"{'longer' if offset[worst] > 0 else 'shorter'} than commanded "
+            "throughout: its zero is wrong",
+            "Home it again, or mend its zero",
+            replace(moves, q=q),
+        )
     slope = float((a * b).sum() / max((b * b).sum(), 1e-30))
     if slope > 0 and abs(slope - 1) > 0.02:
-        yield (f"commands.csv: the struts' travel is {slope:.4g} times what is commanded (screw lead, gear or steps per metre)",
-               "Mend the lead or the steps per metre", replace(moves, q=L.mean(axis=0) + slope * b))
+        yield (
+            f"commands.csv: the struts' travel is {slope:.4g} times what is commanded (screw lead, gear or "
+            "steps per metre)",
+            "Mend the lead or the steps per metre",
+            replace(moves, q=L.mean(axis=0) + slope * b),
+        )
 
 
 def _joints(moves: Moves) -> Iterator[Candidate]:
@@ -200,7 +243,11 @@ def _joints(moves: Moves) -> Iterator[Candidate]:
             yield other(f"{name} have {'xyz'[i]} and {'xyz'[k]} exchanged", "Exchange them", *put(joints[:, columns]))
         for angle in (60, 120, 180, 240, 300, 90, 270):
             turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
-            yield other(f"{name} are turned by {angle} degrees about z", "Turn them back, or the targets of that body", *put(joints @ turn.T))
+            yield other(
+                f"{name} are turned by {angle} degrees about z",
+                "Turn them back, or the targets of that body",
+                *put(joints @ turn.T),
+            )
         for unit, factor in (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254)):
             yield other(f"{name} are in {unit}", f"Multiply them by {factor:g}", *put(joints * factor))
         for factor, what in ((0.5, "diameters instead of radii"), (2.0, "half of what they should be")):
@@ -213,13 +260,19 @@ def _joints(moves: Moves) -> Iterator[Candidate]:
 
 def _scaled(moves: Moves, name: str) -> Iterator[Candidate]:
     """The joints of one side nearer to its axis or farther, by the share that agrees best."""
+
     def wider(share: float) -> Moves:
-        return replace(moves, mechanism=replace(moves.mechanism, **{name: getattr(moves.mechanism, name) * [share, share, 1]}))
+        return replace(
+            moves, mechanism=replace(moves.mechanism, **{name: getattr(moves.mechanism, name) * [share, share, 1]})
+        )
 
     best = scipy.optimize.minimize_scalar(lambda share: wider(share).miss(), bounds=SCALES, method="bounded").x
     if abs(best - 1) > SCALED:
-        yield (f"rig.toml: {name} are {abs(1 / best - 1):.0%} too {'large' if best < 1 else 'small'}",
-               f"Measure them again: times {best:.3f} they agree", wider(best))
+        yield (
+            f"rig.toml: {name} are {abs(1 / best - 1):.0%} too {'large' if best < 1 else 'small'}",
+            f"Measure them again: times {best:.3f} they agree",
+            wider(best),
+        )
 
 
 def _clocks(moves: Moves) -> Iterator[Candidate]:
@@ -237,24 +290,44 @@ def _clocks(moves: Moves) -> Iterator[Candidate]:
     best = float(fine[left <= 1.02 * left.min()].mean())  # within a dwell all are alike
     if abs(best) > LAG:
         quarters = abs(best) / QUARTER
-        zone = f" ({round(quarters) / 2:g} hours: time zones?)" if abs(quarters - round(quarters)) * QUARTER < 5 and abs(best) > 1000 else ""
-        yield (f"frames.csv: {CLOCK} is {abs(best):.4g} s {'behind' if best > 0 else 'ahead of'} the commands'{zone}",
-               f"{'Add' if best > 0 else 'Subtract'} {abs(best):.4g} s to t of frames.csv, or log both by one clock",
-               replace(moves, q=moves.at(t + best)))
+        zone = (
+            f" ({round(quarters) / 2:g} hours: time zones?)"
+            if abs(quarters - round(quarters)) * QUARTER < 5 and abs(best) > 1000
+            else ""
+        )
+        yield (
+            f"frames.csv: {CLOCK} is {abs(best):.4g} s {'behind' if best > 0 else 'ahead of'} the commands'{zone}",
+            f"{'Add' if best > 0 else 'Subtract'} {abs(best):.4g} s to t of frames.csv, or log both by one clock",
+            replace(moves, q=moves.at(t + best)),
+        )
 
 
 def _frames(moves: Moves) -> Iterator[Candidate]:
     """The same frames in another order: shifted by some, run backwards, two exchanged, sorted by name, shuffled."""
-    last, do = len(moves.times) - 1, "Look at how images or poses were numbered: one missing or one too many at the start shifts all"
+    last, do = (
+        len(moves.times) - 1,
+        "Look at how images or poses were numbered: one missing or one too many at the start shifts all",
+    )
     for by in SHIFTS:
-        yield (f"frames.csv: {SHIFTED} {abs(by)}: frame k shows what was commanded for frame k {'+' if by > 0 else '-'} {abs(by)}",
-               do,
-               _only(replace(moves, q=moves.at(moves.times[np.clip(moves.index + by, 0, last)])),
-                     (moves.index + by >= 0) & (moves.index + by <= last)))
-    orders = {"in the order of their names as text (1, 10, 2)": np.array(sorted(range(last + 1), key=str)), "in reverse": np.arange(last + 1)[::-1]}
+        yield (
+            f"frames.csv: {SHIFTED} {abs(by)}: frame k shows what was commanded for frame k "
+            f"{'+' if by > 0 else '-'} {abs(by)}",
+            do,
+            _only(
+                replace(moves, q=moves.at(moves.times[np.clip(moves.index + by, 0, last)])),
+                (moves.index + by >= 0) & (moves.index + by <= last),
+            ),
+        )
+    orders = {
+        "in the order of their names as text (1, 10, 2)": np.array(sorted(range(last + 1), key=str)),
+        "in reverse": np.arange(last + 1)[::-1],
+    }
     for what, order in orders.items():
-        yield (f"frames.csv: the frames are listed {what}", "List them in the order in which they were exposed",
-               replace(moves, q=moves.at(moves.times[order[moves.index]])))
+        yield (
+            f"frames.csv: the frames are listed {what}",
+            "List them in the order in which they were exposed",
+            replace(moves, q=moves.at(moves.times[order[moves.index]])),
+        )
     yield from _shuffled(moves)
 
 
@@ -269,10 +342,16 @@ def _shuffled(moves: Moves) -> Iterator[Candidate]:
     match, n = scipy.optimize.linear_sum_assignment(cost)[1], len(L)
     wrong = np.flatnonzero(cost[np.arange(n), moves.index] > 2 * cost[np.arange(n), match] + SMALL)
     if len(wrong) >= 2:
-        some = f"frames {', '.join(map(str, moves.frame[wrong[:6]].tolist()))}{' ..' if len(wrong) > 6 else ''} show what others were commanded"
+        some = (
+            f"frames {', '.join(map(str, moves.frame[wrong[:6]].tolist()))}{' ..' if len(wrong) > 6 else ''} "
+            "show what others were commanded"
+        )
         order = np.where(np.isin(np.arange(n), wrong), match, moves.index)
-        yield (f"frames.csv: {len(wrong)} of {n} frames are in another order (shuffled or exchanged): {some}",
-               "Pair images or poses with their frames anew", replace(moves, q=q[order]))
+        yield (
+            f"frames.csv: {len(wrong)} of {n} frames are in another order (shuffled or exchanged): {some}",
+            "Pair images or poses with their frames anew",
+            replace(moves, q=q[order]),
+        )
 
 
 def _poses(moves: Moves) -> Iterator[Candidate]:

@@ -27,7 +27,11 @@ def _all(recording: Recording) -> Iterator[Mistake]:
         if not odd:
             unit = "rad" if design.mechanism.kind == "arm" else "m"
             yield from clock_mistakes.speed_mistakes(
-                r.commands.t, r.commands.values, times["frames.csv"], unit, design.actuator.max_speed if unit == "m" else None
+                r.commands.t,
+                r.commands.values,
+                times["frames.csv"],
+                unit,
+                design.actuator.max_speed if unit == "m" else None,
             )
     if r.sensors is not None:
         times["sensors.csv"] = r.sensors.t

@@ -1,4 +1,6 @@
-"""Why a recording cannot be read, where that is one of the usual mistakes: said in the place of the complaint about a single line."""
+"""Why a recording cannot be read, where that is one of the usual mistakes: said in the place of the complaint about a
+single line.
+"""
 
 import tomllib
 from collections.abc import Iterator
@@ -16,7 +18,11 @@ from rig.formats.rig_toml import design_file
 from rig.model.design import Chain, Free
 from rig.model.mechanisms import arm
 
-SPREAD = {"arm": 0.4, "hexapod": 0.08, "planar2": 0.3}  # of the rig's size, that poses of a recording have about their middle, RMS
+SPREAD = {
+    "arm": 0.4,
+    "hexapod": 0.08,
+    "planar2": 0.3,
+}  # of the rig's size, that poses of a recording have about their middle, RMS
 FILES = ("commands.csv", "frames.csv", "sensors.csv")
 
 
@@ -38,9 +44,19 @@ def _figures(folder: Path, complaint: str) -> Iterator[Mistake]:
     tree = tomllib.loads(read_text(folder / "rig.toml"))
     yield from rig_toml_values.overlong_rotation_vectors(tree)
     for target in tree.get("target", []):
-        if isinstance(target.get("marker"), float) and target["marker"] > target.get("edge", np.inf) and target["marker"] < 5:
-            yield Mistake(f"rig.toml: edge and marker are exchanged in target {target.get('name')}: a marker of {target['marker']:g} m is no part of "
-                          f"a cube of {target['edge']:g} m", "edge is the cube's, marker the outer side of its black border", True, 0.9)
+        if (
+            isinstance(target.get("marker"), float)
+            and target["marker"] > target.get("edge", np.inf)
+            and target["marker"] < 5
+        ):
+            yield Mistake(
+                f"rig.toml: edge and marker are exchanged in target {target.get('name')}: a marker of "
+                f"{target['marker']:g} m is no part of "
+                f"a cube of {target['edge']:g} m",
+                "edge is the cube's, marker the outer side of its black border",
+                True,
+                0.9,
+            )
             break
     m = tree.get("mechanism", {})
     if "home" in complaint and m.get("kind") == "hexapod":
@@ -57,43 +73,79 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     size = arm.reach(m) if m.kind == "arm" else float(m.strut_range.max())
     p = csv_table.read(folder / "poses.csv", ("x", "y", "z")).matrix(("x", "y", "z"))
     spread = float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=1).mean())) / (SPREAD[m.kind] * size)
-    unit, per = min((("centimetres", 1e2), ("millimetres", 1e3), ("micrometres", 1e6)), key=lambda one: abs(np.log(spread / one[1])))
-    yield Mistake(f"poses.csv: positions are in {unit}: they spread by {spread * SPREAD[m.kind] * size:.3g}, and the rig measures {size:.3g} m",
-                  f"Divide them by {per:g}: poses are in metres", True, 0.9)
+    unit, per = min(
+        (("centimetres", 1e2), ("millimetres", 1e3), ("micrometres", 1e6)), key=lambda one: abs(np.log(spread / one[1]))
+    )
+    yield Mistake(
+        f"poses.csv: positions are in {unit}: they spread by {spread * SPREAD[m.kind] * size:.3g}, and the "
+        f"rig measures {size:.3g} m",
+        f"Divide them by {per:g}: poses are in metres",
+        True,
+        0.9,
+    )
 
 
 def _home(m: dict) -> Iterator[Mistake]:
-    """What home, joints and strut_range contradict each other in: of all that would bring home into the range, what brings it nearest the middle."""
+    """What home, joints and strut_range contradict each other in: of all that would bring home into the range, what
+    brings it nearest the middle.
+    """
     base, platform, ranges = (np.array(m[name], float) for name in ("base_joints", "platform_joints", "strut_range"))
     at, metres = np.array(m["home"]["position"], float), "rig.toml is in metres"
     tried = []
     for unit, factor in (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254)):
         do = f"Multiply by {factor:g}: {metres}"
-        tried += [(f"base_joints and platform_joints are in {unit}", do, (at, base * factor, platform * factor, ranges)),
-                  (f"base_joints are in {unit}", do, (at, base * factor, platform, ranges)),
-                  (f"platform_joints are in {unit}", do, (at, base, platform * factor, ranges)),
-                  (f"strut_range is in {unit}", do, (at, base, platform, ranges * factor)),
-                  (f"the position of home is in {unit}", do, (at * factor, base, platform, ranges))]
+        tried += [
+            (f"base_joints and platform_joints are in {unit}", do, (at, base * factor, platform * factor, ranges)),
+            (f"base_joints are in {unit}", do, (at, base * factor, platform, ranges)),
+            (f"platform_joints are in {unit}", do, (at, base, platform * factor, ranges)),
+            (f"strut_range is in {unit}", do, (at, base, platform, ranges * factor)),
+            (f"the position of home is in {unit}", do, (at * factor, base, platform, ranges)),
+        ]
     number = "Number both as the struts"
-    tried += [(f"base_joints are numbered from another joint, by {k} on, than platform_joints", number,
-               (at, np.roll(base, k, axis=0), platform, ranges))
-              for k in range(1, 6)]
-    tried += [("base_joints are numbered the other way round than platform_joints", number, (at, np.roll(base[::-1], k, axis=0), platform, ranges))
-              for k in range(6)]
+    tried += [
+        (
+            f"base_joints are numbered from another joint, by {k} on, than platform_joints",
+            number,
+            (at, np.roll(base, k, axis=0), platform, ranges),
+        )
+        for k in range(1, 6)
+    ]
+    tried += [
+        (
+            "base_joints are numbered the other way round than platform_joints",
+            number,
+            (at, np.roll(base[::-1], k, axis=0), platform, ranges),
+        )
+        for k in range(6)
+    ]
     for i, k in combinations(range(6), 2):
         order = np.arange(6)
         order[[i, k]] = k, i
-        tried += [(f"base_joints {i + 1} and {k + 1} are exchanged (or platform_joints)", number, (at, base[order], platform, ranges))]
+        tried += [
+            (
+                f"base_joints {i + 1} and {k + 1} are exchanged (or platform_joints)",
+                number,
+                (at, base[order], platform, ranges),
+            )
+        ]
     fits = [(_away(*parts), what, do) for what, do, parts in tried]
     away, what, do = min(fits, key=lambda one: one[0])
     if away <= 1:
         lengths = np.linalg.norm(at + platform - base, axis=1)
-        yield Mistake(f"rig.toml: {what}: as stated the struts are {lengths.min():.4g} to {lengths.max():.4g} m at home, and strut_range is "
-                      f"{ranges.min():.4g} to {ranges.max():.4g} m", do, True, 0.8)
+        yield Mistake(
+            f"rig.toml: {what}: as stated the struts are {lengths.min():.4g} to {lengths.max():.4g} m at "
+            "home, and strut_range is "
+            f"{ranges.min():.4g} to {ranges.max():.4g} m",
+            do,
+            True,
+            0.8,
+        )
 
 
 def _away(at: np.ndarray, base: np.ndarray, platform: np.ndarray, ranges: np.ndarray) -> float:
-    """How far the struts' lengths at home lie from the middle of their ranges (6, 2), in half ranges; the largest of six."""
+    """How far the struts' lengths at home lie from the middle of their ranges (6, 2), in half ranges; the largest of
+    six.
+    """
     lengths = np.linalg.norm(at + platform - base, axis=1)
     return float((np.abs(lengths - ranges.mean(axis=1)) / (np.diff(ranges)[:, 0] / 2)).max())
 
@@ -116,7 +168,12 @@ def _numbers(folder: Path, complaint: str) -> Iterator[Mistake]:
     rows = csv_table.read(folder / "corners.csv", ("frame", "camera", "marker", "corner"))
     marker, corner = rows.numbers("marker"), rows.numbers("corner")
     if corner.min() == 1 and corner.max() == 4:
-        yield Mistake("corners.csv: corners are counted from 1 to 4, not from 0 to 3", "Subtract 1 from the column corner", True, 0.95)
+        yield Mistake(
+            "corners.csv: corners are counted from 1 to 4, not from 0 to 3",
+            "Subtract 1 from the column corner",
+            True,
+            0.95,
+        )
     tree = tomllib.loads(read_text(folder / "rig.toml"))
     known = set()
     for target in tree.get("target", []):
@@ -127,12 +184,21 @@ def _numbers(folder: Path, complaint: str) -> Iterator[Mistake]:
         return
     for by in (1, -1):
         if {number + by for number in ids} <= known:
-            yield Mistake(f"corners.csv: marker ids are off by one: they run from {min(ids)} to {max(ids)}, rig.toml's from {min(known)} to "
-                          f"{max(known)}",
-                          f"{'Add' if by > 0 else 'Subtract'} 1, or state the ids that are printed", True, 0.9)
+            yield Mistake(
+                f"corners.csv: marker ids are off by one: they run from {min(ids)} to {max(ids)}, rig.toml's "
+                f"from {min(known)} to "
+                f"{max(known)}",
+                f"{'Add' if by > 0 else 'Subtract'} 1, or state the ids that are printed",
+                True,
+                0.9,
+            )
             return
-    yield Mistake(f"corners.csv: {len(stray)} of {len(ids)} marker ids are none of rig.toml's: {', '.join(map(str, stray[:8]))}",
-                  "State these markers in rig.toml, or leave their rows out", True, 0.6)
+    yield Mistake(
+        f"corners.csv: {len(stray)} of {len(ids)} marker ids are none of rig.toml's: {', '.join(map(str, stray[:8]))}",
+        "State these markers in rig.toml, or leave their rows out",
+        True,
+        0.6,
+    )
 
 
 def _order(folder: Path, complaint: str) -> Iterator[Mistake]:
@@ -141,5 +207,11 @@ def _order(folder: Path, complaint: str) -> Iterator[Mistake]:
         frames = csv_table.read(folder / "frames.csv", ("frame", "t"))
         number, t = frames.numbers("frame"), frames.numbers("t")
         back = int((np.diff(number) < 0).sum() + (np.diff(t) < 0).sum())
-        yield Mistake(f"frames.csv: its rows are in another order than time: at {back} places frame or t runs backwards (shuffled, sorted by name, "
-                      "or two recordings in one)", "Sort the rows by frame, so that t grows with it", True, 0.7)
+        yield Mistake(
+            f"frames.csv: its rows are in another order than time: at {back} places frame or t runs "
+            "backwards (shuffled, sorted by name, "
+            "or two recordings in one)",
+            "Sort the rows by frame, so that t grows with it",
+            True,
+            0.7,
+        )

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """what : a sentence that names it, with the file; do : what to do about it; spoils : whether results mean nothing until it is mended;
+    """what : a sentence that names it, with the file; do : what to do about it; spoils : whether results mean nothing
+    until it is mended;
     proof : 0..1, how much of what is wrong it explains, 1 where nothing else can be the cause."""
 
     what: str

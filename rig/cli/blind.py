@@ -49,20 +49,51 @@ INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody sto
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("--season", type=parse_whole_number, required=True, metavar="N", help="how many cases")
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="recordings, hashes, truth, diagnoses and score are kept there; "
-                        "a campaign that was interrupted goes on where it stopped")
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help="recordings, hashes, truth, diagnoses and score are kept there; "
+        "a campaign that was interrupted goes on where it stopped",
+    )
     parser.add_argument("--seed", type=parse_whole_number, default=0, help="another seed is another campaign")
-    parser.add_argument("--cases", "--trials", dest="cases", metavar="LIST", help="only these of the campaign, for example 3,7-9")
-    parser.add_argument("--frames", type=parse_whole_number, help="of each recording, about (default 380; 40 in images)")
-    parser.add_argument("--hide", metavar="KINDS", help="what cases may hide (default all): nothing, one, two effects; of hexapods also "
-                        "something foreign to the catalogue (foreign), disturbed noise (noise), not in images")
-    parser.add_argument("--effects", metavar="NAMES", default="", help="effects to draw from, joined by commas (default all)")
-    parser.add_argument("--mechanism", choices=("hexapod", "arm"), default="hexapod", help="of the rigs (default hexapod): an arm's cases hide "
-                        "nothing, one or two effects of its joints, a third of them under real recordings' hardships; no --withhold")
-    parser.add_argument("--withhold", "--blindfold", dest="withhold", metavar="WHAT", default="",
-                        help="covariates to take away, joined by commas: temperature, payload, reversals, motion")
-    parser.add_argument("--images", action="store_true", help="draw images: three resolutions, two lenses, blur, defocus, noise, vignetting, markers "
-                        "printed as printers print; effects that pictures show (needs OpenGL)")
+    parser.add_argument(
+        "--cases", "--trials", dest="cases", metavar="LIST", help="only these of the campaign, for example 3,7-9"
+    )
+    parser.add_argument(
+        "--frames", type=parse_whole_number, help="of each recording, about (default 380; 40 in images)"
+    )
+    parser.add_argument(
+        "--hide",
+        metavar="KINDS",
+        help="what cases may hide (default all): nothing, one, two effects; of hexapods also "
+        "something foreign to the catalogue (foreign), disturbed noise (noise), not in images",
+    )
+    parser.add_argument(
+        "--effects", metavar="NAMES", default="", help="effects to draw from, joined by commas (default all)"
+    )
+    parser.add_argument(
+        "--mechanism",
+        choices=("hexapod", "arm"),
+        default="hexapod",
+        help="of the rigs (default hexapod): an arm's cases hide "
+        "nothing, one or two effects of its joints, a third of them under real recordings' hardships; no --withhold",
+    )
+    parser.add_argument(
+        "--withhold",
+        "--blindfold",
+        dest="withhold",
+        metavar="WHAT",
+        default="",
+        help="covariates to take away, joined by commas: temperature, payload, reversals, motion",
+    )
+    parser.add_argument(
+        "--images",
+        action="store_true",
+        help="draw images: three resolutions, two lenses, blur, defocus, noise, vignetting, markers "
+        "printed as printers print; effects that pictures show (needs OpenGL)",
+    )
     parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
     add_overwrite_option(parser)
     add_result(parser)
@@ -87,7 +118,9 @@ def run(arguments: Namespace) -> None:
         for _ in results_with_progress(workers, _drawn, [(str(out), i, settings) for i in undrawn], "drawing"):
             pass
         waiting = [i for i in indices if arguments.again or _record(out, i) is None]
-        for index, _, error in results_with_progress(workers, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"):
+        for index, _, error in results_with_progress(
+            workers, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"
+        ):
             if error:
                 print(f"case {index} could not be diagnosed: {error.splitlines()[-1]}", file=sys.stderr)
     hashed = [int(path.stem) for path in (out / "hashes").glob("*.sha256") if path.stem.isdigit()]
@@ -110,7 +143,9 @@ def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) ->
     default = blind_arm.FRAMES if arm else blind_image_settings.FRAMES if arguments.images else blind.FRAMES
     frames = default if arguments.frames is None else arguments.frames
     if not 40 <= frames <= MOST_FRAMES:
-        raise RigError(f"--frames must be at least 40 and at most {MOST_FRAMES}, not {frames}: a diagnosis takes some poses")
+        raise RigError(
+            f"--frames must be at least 40 and at most {MOST_FRAMES}, not {frames}: a diagnosis takes some poses"
+        )
     kinds = blind_arm.KINDS if arm else blind.KINDS
     hide = ",".join(kinds) if arguments.hide is None else arguments.hide
     texts = {"hide": hide, "effects": arguments.effects, "withhold": arguments.withhold}
@@ -141,7 +176,9 @@ def _indices(text: str | None, count: int) -> list[int]:
     except ValueError:
         raise RigError(f"--cases takes for example 3,7-9, not {value_text(text)}") from None
     if any(len(ends) > 2 or not 1 <= ends[0] <= ends[-1] <= count for ends in ranges):
-        raise RigError(f"--cases {value_text(text)}: the campaign has cases 1 to {count}, and a range runs from small to large")
+        raise RigError(
+            f"--cases {value_text(text)}: the campaign has cases 1 to {count}, and a range runs from small to large"
+        )
     return sorted({i for ends in ranges for i in range(ends[0], ends[-1] + 1)})
 
 
@@ -177,12 +214,21 @@ def _drawn_case(index: int, settings: dict, folder: Path) -> tuple[Callable[...,
     from rig.recording import recording_folder
     from synthetic import blind_cases as blind
 
-    case = blind.draw_case(settings["seed"], index, settings["frames"], settings["withhold"], settings["hide"], settings["effects"],
-                       settings.get("images", False))
+    case = blind.draw_case(
+        settings["seed"],
+        index,
+        settings["frames"],
+        settings["withhold"],
+        settings["hide"],
+        settings["effects"],
+        settings.get("images", False),
+    )
     blind.write_recording(case, folder)
     world, written = case.simulation.world, recording_folder.load(folder)
     written = written if case.image_settings is None else replace(written, corners=blind.simulated_corners(case))
-    values = effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[: len(case.hidden)]
+    values = effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
+        : len(case.hidden)
+    ]
     return partial(blind.write_truth, case), values
 
 
@@ -215,8 +261,20 @@ def _diagnosed(out: Path, index: int) -> tuple[int, float, str | None]:
     (target / "diagnosis.json").unlink(missing_ok=True)
     record.unlink(missing_ok=True)
     start = time.monotonic()
-    command = [sys.executable, "-P", "-c", DIAGNOSE, str(os.getpid()), out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out",
-               target, "--force", "--anyway"]  # what a case hides may be what a check refuses
+    command = [
+        sys.executable,
+        "-P",
+        "-c",
+        DIAGNOSE,
+        str(os.getpid()),
+        out / "truth",
+        "diagnose",
+        out / "recordings" / f"{index:04d}",
+        "--out",
+        target,
+        "--force",
+        "--anyway",
+    ]  # what a case hides may be what a check refuses
     done = _child(command)
     seconds = time.monotonic() - start
     if done.returncode in INTERRUPTED:
@@ -227,14 +285,20 @@ def _diagnosed(out: Path, index: int) -> tuple[int, float, str | None]:
 
 
 def _child(command: list) -> CompletedProcess:
-    """A child process once it has ended; one that is ended from outside, as a system does that is short of memory, is begun once more."""
+    """A child process once it has ended; one that is ended from outside, as a system does that is short of memory, is
+    begun once more.
+    """
     done = run_child_process(command, _environment())
     return run_child_process(command, _environment()) if done.returncode == -SIGKILL else done
 
 
 def _environment() -> dict[str, str]:
     """Of a child: one thread, and this code before any other."""
-    return {**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])}
+    return {
+        **os.environ,
+        **ONE_THREAD,
+        "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]),
+    }
 
 
 def _hash(out: Path, index: int) -> Path:
@@ -242,7 +306,9 @@ def _hash(out: Path, index: int) -> Path:
 
 
 def _digest(out: Path, index: int) -> str | None:
-    """What a case's hash says, or None where there is none or it is torn, which is said: the case is then drawn anew, the same by its seed."""
+    """What a case's hash says, or None where there is none or it is torn, which is said: the case is then drawn anew,
+    the same by its seed.
+    """
     path = _hash(out, index)
     if not path.exists():
         return None
@@ -253,7 +319,9 @@ def _digest(out: Path, index: int) -> str | None:
 
 
 def _record(out: Path, index: int) -> tuple[float, str | None] | None:
-    """(seconds, error or None) of a case's diagnosis, or None where there is none or it is torn, which is said: it is then diagnosed anew."""
+    """(seconds, error or None) of a case's diagnosis, or None where there is none or it is torn, which is said: it is
+    then diagnosed anew.
+    """
     path = out / "diagnoses" / f"{index:04d}.json"
     if not path.exists():
         return None
@@ -288,7 +356,11 @@ def _report(out: Path, settings: dict, cases: list[Case], score: ModuleType) -> 
     campaign_page(out / "score.html", settings, cases)
     for f in score.campaign_figures(cases):
         goal = f", to reach {f.goal:.0%}" if f.goal is not None else ""
-        found = f"{f.hits:4} of {f.trials:<4} {f.hits / f.trials:6.1%} ({f.low:.1%} to {f.high:.1%}{goal})" if f.trials else "   none"
+        found = (
+            f"{f.hits:4} of {f.trials:<4} {f.hits / f.trials:6.1%} ({f.low:.1%} to {f.high:.1%}{goal})"
+            if f.trials
+            else "   none"
+        )
         print(f"{f.name:42}{found}")
     for name, value in score.campaign_medians(cases).items():
         print(f"median {name:35}{value:10.3g}")

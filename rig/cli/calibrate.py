@@ -41,17 +41,39 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recordings(parser)
-    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="calibration.json; the report is written beside it")
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        type=file_or_stdout,
+        required=True,
+        help="calibration.json; the report is written beside it",
+    )
     kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--diagnosis", metavar="DIR", type=Path, help="take in the physics that `rig diagnose` found and wrote there, refined with the "
-                      "geometry; rig correct undoes it")
+    kind.add_argument(
+        "--diagnosis",
+        metavar="DIR",
+        type=Path,
+        help="take in the physics that `rig diagnose` found and wrote there, refined with the "
+        "geometry; rig correct undoes it",
+    )
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and take in what is found")
     user_effects_option.add_effects_option(parser)
-    parser.add_argument("--quick", action="store_true", help="do not look for what the geometry leaves out, as `rig diagnose` does: the verdict is "
-                        "then check at the best")
-    parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="do not look for what the geometry leaves out, as `rig diagnose` does: the verdict is "
+        "then check at the best",
+    )
+    parser.add_argument(
+        "--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together"
+    )
     extension_calibration.arguments(parser)
-    parser.add_argument("--promise", type=parse_length, metavar="20um", help="say whether so much is kept, position error RMS over the workspace")
+    parser.add_argument(
+        "--promise",
+        type=parse_length,
+        metavar="20um",
+        help="say whether so much is kept, position error RMS over the workspace",
+    )
     limb_poses.arguments(parser)
     add_overwrite_option(parser)
     recording_checks.add_anyway_option(parser)
@@ -84,11 +106,16 @@ def run(arguments: Namespace) -> None:
     if arguments.extend:
         calibration = _extended(recording, sampled, (out, page, links), arguments, rng, progress)
     elif arguments.joint and nominal.kind in ("arm", "chain"):
-        raise RigError(f"--joint solves a hexapod's cameras and struts together; a mechanism of kind {nominal.kind!r} takes none of it")
+        raise RigError(
+            f"--joint solves a hexapod's cameras and struts together; a mechanism of kind {nominal.kind!r} "
+            "takes none of it"
+        )
     elif nominal.kind == "chain":
         calibration = _chain(recording, sampled, (out, page, links), arguments, rng, progress)
     elif nominal.kind == "arm":
-        known = _taken_arm(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
+        known = (
+            _taken_arm(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
+        )
         calibration = _arm(recording, sampled, (out, page, links), arguments, rng, progress, known)
     else:
         taken = _taken(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
@@ -106,7 +133,9 @@ def _findings(arguments: Namespace, recording: Recording, own: Kinds) -> Finding
     if asked and recording.design.mechanism.kind == "chain":
         raise RigError(f"{asked} is for platforms on struts and for arms; a chain is corrected by its geometry")
     if asked and arguments.joint:
-        raise RigError(f"{asked} solves cameras, lenses, geometry and physics from all corners together; leave out --joint")
+        raise RigError(
+            f"{asked} solves cameras, lenses, geometry and physics from all corners together; leave out --joint"
+        )
     if asked and arguments.limbs:
         raise RigError(f"{asked} looks at what cameras saw of every pose; leave out --limbs")
     if asked and arguments.extend:
@@ -120,17 +149,23 @@ def _findings(arguments: Namespace, recording: Recording, own: Kinds) -> Finding
     return findings_of_folder(arguments.diagnosis, recording, own)
 
 
-def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> PlatformRefit:
+def _taken(
+    recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress
+) -> PlatformRefit:
     """PlatformRefit of findings; of what a diagnosis of the recording itself finds where these are None."""
     from calib.diagnose.platform_findings_refit import findings_of_diagnosis, refit_platform_with_findings
     from calib.diagnose.problems.platform.platform_diagnosis import diagnose_platform as diagnose
 
     if findings is None:
-        findings = findings_of_diagnosis(diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values())))
+        findings = findings_of_diagnosis(
+            diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values()))
+        )
     return refit_platform_with_findings(recording, sampled, findings, progress)
 
 
-def _taken_arm(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> ArmRefit:
+def _taken_arm(
+    recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress
+) -> ArmRefit:
     """ArmRefit of findings; of what a diagnosis of the recording itself finds where these are None."""
     from calib.diagnose.arm_findings_refit import findings_of_arm_diagnosis, refit_arm_with_findings
     from calib.diagnose.problems.arm.arm_diagnosis import diagnose_arm as diagnose
@@ -167,8 +202,15 @@ def _values_name(out: Path) -> str:
     return "ksf.csv" if out.stem == "calibration" else f"{out.stem}.ksf.csv"
 
 
-def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator, progress: Progress,
-             taken: PlatformRefit | None) -> Calibration:
+def _struts(
+    recording: Recording,
+    sampled: Sampled,
+    out: Places,
+    arguments: Namespace,
+    rng: np.random.Generator,
+    progress: Progress,
+    taken: PlatformRefit | None,
+) -> Calibration:
     from calib.certify.platform_certification import certify, with_refitted_correction, workspace_claim_of
     from calib.files.calibration_from_recording import calibration_with_provenance
     from calib.report.calibration_page import calibration_page
@@ -187,34 +229,63 @@ def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Name
     if taken is not None:
         done = taken.drawn(done, rng)
     claim = workspace_claim_of(samples, done, rng)
-    made = calibration_with_provenance(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
+    made = calibration_with_provenance(
+        recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done)
+    )
     calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
-    show_calibration(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), calibration, progress)
+    show_calibration(
+        out[1],
+        lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]),
+        calibration,
+        progress,
+    )
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     struts = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
-    print("beyond the geometry: " + (f"struts {', '.join(map(str, struts))} corrected over the configuration space" if struts
-                                     else "nothing that pays on held-out poses" if done.held_out else "not asked, for want of held-out poses"))
+    print(
+        "beyond the geometry: "
+        + (
+            f"struts {', '.join(map(str, struts))} corrected over the configuration space"
+            if struts
+            else "nothing that pays on held-out poses"
+            if done.held_out
+            else "not asked, for want of held-out poses"
+        )
+    )
     say_physics(calibration.physics)
     print_pose_counts(sampled, done)
     return calibration
 
 
-def _extended(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
-              progress: Progress) -> Calibration:
+def _extended(
+    recording: Recording,
+    sampled: Sampled,
+    out: Places,
+    arguments: Namespace,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> Calibration:
     from calib.files.calibration_from_recording import calibration_with_provenance
 
     mechanism = recording.design.mechanism
     before = _before(arguments.onto, mechanism) if arguments.onto else None
     found = extension_calibration.certify_extension(arguments, mechanism, sampled, before, rng, progress)
     done = found.done
-    made = calibration_with_provenance(recording, sampled, done, found.claim, arguments.argv, before=None if before is None else (before, found.kept))
+    made = calibration_with_provenance(
+        recording, sampled, done, found.claim, arguments.argv, before=None if before is None else (before, found.kept)
+    )
     calibration = _stored(out[0], made, arguments, None)
     show_calibration(out[1], lambda page: found.draw(page, recording, calibration, out[2]), calibration, progress)
     if done.held_out:
-        print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
-    extension_calibration.print_extension(found, f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
-        "the owner's model alone" if arguments.alone else "the fitted geometry"))
+        print_comparison(
+            done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)"
+        )
+    extension_calibration.print_extension(
+        found,
+        f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}"
+        if before is not None
+        else ("the owner's model alone" if arguments.alone else "the fitted geometry"),
+    )
     print_pose_counts(sampled, done)
     return calibration
 
@@ -227,12 +298,21 @@ def _before(path: Path, nominal: Any) -> Calibration:
     if calibration_file.mechanism_dict(before.correction.nominal) != calibration_file.mechanism_dict(nominal):
         raise RigError(f"{path} is a calibration of another machine than this recording's rig.toml states")
     if before.physics is not None:
-        raise RigError(f"{path} knows physics besides the configuration; a pass goes on top of corrections by configuration alone")
+        raise RigError(
+            f"{path} knows physics besides the configuration; a pass goes on top of corrections by configuration alone"
+        )
     return before
 
 
-def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
-         progress: Progress, taken: ArmRefit | None) -> Calibration:
+def _arm(
+    recording: Recording,
+    sampled: Sampled,
+    out: Places,
+    arguments: Namespace,
+    rng: np.random.Generator,
+    progress: Progress,
+    taken: ArmRefit | None,
+) -> Calibration:
     from calib.files.calibration_from_recording import calibration_with_provenance
     from calib.models.arm.calibration_page import calibration_page
     from calib.models.arm.certification import certify, workspace_claim_of
@@ -242,9 +322,16 @@ def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespa
     samples = sampled.samples if together is None else together.samples
     done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress, together)
     claim = workspace_claim_of(samples, done, rng)
-    made = calibration_with_provenance(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
+    made = calibration_with_provenance(
+        recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done)
+    )
     calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
-    show_calibration(out[1], lambda page: calibration_page(page, recording, calibration, samples, done, out[2]), calibration, progress)
+    show_calibration(
+        out[1],
+        lambda page: calibration_page(page, recording, calibration, samples, done, out[2]),
+        calibration,
+        progress,
+    )
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
     say_joints(done, calibration.physics)
@@ -253,8 +340,14 @@ def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespa
     return calibration
 
 
-def _chain(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
-           progress: Progress) -> Calibration:
+def _chain(
+    recording: Recording,
+    sampled: Sampled,
+    out: Places,
+    arguments: Namespace,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> Calibration:
     from calib.files.calibration_from_recording import calibration_with_provenance
     from calib.models.chain.calibration_page import calibration_page
     from calib.models.chain.certification import certify, workspace_claim_of
@@ -263,9 +356,17 @@ def _chain(recording: Recording, sampled: Sampled, out: Places, arguments: Names
     done = certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
     claim = workspace_claim_of(sampled.samples, done, rng)
     calibration = _stored(
-        out[0], calibration_with_provenance(recording, sampled, done, claim, arguments.argv), arguments, (recording, sampled, progress)
+        out[0],
+        calibration_with_provenance(recording, sampled, done, claim, arguments.argv),
+        arguments,
+        (recording, sampled, progress),
     )
-    show_calibration(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), calibration, progress)
+    show_calibration(
+        out[1],
+        lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]),
+        calibration,
+        progress,
+    )
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     print("\n".join(done.found.report()))
@@ -273,9 +374,11 @@ def _chain(recording: Recording, sampled: Sampled, out: Places, arguments: Names
     return calibration
 
 
-def _stored(out: Any, calibration: Calibration, arguments: Namespace, look: tuple[Recording, Sampled, Progress] | None) -> Calibration:
-    """The Calibration, written. look : what is searched for what it leaves out, and what is called meanwhile; None where no model corrects that, or
-    where it is known"""
+def _stored(
+    out: Any, calibration: Calibration, arguments: Namespace, look: tuple[Recording, Sampled, Progress] | None
+) -> Calibration:
+    """The Calibration, written. look : what is searched for what it leaves out, and what is called meanwhile; None
+    where no model corrects that, or where it is known"""
     from calib.diagnose.calibration_left_out_physics import search_left_out_physics, without_search
     from calib.files import calibration_file
 

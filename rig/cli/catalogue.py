@@ -9,14 +9,22 @@ from rig.formats.output_files import STANDARD_OUTPUT
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("--out", metavar="FILE.md", type=file_or_stdout, default=STANDARD_OUTPUT, help="where it is written, as Markdown, with a "
-                        "sketch of each effect in a folder FILE beside it; printed without sketches by default")
+    parser.add_argument(
+        "--out",
+        metavar="FILE.md",
+        type=file_or_stdout,
+        default=STANDARD_OUTPUT,
+        help="where it is written, as Markdown, with a "
+        "sketch of each effect in a folder FILE beside it; printed without sketches by default",
+    )
     user_effects_option.add_effects_option(parser)
     add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
-    """Write the catalogue of left-out physics as a document: all that `rig effects NAME` says of each, with a sketch that its model draws."""
+    """Write the catalogue of left-out physics as a document: all that `rig effects NAME` says of each, with a sketch
+    that its model draws.
+    """
     from rig.effects.texts.catalogue_page import catalogue_markdown
     from rig.errors import RigError
     from rig.formats.output_files import write_text
@@ -27,7 +35,10 @@ def run(arguments: Namespace) -> None:
     if is_written_directly(out):
         return write_text(out, catalogue_markdown(kinds.values()))
     if not arguments.out.suffix:
-        raise RigError(f"{arguments.out} has no ending, and a folder beside it of the same name would hold the sketches: name it {arguments.out}.md")
+        raise RigError(
+            f"{arguments.out} has no ending, and a folder beside it of the same name would hold the "
+            f"sketches: name it {arguments.out}.md"
+        )
     from rig.report.pages.standalone_svg import standalone_svg
     from vision.effect_sketches import effect_sketch
 

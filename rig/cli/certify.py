@@ -35,8 +35,14 @@ if TYPE_CHECKING:
     from calib.samples.recording_samples import Sampled
     from rig.recording.recording_folder import Recording
 
-UNITS = {"um": ("position", 1e-6), "mm": ("position", 1e-3), "m": ("position", 1.0), "urad": ("rotation", 1e-6), "mrad": ("rotation", 1e-3),
-         "rad": ("rotation", 1.0)}
+UNITS = {
+    "um": ("position", 1e-6),
+    "mm": ("position", 1e-3),
+    "m": ("position", 1.0),
+    "urad": ("rotation", 1e-6),
+    "mrad": ("rotation", 1e-3),
+    "rad": ("rotation", 1.0),
+}
 KINDS = (".json", ".html", ".pdf", ".xml")
 
 
@@ -55,7 +61,9 @@ def parse_share(text: str) -> float:
 
 def parse_relative_uncertainty(text: str) -> float:
     """A relative uncertainty. Raises ArgumentTypeError"""
-    return _within(text, 0.0, math.nextafter(0.1, 0.0), "a relative standard uncertainty from 0 to 0.1, as 20e-6 for 20 um/m")
+    return _within(
+        text, 0.0, math.nextafter(0.1, 0.0), "a relative standard uncertainty from 0 to 0.1, as 20e-6 for 20 um/m"
+    )
 
 
 def parse_load(text: str) -> float:
@@ -64,7 +72,9 @@ def parse_load(text: str) -> float:
 
 
 def _within(text: str, least: float, most: float, expected: str) -> float:
-    """The number that a text is. Raises ArgumentTypeError for none and for one outside these bounds. expected : what it must be, in words"""
+    """The number that a text is. Raises ArgumentTypeError for none and for one outside these bounds. expected : what it
+    must be, in words
+    """
     try:
         value = parse_number(text)
     except ValueError:
@@ -76,28 +86,64 @@ def _within(text: str, least: float, most: float, expected: str) -> float:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.epilog = "Ends with 0 where the verdict is good or check, with 3 where it is bad: a tolerance is exceeded, or the claim is NOT kept."
-    parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
-    parser.add_argument("recordings", metavar="REC", type=Path, nargs="+", help="recordings that the calibration was not made from")
-    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True,
-                        help="certificate.html, .json, .pdf or .xml (a digital calibration certificate); without a suffix a folder with all")
-    parser.add_argument(
-        "--tolerance", metavar="T", type=parse_tolerance, nargs="+", default=[], help="to accept or refuse against, as 20um or 50urad"
+    parser.epilog = (
+        "Ends with 0 where the verdict is good or check, with 3 where it is bad: a tolerance is exceeded, or the "
+        "claim is NOT kept."
     )
-    parser.add_argument("--coverage", metavar="SHARE", type=parse_share, default=0.95, help="of poses that the promise is about (0.95)")
-    parser.add_argument("--confidence", metavar="SHARE", type=parse_share, default=0.95, help="with which it is kept (0.95)")
+    parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument(
-        "--scale-uncertainty", metavar="R", type=parse_relative_uncertainty, help="relative standard uncertainty of the base targets' scale, as 20e-6"
+        "recordings", metavar="REC", type=Path, nargs="+", help="recordings that the calibration was not made from"
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        type=file_or_stdout,
+        required=True,
+        help="certificate.html, .json, .pdf or .xml (a digital calibration certificate); without a suffix a "
+        "folder with all",
+    )
+    parser.add_argument(
+        "--tolerance",
+        metavar="T",
+        type=parse_tolerance,
+        nargs="+",
+        default=[],
+        help="to accept or refuse against, as 20um or 50urad",
+    )
+    parser.add_argument(
+        "--coverage", metavar="SHARE", type=parse_share, default=0.95, help="of poses that the promise is about (0.95)"
+    )
+    parser.add_argument(
+        "--confidence", metavar="SHARE", type=parse_share, default=0.95, help="with which it is kept (0.95)"
+    )
+    parser.add_argument(
+        "--scale-uncertainty",
+        metavar="R",
+        type=parse_relative_uncertainty,
+        help="relative standard uncertainty of the base targets' scale, as 20e-6",
     )
     parser.add_argument("--scale-source", metavar="TEXT", help="who certified it, as a certificate's number")
-    parser.add_argument("--rated-load", metavar="KG", type=parse_load, help="that the machine is made for, for ISO 9283")
-    for name, who in (("laboratory", "who calibrated"), ("person", "who answers for it"), ("customer", "for whom"),
-                      ("manufacturer", "who made the machine")):
-        parser.add_argument(f"--{name}", metavar="NAME", default="not stated", help=f"{who}, for the digital calibration certificate")
+    parser.add_argument(
+        "--rated-load", metavar="KG", type=parse_load, help="that the machine is made for, for ISO 9283"
+    )
+    for name, who in (
+        ("laboratory", "who calibrated"),
+        ("person", "who answers for it"),
+        ("customer", "for whom"),
+        ("manufacturer", "who made the machine"),
+    ):
+        parser.add_argument(
+            f"--{name}", metavar="NAME", default="not stated", help=f"{who}, for the digital calibration certificate"
+        )
     parser.add_argument("--country", metavar="XX", default="ZZ", help="where, two capital letters (ISO 3166-1)")
-    parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
-    parser.add_argument("--mask", metavar="FRAMES", help="leave these frames of the one recording out, for example 0-11: those that "
-                        "`rig calibrate --mask` left in")
+    parser.add_argument(
+        "--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used"
+    )
+    parser.add_argument(
+        "--mask",
+        metavar="FRAMES",
+        help="leave these frames of the one recording out, for example 0-11: those that `rig calibrate --mask` left in",
+    )
     add_overwrite_option(parser)
     add_result(parser)
 
@@ -113,7 +159,9 @@ def run(arguments: Namespace) -> int:
         raise RigError(f"--country takes two capital letters (ISO 3166-1), not {arguments.country!r}")
     suffix = arguments.out.suffix
     if suffix not in (*KINDS, ""):
-        raise RigError(f"{arguments.out}: a certificate is written as {', '.join(KINDS)}, or to a folder with all of them")
+        raise RigError(
+            f"{arguments.out}: a certificate is written as {', '.join(KINDS)}, or to a folder with all of them"
+        )
     if suffix == ".pdf":
         require_drawing("certificates as PDF")
     progress = Progress()
@@ -132,13 +180,21 @@ def run(arguments: Namespace) -> int:
     from calib.certificate.certificate_contents import Asked
     from calib.certificate.certificate_verdict import certificate_verdict
 
-    wanted = Asked(arguments.coverage, arguments.confidence, tuple(asked.items()), arguments.scale_uncertainty, arguments.scale_source,
-                   arguments.rated_load)
+    wanted = Asked(
+        arguments.coverage,
+        arguments.confidence,
+        tuple(asked.items()),
+        arguments.scale_uncertainty,
+        arguments.scale_source,
+        arguments.rated_load,
+    )
     made = certificate_of(
         calibration,
         held,
         wanted,
-        certificate_provenance.certificate_provenance(arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED),
+        certificate_provenance.certificate_provenance(
+            arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED
+        ),
         np.random.default_rng(SEED),
     )
     known, claims = _against_claim(calibration, held, arguments)
@@ -146,7 +202,9 @@ def run(arguments: Namespace) -> int:
     verdict = certificate_verdict(made)
     progress.close()
     left_out = missing_drawing_reason() if suffix == "" else None
-    places = [whole / f"certificate{kind}" for kind in KINDS if kind != ".pdf" or not left_out] if suffix == "" else [whole]
+    places = (
+        [whole / f"certificate{kind}" for kind in KINDS if kind != ".pdf" or not left_out] if suffix == "" else [whole]
+    )
     for place in places:
         _write(place, place.suffix, made, arguments)
     print(verdict.line)
@@ -160,9 +218,12 @@ def run(arguments: Namespace) -> int:
     return exit_status(verdict)
 
 
-def _against_claim(calibration: Calibration, held: list[tuple[Recording, Sampled]],
-                   arguments: Namespace) -> tuple[Evidence, tuple[AgainstClaim, ...]]:
-    """(Evidence of a calibration with what held-out recordings say of its claim, AgainstClaim of each); its file is marked where they refute it."""
+def _against_claim(
+    calibration: Calibration, held: list[tuple[Recording, Sampled]], arguments: Namespace
+) -> tuple[Evidence, tuple[AgainstClaim, ...]]:
+    """(Evidence of a calibration with what held-out recordings say of its claim, AgainstClaim of each); its file is
+    marked where they refute it.
+    """
     import numpy as np
 
     from calib.certify import calibration_verdict as words
@@ -171,20 +232,31 @@ def _against_claim(calibration: Calibration, held: list[tuple[Recording, Sampled
     from calib.samples.confounded_conditions import confounds_of_recordings
 
     known, claims = calibration_evidence(calibration, refutation_marks.read_refutations(arguments.calibration)), []
-    known = with_design(known, calibration, [confounds_of_recordings([recording for recording, _ in held])], "these recordings")
+    known = with_design(
+        known, calibration, [confounds_of_recordings([recording for recording, _ in held])], "these recordings"
+    )
     for recording, sampled in held:
-        one = check_claim_on_recording(calibration, recording.name, calibration.with_physics(recording, sampled.samples), np.random.default_rng(SEED))
+        one = check_claim_on_recording(
+            calibration,
+            recording.name,
+            calibration.with_physics(recording, sampled.samples),
+            np.random.default_rng(SEED),
+        )
         if one is None:
             continue
         claims.append(one)
         known = evidence_with_verification(known, one.found, recording.name)
         if one.found.refutes:
-            refutation_marks.write_refutation(arguments, arguments.calibration, recording.name, words.refutation_sentence(one.found))
+            refutation_marks.write_refutation(
+                arguments, arguments.calibration, recording.name, words.refutation_sentence(one.found)
+            )
     return known, tuple(claims)
 
 
 def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress) -> list[tuple[Recording, Sampled]]:
-    """[(Recording, Sampled)], none of whose data took part in fitting or is there twice. Raises RigError naming what did."""
+    """[(Recording, Sampled)], none of whose data took part in fitting or is there twice. Raises RigError naming what
+    did.
+    """
     from calib.recording_calibration import held_out
 
     if arguments.mask is not None and len(arguments.recordings) > 1:
@@ -201,7 +273,9 @@ def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> 
     if suffix == ".html":
         from calib.certificate.certificate_page import certificate_page
 
-        certificate_page(path, made, page_links(arguments, arguments.out if arguments.out.suffix else arguments.out / path.name))
+        certificate_page(
+            path, made, page_links(arguments, arguments.out if arguments.out.suffix else arguments.out / path.name)
+        )
     elif suffix == ".pdf":
         from calib.certificate import certificate_pdf
 
@@ -222,5 +296,14 @@ def _say(made: Certificate) -> None:
     """Print what is certified."""
     from calib.certificate import certificate_sentences as words
 
-    print("\n".join([words.scale_line(made), words.promise_line(made), words.volume_line(made), *words.basis_lines(made),
-                     *words.conformity_lines(made)]))
+    print(
+        "\n".join(
+            [
+                words.scale_line(made),
+                words.promise_line(made),
+                words.volume_line(made),
+                *words.basis_lines(made),
+                *words.conformity_lines(made),
+            ]
+        )
+    )

@@ -19,12 +19,18 @@ CERTAIN = 0.7  # proof of a mistake in the files, from which nothing is learnt b
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("recording", metavar="REC", type=Path)
-    parser.add_argument("--detect", action="store_true", help="read some images even if corners.csv is there, and hold both against each other")
+    parser.add_argument(
+        "--detect",
+        action="store_true",
+        help="read some images even if corners.csv is there, and hold both against each other",
+    )
     add_json(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Say all that is wrong or unlikely with a recording, the most likely cause first; 1 where results would mean nothing."""
+    """Say all that is wrong or unlikely with a recording, the most likely cause first; 1 where results would mean
+    nothing.
+    """
     from rig.checks.recording_without_images import file_mistakes
     from rig.checks.unreadable_recording import unreadable_recording_mistakes
     from rig.recording import recording_folder as recordings
@@ -34,7 +40,10 @@ def run(arguments: argparse.Namespace) -> int:
     except FileError as error:
         return _say(
             arguments,
-            (*unreadable_recording_mistakes(arguments.recording, error), Mistake(str(error), "Mend this first: nothing else could be looked at")),
+            (
+                *unreadable_recording_mistakes(arguments.recording, error),
+                Mistake(str(error), "Mend this first: nothing else could be looked at"),
+            ),
         )
     found = [*file_mistakes(recording)]
     if any(one.spoils and one.proof >= CERTAIN for one in found):
@@ -69,7 +78,14 @@ def _remarks(recording: "Recording") -> tuple[str, ...]:
 def _say(arguments: argparse.Namespace, found: tuple[Mistake, ...], remarks: tuple[str, ...] = ()) -> int:
     spoilt = any(one.spoils for one in found)
     if arguments.json:
-        print_json({"schema": "check/1", "usable": not spoilt, "found": [asdict(one) for one in found], "remarks": list(remarks)})
+        print_json(
+            {
+                "schema": "check/1",
+                "usable": not spoilt,
+                "found": [asdict(one) for one in found],
+                "remarks": list(remarks),
+            }
+        )
         return int(spoilt)
     for one in found:
         print(f"{'wrong' if one.spoils else 'to look at'}: {one}")

@@ -23,13 +23,25 @@ MEASURED = 1e-4  # m, of a sheet that somebody measured
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("photo", metavar="PHOTO", type=Path, help="of a printed sheet, flat, from above and not too near")
+    parser.add_argument(
+        "photo", metavar="PHOTO", type=Path, help="of a printed sheet, flat, from above and not too near"
+    )
     parser.add_argument("design", metavar="RIG.toml", type=Path, help="whose markers they are")
     known = parser.add_mutually_exclusive_group()
-    known.add_argument("--sheet", type=_sheet, default=(*SHEETS["A4"], CUT), metavar="A4", help="the whole sheet is in the photograph, on a darker "
-                       "ground: A4 (the default), Letter, A3, or its sides as measured, 209.8mmx296.9mm, which is more certain")
-    known.add_argument("--ruler", type=_ruler, metavar="U,V,U,V=100mm", help="a ruler lies in the sheet's plane: two of its lines, px in the "
-                       "photograph, and the length between them")
+    known.add_argument(
+        "--sheet",
+        type=_sheet,
+        default=(*SHEETS["A4"], CUT),
+        metavar="A4",
+        help="the whole sheet is in the photograph, on a darker "
+        "ground: A4 (the default), Letter, A3, or its sides as measured, 209.8mmx296.9mm, which is more certain",
+    )
+    known.add_argument(
+        "--ruler",
+        type=_ruler,
+        metavar="U,V,U,V=100mm",
+        help="a ruler lies in the sheet's plane: two of its lines, px in the photograph, and the length between them",
+    )
     add_json(parser)
 
 
@@ -46,7 +58,10 @@ def run(arguments: Namespace) -> None:
     try:
         image = read_image(arguments.photo, MOST_OF_A_PHOTOGRAPH)
     except FileError as error:
-        raise FileError(arguments.photo, f"is no picture that can be read (cut off?): {str(error).removeprefix(error.path).lstrip(': ')}") from None
+        raise FileError(
+            arguments.photo,
+            f"is no picture that can be read (cut off?): {str(error).removeprefix(error.path).lstrip(': ')}",
+        ) from None
     if arguments.ruler is not None:
         found = printed_marker_size.print_scale_by_ruler(image, design, *arguments.ruler)
     else:
@@ -56,8 +71,17 @@ def run(arguments: Namespace) -> None:
 
 
 def _print_tree(found: Printed, design: Design) -> None:
-    print_json({"schema": "printed/1", "markers": found.markers, "directions": list(found.directions), "scale": list(found.scale),
-                "standard_uncertainty": list(found.uncertainty), "bend_px": found.bend, "side": {k: v * _mean(found) for k, v in _stated(design)}})
+    print_json(
+        {
+            "schema": "printed/1",
+            "markers": found.markers,
+            "directions": list(found.directions),
+            "scale": list(found.scale),
+            "standard_uncertainty": list(found.uncertainty),
+            "bend_px": found.bend,
+            "side": {k: v * _mean(found) for k, v in _stated(design)},
+        }
+    )
 
 
 def _say(found: Printed, design: Design) -> None:
@@ -66,12 +90,19 @@ def _say(found: Printed, design: Design) -> None:
         print(f"  {scale:.4f} +- {2 * uncertainty:.4f} (k=2) {direction}")
     within = 2 * max(found.uncertainty)
     if len(found.scale) > 1 and abs(found.scale[0] - found.scale[1]) > within:
-        print("bad: the printer stretches one way; markers are no squares: print them again, without fitting to the page")
+        print(
+            "bad: the printer stretches one way; markers are no squares: print them again, without fitting to the page"
+        )
     elif abs(_mean(found) - 1) <= within:
         print(f"good: the sides of rig.toml are right to {within * 100:.2f} %")
     else:
-        print("check: write into rig.toml " + "; ".join(f"marker = {side * _mean(found):.6f} (target {name}, stated {side:.6f})"
-                                                        for name, side in _stated(design)))
+        print(
+            "check: write into rig.toml "
+            + "; ".join(
+                f"marker = {side * _mean(found):.6f} (target {name}, stated {side:.6f})"
+                for name, side in _stated(design)
+            )
+        )
 
 
 def _mean(found: Printed) -> float:
@@ -80,7 +111,10 @@ def _mean(found: Printed) -> float:
 
 def _stated(design: Design) -> list[tuple[str, float]]:
     """(name, side m) of the targets, of loose markers their first."""
-    return [(target.name, target.marker if target.marker is not None else target.listed[0].side) for target in design.targets]
+    return [
+        (target.name, target.marker if target.marker is not None else target.listed[0].side)
+        for target in design.targets
+    ]
 
 
 def _sheet(text: str) -> tuple[float, float, float]:
@@ -95,7 +129,9 @@ def _sheet(text: str) -> tuple[float, float, float]:
 def _ruler(text: str) -> tuple[np.ndarray, float]:
     found = re.fullmatch(r"([0-9.]+),([0-9.]+),([0-9.]+),([0-9.]+)=(.+)", text)
     if found is None:
-        raise ArgumentTypeError(f"takes two places and the length between them, as 210,340,1890,352=100mm, not {text!r}")
+        raise ArgumentTypeError(
+            f"takes two places and the length between them, as 210,340,1890,352=100mm, not {text!r}"
+        )
     import numpy as np
 
     ends = np.array([float(value) for value in found.groups()[:4]]).reshape(2, 2)

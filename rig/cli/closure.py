@@ -1,4 +1,6 @@
-"""rig closure REC [--use l1,m2,..]: more lengths than six; which six tell the pose, and by how much the others do not close."""
+"""rig closure REC [--use l1,m2,..]: more lengths than six; which six tell the pose, and by how much the others do not
+close.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,13 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.cli.shared.output_options import add_overwrite_option, add_recording, add_result, file_or_stdout, read_recording
+from rig.cli.shared.output_options import (
+    add_overwrite_option,
+    add_recording,
+    add_result,
+    file_or_stdout,
+    read_recording,
+)
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -22,11 +30,24 @@ STRANGE = 5.0  # standard deviations, RMS over the poses, beyond which a closure
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser, "with measuring limbs beside its struts (m1..mn in sensors.csv and [insitu] in rig.toml)")
-    parser.add_argument("--use", metavar="LEGS", help="the six legs that tell the pose, as l1,l2,l3,m4,m5,m6; by default the six that tell it best")
-    parser.add_argument("--calibration", metavar="FILE", type=Path, help="struts as calibrated, not as rig.toml has them")
-    parser.add_argument("--limbs", metavar="FILE", type=Path, help="limbs as `rig insitu` found them, not as rig.toml has them")
-    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="closures.csv: frame, what each other leg reads less what the pose says "
-                        "(e_..), its expected standard deviation (u_..), m")
+    parser.add_argument(
+        "--use",
+        metavar="LEGS",
+        help="the six legs that tell the pose, as l1,l2,l3,m4,m5,m6; by default the six that tell it best",
+    )
+    parser.add_argument(
+        "--calibration", metavar="FILE", type=Path, help="struts as calibrated, not as rig.toml has them"
+    )
+    parser.add_argument(
+        "--limbs", metavar="FILE", type=Path, help="limbs as `rig insitu` found them, not as rig.toml has them"
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        type=file_or_stdout,
+        help="closures.csv: frame, what each other leg reads less what the pose says "
+        "(e_..), its expected standard deviation (u_..), m",
+    )
     add_overwrite_option(parser)
     add_result(parser)
 
@@ -41,9 +62,13 @@ def run(arguments: Namespace) -> int:
     recording = read_recording(arguments)
     out = arguments.outputs.file(arguments.out) if arguments.out else None
     of, frames, read = _legs(arguments, recording)
-    first = np.arange(6, 12) if len(of.names) >= 12 else np.arange(6)  # limbs tell best where the platform was, well enough to choose by
+    first = (
+        np.arange(6, 12) if len(of.names) >= 12 else np.arange(6)
+    )  # limbs tell best where the platform was, well enough to choose by
     chosen = (
-        _chosen(arguments.use, of) if arguments.use else redundant_legs.best_six(of, redundant_legs.leg_closures(of, read, first).T_base_platform)
+        _chosen(arguments.use, of)
+        if arguments.use
+        else redundant_legs.best_six(of, redundant_legs.leg_closures(of, read, first).T_base_platform)
     )
     found = redundant_legs.leg_closures(of, read, chosen)
     _tell(of, found, frames, chosen, bool(arguments.use))
@@ -51,8 +76,14 @@ def run(arguments: Namespace) -> int:
     if out:
         sigma = np.sqrt(np.einsum("nii->ni", found.covariance))
         names = [of.names[i] for i in found.checks]
-        recording_tables.write_table(out, ("frame", *(f"e_{name}" for name in names), *(f"u_{name}" for name in names)),
-                            [",".join([str(frame), *(f"{x:.4e}" for x in (*e, *u))]) for frame, e, u in zip(frames, found.error, sigma)])
+        recording_tables.write_table(
+            out,
+            ("frame", *(f"e_{name}" for name in names), *(f"u_{name}" for name in names)),
+            [
+                ",".join([str(frame), *(f"{x:.4e}" for x in (*e, *u))])
+                for frame, e, u in zip(frames, found.error, sigma)
+            ],
+        )
         print(f"written: {arguments.out}")
     return int(_ratio(found).max() > STRANGE)
 
@@ -77,7 +108,12 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
     if arguments.calibration is not None:
         calibration = calibration_file.load(arguments.calibration)
         calibration.refuse_physics("closing legs")
-        struts = ("l", hexapod_of(calibration.correction.fitted), np.hypot(calibration.scatter, EXACT), calibration.covariance)
+        struts = (
+            "l",
+            hexapod_of(calibration.correction.fitted),
+            np.hypot(calibration.scatter, EXACT),
+            calibration.covariance,
+        )
         commanded = commanded - calibration.correction.rho(commanded)
     if arguments.limbs is not None:
         limbs = ("m", *redundant_limb_checks.all_fitted_limbs(measuring_limbs_file.load(arguments.limbs).limbs, stated))
@@ -91,7 +127,10 @@ def _chosen(text: str, of: Legs) -> np.ndarray:
     names = [word.strip() for word in text.split(",")]
     unknown = [name for name in names if name not in of.names]
     if unknown or len(set(names)) != 6 or len(names) != 6:
-        raise RigError(f"--use takes six different legs of {of.names[0]} .. {of.names[5]} and {of.names[6]} .. {of.names[-1]}, not {text!r}")
+        raise RigError(
+            f"--use takes six different legs of {of.names[0]} .. {of.names[5]} and {of.names[6]} .. "
+            f"{of.names[-1]}, not {text!r}"
+        )
     return np.array([of.names.index(name) for name in names])
 
 
@@ -107,10 +146,24 @@ def _result(of: Legs, found: Closures, frames: np.ndarray, chosen: np.ndarray) -
     legs = []
     for i, e, ratio in zip(found.checks, found.error.T, _ratio(found)):
         worst = int(abs(e).argmax())
-        legs.append({"leg": of.names[i], "mean": float(e.mean()), "rms": float((e**2).mean() ** 0.5), "largest": float(e[worst]),
-                     "frame": int(frames[worst]), "times_expected": float(ratio)})
-    return {"schema": "closure/1", "unit": "m", "poses": len(frames), "pose_from": [of.names[i] for i in chosen], "closures": legs,
-            "explained_best_by": of.names[int(found.share.argmax())]}
+        legs.append(
+            {
+                "leg": of.names[i],
+                "mean": float(e.mean()),
+                "rms": float((e**2).mean() ** 0.5),
+                "largest": float(e[worst]),
+                "frame": int(frames[worst]),
+                "times_expected": float(ratio),
+            }
+        )
+    return {
+        "schema": "closure/1",
+        "unit": "m",
+        "poses": len(frames),
+        "pose_from": [of.names[i] for i in chosen],
+        "closures": legs,
+        "explained_best_by": of.names[int(found.share.argmax())],
+    }
 
 
 def _tell(of: Legs, found: Closures, frames: np.ndarray, chosen: np.ndarray, asked: bool) -> None:
@@ -119,17 +172,29 @@ def _tell(of: Legs, found: Closures, frames: np.ndarray, chosen: np.ndarray, ask
 
     from rig.model.mechanisms import redundant_legs
 
-    values = np.linalg.svd(redundant_legs.leg_length_jacobians(of, found.T_base_platform)[1][:, chosen], compute_uv=False)
+    values = np.linalg.svd(
+        redundant_legs.leg_length_jacobians(of, found.T_base_platform)[1][:, chosen], compute_uv=False
+    )
     condition, how = values[:, 0] / values[:, -1], "as asked" if asked else "the six that tell it best"
-    print(f"{len(of.names)} legs for six freedoms; {', '.join(of.names[i] for i in chosen)} tell the pose, {how} (condition number "
-          f"{np.median(condition):.3g} in the middle, {condition.max():.3g} at most); closures of the others at {len(frames)} poses, um:")
+    print(
+        f"{len(of.names)} legs for six freedoms; {', '.join(of.names[i] for i in chosen)} tell the pose, "
+        f"{how} (condition number "
+        f"{np.median(condition):.3g} in the middle, {condition.max():.3g} at most); closures of the others "
+        f"at {len(frames)} poses, um:"
+    )
     print(f"{'':4}{'mean':>10}{'RMS':>10}{'expected':>10}{'largest':>10}{'at frame':>10}")
     for k, (i, ratio) in enumerate(zip(found.checks, _ratio(found))):
         e = found.error[:, k] * 1e6
         expected = np.sqrt(found.covariance[:, k, k].mean()) * 1e6
-        print(f"{of.names[i]:4}{e.mean():10.2f}{np.sqrt((e**2).mean()):10.2f}{expected:10.2f}{e[np.abs(e).argmax()]:10.2f}{frames[np.abs(e).argmax()]:10d}"
-              + (f"  {ratio:.1f} times what is expected" if ratio > STRANGE else ""))
+        print(
+            f"{of.names[i]:4}{e.mean():10.2f}{np.sqrt((e**2).mean()):10.2f}{expected:10.2f}"
+            f"{e[np.abs(e).argmax()]:10.2f}{frames[np.abs(e).argmax()]:10d}"
+            + (f"  {ratio:.1f} times what is expected" if ratio > STRANGE else "")
+        )
     if _ratio(found).max() > STRANGE:
         i = int(found.share.argmax())
-        print(f"one leg explains most of it: {of.names[i]}, were it longer by {-found.off[i] * 1e6:+.2f} um than it says ({found.share[i]:.0%} of "
-              "the squares)")
+        print(
+            f"one leg explains most of it: {of.names[i]}, were it longer by {-found.off[i] * 1e6:+.2f} um "
+            f"than it says ({found.share[i]:.0%} of "
+            "the squares)"
+        )

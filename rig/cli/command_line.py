@@ -18,13 +18,24 @@ from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, Outputs
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-WRITTEN = ("next", "out", "page", "truth", "state", "history", "draw", "stl", "rerun")  # arguments that name what is written; all else is read
+WRITTEN = (
+    "next",
+    "out",
+    "page",
+    "truth",
+    "state",
+    "history",
+    "draw",
+    "stl",
+    "rerun",
+)  # arguments that name what is written; all else is read
 
 S = TypeVar("S", bound=int | str | None)  # an exit status
 COMMANDS = {
     "new": "A rig.toml by four questions, or by options where nobody can be asked.",
     "check": "All that is wrong or unlikely with a recording, at once, with what to do.",
-    "import": "A recording out of what you have: folders of images, tables in any dialect, units and clocks; and a recipe of it.",
+    "import": "A recording out of what you have: folders of images, tables in any dialect, units and clocks; and a "
+    "recipe of it.",
     "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
     "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
     "diagnose": "A recording -> what physics its model leaves out: where, which, how large, and the proof.",
@@ -32,10 +43,13 @@ COMMANDS = {
     "correct": "Wanted poses -> the strut lengths to command for them.",
     "kinematics": "An arm's poses of joint values, or all joint values of poses, step by step in one global frame.",
     "posture": "A redundant arm's posture for feeling or making force, with the hand held still.",
-    "wrench": "What pushed on an arm's hand, from its joints' torques or motor currents: force and moment with covariance.",
+    "wrench": "What pushed on an arm's hand, from its joints' torques or motor currents: force and moment with "
+    "covariance.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",
-    "investigate": "A rig finds out by itself: plan, diagnosis, the experiment that tells most, and again, up to a certificate.",
-    "watch": "Small visits held against a calibration day by day: whether it still holds, what changed, what to remeasure.",
+    "investigate": "A rig finds out by itself: plan, diagnosis, the experiment that tells most, and again, up to a "
+    "certificate.",
+    "watch": "Small visits held against a calibration day by day: whether it still holds, what changed, what to "
+    "remeasure.",
     "certify": "What a calibration promises of all poses in a volume, from recordings held out: a certificate.",
     "workspace": "What a calibration does to the workspace: lost, gained, room to limits, singularities, error bounds.",
     "lens": "Photographs of a board -> one camera's lens: models compared, a [[camera]] block.",
@@ -52,7 +66,8 @@ COMMANDS = {
     "insitu": "Measuring limbs held against vision; once they pass, saved to stand for it.",
     "closure": "More lengths than six: which six tell the pose, and by how much the others do not close.",
     "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
-    "view": "One frame of a recording with markers, axes and residuals drawn in; or all of it in three dimensions, as a page or for Rerun.",
+    "view": "One frame of a recording with markers, axes and residuals drawn in; or all of it in three dimensions, "
+    "as a page or for Rerun.",
     "index": "One page of all pages below a folder, each with its verdict.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",
     "print": "The cubes of a rig.toml as nets to print, true to scale.",
@@ -95,10 +110,15 @@ def _main(argv: list[str]) -> int:
 
 
 def command_line(opened: Collection[str], words: tuple[str, ...] = ()) -> Parser:
-    """The parser of the command line. opened : commands of which it knows the arguments too; words : what it will be given"""
-    parser = Parser(prog="rig", description="Vision-measured calibration of robots that move a platform on struts, and of arms.",
-                    epilog="A recording is a folder with rig.toml, frames.csv, commands.csv and images or corners.csv; "
-                           "SI units and radians throughout.")
+    """The parser of the command line. opened : commands of which it knows the arguments too; words : what it will be
+    given
+    """
+    parser = Parser(
+        prog="rig",
+        description="Vision-measured calibration of robots that move a platform on struts, and of arms.",
+        epilog="A recording is a folder with rig.toml, frames.csv, commands.csv and images or corners.csv; "
+        "SI units and radians throughout.",
+    )
     parser.words = words
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
@@ -114,10 +134,11 @@ def command_line(opened: Collection[str], words: tuple[str, ...] = ()) -> Parser
 
 
 def run_script() -> NoReturn:
-    """The `rig` of a shell: `main`, and where it was stopped the end at once, as nobody waits for an interpreter that clears itself away.
+    """The `rig` of a shell: `main`, and where it was stopped the end at once, as nobody waits for an interpreter that
+    clears itself away.
 
-    Products of matrices take one thread unless the environment says otherwise: several wait for each other, for cores that other processes use,
-    ten times as long as they save.
+    Products of matrices take one thread unless the environment says otherwise: several wait for each other, for cores
+    that other processes use, ten times as long as they save.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     status = main()
@@ -151,7 +172,12 @@ def _run(arguments: argparse.Namespace) -> int:
             _require_utf8([*arguments.argv, os.path.realpath(".")])
         if asked and getattr(arguments, "out", None) == STANDARD_OUTPUT:
             raise RigError("--json and --out - both write to the standard output; name a file, or leave out --json")
-        with _signals(), Outputs(arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)) as outputs:
+        with (
+            _signals(),
+            Outputs(
+                arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)
+            ) as outputs,
+        ):
             arguments.outputs = outputs
             with _reader_may_leave(name, outputs), _words(arguments), _compiling(), _workers(arguments):
                 status = arguments.run(arguments) or 0
@@ -174,7 +200,9 @@ def _run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         if _flushed(name, 0):
             return 1
-        where = error.filename or ("standard output" if error.errno in UNWRITABLE else "")  # files are written where a FileError names them
+        where = error.filename or (
+            "standard output" if error.errno in UNWRITABLE else ""
+        )  # files are written where a FileError names them
         return _failed(f"{name}: {f'{where}: ' if where else ''}{error.strerror or error}")
     except Ended as end:
         return _failed(f"{name}: ended by signal {end.number}", 128 + end.number)
@@ -184,7 +212,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
 @contextmanager
 def _reader_may_leave(name: str, outputs: Outputs) -> Iterator[None]:
-    """Within it a command that writes files finishes them though the reader of its standard output is gone, which is then reported."""
+    """Within it a command that writes files finishes them though the reader of its standard output is gone, which is
+    then reported.
+    """
     from rig.cli.shared.standard_output import StandardOutput
 
     out = StandardOutput(sys.stdout or io.StringIO(), lambda: outputs.in_use)
@@ -193,7 +223,11 @@ def _reader_may_leave(name: str, outputs: Outputs) -> Iterator[None]:
         out.flush()
     if out.closed_by_reader:
         with suppress(OSError):
-            print(f"{name}: standard output was closed before all was printed; the files that this command writes are complete", file=sys.stderr)
+            print(
+                f"{name}: standard output was closed before all was printed; the files that this command "
+                "writes are complete",
+                file=sys.stderr,
+            )
 
 
 def _compiling() -> AbstractContextManager[None]:
@@ -214,7 +248,9 @@ def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:
 
 
 def _require_utf8(words: list[str]) -> None:
-    """Raise RigError for a name of a file that is no UTF-8: what is written names what it was made from, and is UTF-8."""
+    """Raise RigError for a name of a file that is no UTF-8: what is written names what it was made from, and is
+    UTF-8.
+    """
     for word in words:
         try:
             word.encode("utf-8")
@@ -229,15 +265,20 @@ def _for_programs(arguments: argparse.Namespace) -> bool:
 
 @contextmanager
 def _words(arguments: argparse.Namespace) -> Iterator[None]:
-    """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result that was asked for; to the error
-    output where the result is printed as JSON once the command is done."""
+    """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result
+    that was asked for; to the error output where the result is printed as JSON once the command is done."""
     from rig.cli.shared.progress_bars import Progress
 
     out, quiet = getattr(arguments, "out", ""), getattr(arguments, "quiet", False)
     aside = _for_programs(arguments)
-    before, Progress.shown = Progress.shown, "none" if quiet or Progress.shown == "none" else getattr(arguments, "progress", "auto")
+    before, Progress.shown = (
+        Progress.shown,
+        "none" if quiet or Progress.shown == "none" else getattr(arguments, "progress", "auto"),
+    )
     try:
-        if quiet and (aside or out is not None and not getattr(arguments, "json", False)):  # without --out the result itself is printed
+        if quiet and (
+            aside or out is not None and not getattr(arguments, "json", False)
+        ):  # without --out the result itself is printed
             with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
                 yield
         else:
@@ -250,12 +291,16 @@ def _words(arguments: argparse.Namespace) -> Iterator[None]:
 def _read(arguments: argparse.Namespace) -> list[Path]:
     """The paths that a command reads."""
     named = [value for name, value in vars(arguments).items() if name not in WRITTEN]
-    return [path for value in named for path in (value if isinstance(value, list) else [value]) if isinstance(path, Path)]
+    return [
+        path for value in named for path in (value if isinstance(value, list) else [value]) if isinstance(path, Path)
+    ]
 
 
 @contextmanager
 def _signals() -> Iterator[None]:
-    """Within it a signal to end is an exception, so that what was begun is cleared away; threads but the first cannot ask for that."""
+    """Within it a signal to end is an exception, so that what was begun is cleared away; threads but the first cannot
+    ask for that.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

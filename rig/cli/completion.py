@@ -5,8 +5,12 @@ from argparse import ArgumentParser, Namespace
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("shell", choices=("bash", "zsh", "fish"), help="bash: eval \"$(rig completion bash)\" in ~/.bashrc; zsh: the same "
-                        "in ~/.zshrc after compinit; fish: rig completion fish > ~/.config/fish/completions/rig.fish")
+    parser.add_argument(
+        "shell",
+        choices=("bash", "zsh", "fish"),
+        help='bash: eval "$(rig completion bash)" in ~/.bashrc; zsh: the same '
+        "in ~/.zshrc after compinit; fish: rig completion fish > ~/.config/fish/completions/rig.fish",
+    )
 
 
 def run(arguments: Namespace) -> None:

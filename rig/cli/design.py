@@ -8,14 +8,28 @@ from rig.formats.number_parsing import parse_number, parse_whole_number
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("--mechanism", choices=("hexapod", "planar2", "arm"), help="hexapod (the default), two struts in a plane, or an arm from "
-                        "the shelf, with --arm")
-    parser.add_argument("--arm", metavar="NAME", help="a shipped arm's nominal figures, with an instrument that measures it: puma560, ur10, "
-                        "panda, stanford, scara, gantry")
-    parser.add_argument("--seen", choices=("cubes", "hand"), help="of an arm: by cameras, in place of an instrument: with cubes in its hand before "
-                        "fixed cameras, or with the cameras in its hand before cubes that stand")
     parser.add_argument(
-        "--radius", type=parse_number, metavar="M", help="of a hexapod's circle of base joints, m; of planar2 half the joints' distance"
+        "--mechanism",
+        choices=("hexapod", "planar2", "arm"),
+        help="hexapod (the default), two struts in a plane, or an arm from the shelf, with --arm",
+    )
+    parser.add_argument(
+        "--arm",
+        metavar="NAME",
+        help="a shipped arm's nominal figures, with an instrument that measures it: puma560, ur10, "
+        "panda, stanford, scara, gantry",
+    )
+    parser.add_argument(
+        "--seen",
+        choices=("cubes", "hand"),
+        help="of an arm: by cameras, in place of an instrument: with cubes in its hand before "
+        "fixed cameras, or with the cameras in its hand before cubes that stand",
+    )
+    parser.add_argument(
+        "--radius",
+        type=parse_number,
+        metavar="M",
+        help="of a hexapod's circle of base joints, m; of planar2 half the joints' distance",
     )
     parser.add_argument("--cameras", type=parse_whole_number, default=3)
     parser.add_argument("--cubes", type=parse_whole_number, default=4, help="on the base, and as many on the platform")
@@ -54,8 +68,20 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"--limbs takes a number of limbs, not {arguments.limbs}")
     if arguments.limbs and kind != "hexapod":
         raise RigError(f"--limbs stand beside a hexapod's struts; a {kind} has none")
-    figures = (arguments.radius, arguments.cameras, *size, arguments.cubes, arguments.dictionary, arguments.name or kind)
-    _write(arguments, layout.hexapod_layout(*figures, arguments.limbs) if kind == "hexapod" else two_strut_layout.two_strut_layout(*figures))
+    figures = (
+        arguments.radius,
+        arguments.cameras,
+        *size,
+        arguments.cubes,
+        arguments.dictionary,
+        arguments.name or kind,
+    )
+    _write(
+        arguments,
+        layout.hexapod_layout(*figures, arguments.limbs)
+        if kind == "hexapod"
+        else two_strut_layout.two_strut_layout(*figures),
+    )
 
 
 def _shipped(arguments: Namespace) -> None:
@@ -64,15 +90,29 @@ def _shipped(arguments: Namespace) -> None:
     from rig.planning.layout import shipped_arms
 
     if arguments.arm is None:
-        raise RigError(f"--mechanism arm takes --arm with the name of a shipped one: {', '.join(shipped_arms.shipped_arm_names())}")
+        raise RigError(
+            f"--mechanism arm takes --arm with the name of a shipped one: {', '.join(shipped_arms.shipped_arm_names())}"
+        )
     if arguments.mechanism in ("hexapod", "planar2") or arguments.radius is not None:
-        raise RigError(f"--arm brings its own figures; --mechanism {arguments.mechanism or 'hexapod'} and --radius are for struts")
+        raise RigError(
+            f"--arm brings its own figures; --mechanism {arguments.mechanism or 'hexapod'} and --radius are for struts"
+        )
     if arguments.seen is None:
         _write(arguments, shipped_arms.shipped_arm_rig_toml(arguments.arm))
         return
     from rig.planning.layout.arm_layout import arm_layout as layout
 
-    _write(arguments, layout(arguments.arm, arguments.seen, arguments.cameras, _size(arguments.size), arguments.cubes, arguments.dictionary))
+    _write(
+        arguments,
+        layout(
+            arguments.arm,
+            arguments.seen,
+            arguments.cameras,
+            _size(arguments.size),
+            arguments.cubes,
+            arguments.dictionary,
+        ),
+    )
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -30,7 +30,9 @@ MENTIONED = 4  # remarks, and rows that were left out, in the terminal
 
 @dataclass(frozen=True, slots=True)
 class Beforehand:
-    """calibration : of another recording, or None; given : what is said beforehand; own : files of effects; kinds : all that are asked for."""
+    """calibration : of another recording, or None; given : what is said beforehand; own : files of effects; kinds : all
+    that are asked for.
+    """
 
     calibration: Calibration | None
     given: Given
@@ -41,15 +43,39 @@ class Beforehand:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recordings(parser)
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="diagnosis.json and the page are written there")
-    parser.add_argument("--calibration", metavar="FILE", type=Path, help="of the same rig from another recording: its joints are taken as known, "
-                        "so that less can hide in them")
-    parser.add_argument("--only", metavar="EFFECT", action="append", help="ask for this effect alone (or 'EFFECT PLACE'); may be given again")
-    parser.add_argument("--without", metavar="EFFECT", action="append", default=[], help="leave this effect out; may be given again")
-    parser.add_argument("--assume", metavar="'EFFECT PLACE'", action="append", default=[], help="take this effect to be there: it is fitted from the "
-                        "start and stays, whatever the recording says of it; may be given again")
-    parser.add_argument("--from", metavar="DIR", type=Path, dest="before", help="what another diagnosis found: begin with its findings, each of "
-                        "which has to stand here as well")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help="diagnosis.json and the page are written there"
+    )
+    parser.add_argument(
+        "--calibration",
+        metavar="FILE",
+        type=Path,
+        help="of the same rig from another recording: its joints are taken as known, so that less can hide in them",
+    )
+    parser.add_argument(
+        "--only",
+        metavar="EFFECT",
+        action="append",
+        help="ask for this effect alone (or 'EFFECT PLACE'); may be given again",
+    )
+    parser.add_argument(
+        "--without", metavar="EFFECT", action="append", default=[], help="leave this effect out; may be given again"
+    )
+    parser.add_argument(
+        "--assume",
+        metavar="'EFFECT PLACE'",
+        action="append",
+        default=[],
+        help="take this effect to be there: it is fitted from the "
+        "start and stays, whatever the recording says of it; may be given again",
+    )
+    parser.add_argument(
+        "--from",
+        metavar="DIR",
+        type=Path,
+        dest="before",
+        help="what another diagnosis found: begin with its findings, each of which has to stand here as well",
+    )
     user_effects_option.add_effects_option(parser)
     next_experiment.arguments(parser)
     add_overwrite_option(parser)
@@ -66,7 +92,9 @@ def run(arguments: Namespace) -> None:
     progress = Progress()
     progress("reading the recording", 0, 1)
     recording, look, several = recording_checks.load_and_check_recordings(arguments, progress)
-    corners = recording.corners if recording.corners is not None or several else recording_checks.sample_corners(recording)
+    corners = (
+        recording.corners if recording.corners is not None or several else recording_checks.sample_corners(recording)
+    )
     if corners is not None:
         look(corners)
     own = user_effects_option.load_effect_files(arguments)
@@ -77,14 +105,24 @@ def run(arguments: Namespace) -> None:
 
     calibration = None if arguments.calibration is None else _known(arguments.calibration, recording, own)
     diagnosed = _arm if recording.design.mechanism.kind in ("arm", "chain") else _platform
-    _print(diagnosed(recording, arguments, Beforehand(calibration, _given(arguments, recording, kinds), own, tuple(kinds.values())), out, progress))
+    _print(
+        diagnosed(
+            recording,
+            arguments,
+            Beforehand(calibration, _given(arguments, recording, kinds), own, tuple(kinds.values())),
+            out,
+            progress,
+        )
+    )
     arguments.outputs.data = data_provenance.mark_lines(data_provenance.content_marks(recording))
     arguments.result = json.loads((out / "diagnosis.json").read_text())
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 
 
 def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> Given:
-    """What the operator says beforehand. Raises RigError for what this rig cannot have, FileError for what is no diagnosis."""
+    """What the operator says beforehand. Raises RigError for what this rig cannot have, FileError for what is no
+    diagnosis.
+    """
     from calib.diagnose.engine.stated_terms import Given
     from calib.diagnose.report.diagnosis_json import UNKNOWN
     from rig.effects.texts.effect_text import parse_place
@@ -96,7 +134,9 @@ def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> Given:
         for finding in table.tables("findings"):
             name, place = finding.text("effect"), finding.text("place")
             if name not in (*kinds, UNKNOWN):
-                raise RigError(f"{path} found {name}, and there is no such effect; of your own, name its file with --effects")
+                raise RigError(
+                    f"{path} found {name}, and there is no such effect; of your own, name its file with --effects"
+                )
             if name in kinds and not kinds[name].discrete:
                 try:
                     before.append(parse_place(f"{name} {place}", recording.design, kinds))
@@ -107,8 +147,15 @@ def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> Given:
 
 def _said(arguments: Namespace) -> tuple[str, ...]:
     """The operator's words, as options."""
-    words = (("--only", arguments.only or []), ("--without", arguments.without), ("--assume", arguments.assume), ("--from", [arguments.before]),
-             ("--mask", [arguments.mask]), ("--effects", arguments.effects), ("--calibration", [arguments.calibration]))
+    words = (
+        ("--only", arguments.only or []),
+        ("--without", arguments.without),
+        ("--assume", arguments.assume),
+        ("--from", [arguments.before]),
+        ("--mask", [arguments.mask]),
+        ("--effects", arguments.effects),
+        ("--calibration", [arguments.calibration]),
+    )
     return tuple(f"{option} {text}" for option, texts in words for text in texts if text is not None)
 
 
@@ -121,14 +168,24 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
     from calib.samples.recording_samples import sample_recording
 
     if known.calibration is not None:
-        raise RigError("--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording")
+        raise RigError(
+            "--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording"
+        )
     sampled = sample_recording(recording, progress=progress)
-    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds, sampled),
-                    said=_said(arguments), own=known.own)
+    found = replace(
+        diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds, sampled),
+        said=_said(arguments),
+        own=known.own,
+    )
     report = arm_report.arm_report(found)
     report = replace(report, calibrations=_of_calibrations(report, recording, sampled, arguments))
     arm_report.write_arm_diagnosis(out, found, recording, report)
-    diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named), page_links(arguments, arguments.out / "diagnosis.html"))
+    diagnosis_page(
+        out / "diagnosis.html",
+        report,
+        ArmView(found, report.named),
+        page_links(arguments, arguments.out / "diagnosis.html"),
+    )
     if arguments.next is not None:
         from calib.experiment.arm_questions import arm_questions
 
@@ -144,13 +201,34 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
     from calib.diagnose.report.platform_page_figures import PlatformView
     from calib.samples.recording_samples import sample_recording
 
-    sampled = None if recording.commands is None or recording.design.mechanism.kind == "free" else sample_recording(recording, progress=progress)
-    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.calibration, known.given, sampled, known.kinds),
-                    said=_said(arguments), own=known.own)
+    sampled = (
+        None
+        if recording.commands is None or recording.design.mechanism.kind == "free"
+        else sample_recording(recording, progress=progress)
+    )
+    found = replace(
+        diagnose(
+            recording,
+            arguments.only,
+            tuple(arguments.without),
+            progress,
+            known.calibration,
+            known.given,
+            sampled,
+            known.kinds,
+        ),
+        said=_said(arguments),
+        own=known.own,
+    )
     report = platform_report.platform_report(found)
     report = replace(report, calibrations=_of_calibrations(report, recording, sampled, arguments))
     platform_report.write_platform_diagnosis(out, found, recording, report)
-    diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found), page_links(arguments, arguments.out / "diagnosis.html"))
+    diagnosis_page(
+        out / "diagnosis.html",
+        report,
+        PlatformView(recording, found),
+        page_links(arguments, arguments.out / "diagnosis.html"),
+    )
     if arguments.next is not None:
         from calib.experiment.platform_questions import questions
 
@@ -158,8 +236,12 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
     return report
 
 
-def _of_calibrations(report: Report, recording: Recording, sampled: Sampled | None, arguments: Namespace) -> OfCalibrations:
-    """OfCalibrations beside the recording or the diagnosis that were made from it; each that knows nothing of a finding is marked."""
+def _of_calibrations(
+    report: Report, recording: Recording, sampled: Sampled | None, arguments: Namespace
+) -> OfCalibrations:
+    """OfCalibrations beside the recording or the diagnosis that were made from it; each that knows nothing of a finding
+    is marked.
+    """
     from calib.certify.calibration_evidence import OfCalibrations
     from calib.diagnose.calibration_left_out_physics import findings_against_calibrations, refuted_calibrations
     from rig.recording import data_provenance
@@ -192,7 +274,10 @@ def _print(report: Report) -> None:
             print(f"  cannot be told from {other.effect} at {other.place}; {other.experiment}")
     for entry in report.suggestions:
         values = ", ".join(f"{name} {value}" for name, value, _ in suggestion_rows(entry))
-        print(f"a formula for it at {entry.place}: {formula_suggestion_sentences(entry)} {values}; `rig effects --new NAME --from DIR` writes it")
+        print(
+            f"a formula for it at {entry.place}: {formula_suggestion_sentences(entry)} {values}; `rig "
+            "effects --new NAME --from DIR` writes it"
+        )
     if report.remarks:
         places = ", ".join(f"{r.effect} at {r.place}" for r in report.remarks[:MENTIONED])
         more = f" and {len(report.remarks) - MENTIONED} more" if len(report.remarks) > MENTIONED else ""
@@ -219,6 +304,9 @@ def _known(path: Path, recording: Recording, own: tuple[Plugin, ...]) -> Calibra
     calibration = user_effects_option.load_calibration(path, own)
     same = calibration_file.frames_used_in_calibration(calibration, recording)
     if same:
-        raise RigError(f"{path} was made from {len(same)} of the frames of {recording.folder}, which would count twice; diagnose without it, or "
-                       "take another recording's")
+        raise RigError(
+            f"{path} was made from {len(same)} of the frames of {recording.folder}, which would count twice; "
+            "diagnose without it, or "
+            "take another recording's"
+        )
     return calibration

@@ -16,7 +16,14 @@ def run(arguments: Namespace) -> int:
 
     found = installation_inventory()
     if arguments.json:
-        print_json({"schema": "doctor/1", "found": [{"about": one.about, "state": one.state, "text": one.text, "todo": one.todo} for one in found]})
+        print_json(
+            {
+                "schema": "doctor/1",
+                "found": [
+                    {"about": one.about, "state": one.state, "text": one.text, "todo": one.todo} for one in found
+                ],
+            }
+        )
     else:
         wide = max(len(one.about) for one in found)
         for one in found:

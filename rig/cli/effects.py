@@ -19,10 +19,20 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("name", metavar="NAME", nargs="?", help="one of them, whole; all as a table without it")
     add_json(parser)
     user_effects_option.add_effects_option(parser)
-    parser.add_argument("--new", metavar="NAME", help="write a file with an effect of your own, to be edited and given to --effects")
-    parser.add_argument("--from", metavar="DIR", type=Path, dest="source", help="with --new: the formula that a diagnosis suggests, DIR is what "
-                        "rig diagnose wrote; an example to begin with otherwise")
-    parser.add_argument("--place", metavar="PLACE", help="with --from: which suggestion, by its place, where there are several")
+    parser.add_argument(
+        "--new", metavar="NAME", help="write a file with an effect of your own, to be edited and given to --effects"
+    )
+    parser.add_argument(
+        "--from",
+        metavar="DIR",
+        type=Path,
+        dest="source",
+        help="with --new: the formula that a diagnosis suggests, DIR is what "
+        "rig diagnose wrote; an example to begin with otherwise",
+    )
+    parser.add_argument(
+        "--place", metavar="PLACE", help="with --from: which suggestion, by its place, where there are several"
+    )
     parser.add_argument("--out", metavar="FILE.py", type=Path, help="with --new: where to write it, by default NAME.py")
     add_overwrite_option(parser)
 
@@ -47,7 +57,9 @@ def run(arguments: Namespace) -> None:
             print(effect_table(known.values(), width), end="")
         return
     if arguments.name not in known:
-        raise RigError(f"there is no effect {arguments.name!r}{suggestion_text(arguments.name, known)} `rig effects` lists them")
+        raise RigError(
+            f"there is no effect {arguments.name!r}{suggestion_text(arguments.name, known)} `rig effects` lists them"
+        )
     effect = known[arguments.name]
     if arguments.json:
         print_json(effect_dict(effect))
@@ -74,21 +86,33 @@ def _new(arguments: Namespace) -> None:
     (kind,) = of_source(source, path)
     write_text(out, source)
     values = ",".join(f"{name}={value:.6g}" for name, value in formula.values.items())
-    print(f"written: {path}, {arguments.new} at {', '.join(kind.places)}: {formula.text().replace('np.', '')}; {formula.where()}")
+    print(
+        f"written: {path}, {arguments.new} at {', '.join(kind.places)}: {formula.text().replace('np.', '')}; "
+        f"{formula.where()}"
+    )
     print(f"rig diagnose REC --out DIR --effects {path}")
-    print(f"rig simulate RIG.toml --effects {path} --effect {arguments.new}:{place.replace(' ', '')}:{values} --out REC")
+    print(
+        f"rig simulate RIG.toml --effects {path} --effect {arguments.new}:{place.replace(' ', '')}:{values} --out REC"
+    )
 
 
 def _suggested(folder: Path, place: str | None) -> tuple[str, Written]:
-    """(place, Written) that a diagnosis in a folder suggests. Raises RigError where it suggests nothing there, or several things anywhere."""
+    """(place, Written) that a diagnosis in a folder suggests. Raises RigError where it suggests nothing there, or
+    several things anywhere.
+    """
     from rig.effects.texts.formula_effect_file import Written
     from rig.formats import json_file
 
     table = json_file.load(folder / "diagnosis.json", "diagnosis", "diagnosis/1")
-    found = {entry.text("place"): entry for entry in (table.tables("suggestions") if "suggestions" in table.tree else ())}
+    found = {
+        entry.text("place"): entry for entry in (table.tables("suggestions") if "suggestions" in table.tree else ())
+    }
     if not found:
-        raise RigError(f"{folder} suggests no formula: where something has no name, a formula for it is in the diagnosis' page and under "
-                       "'suggestions' in diagnosis.json")
+        raise RigError(
+            f"{folder} suggests no formula: where something has no name, a formula for it is in the "
+            "diagnosis' page and under "
+            "'suggestions' in diagnosis.json"
+        )
     if place is None and len(found) > 1:
         raise RigError(f"{folder} suggests formulas at {', '.join(found)}: say with --place which")
     if place is not None and place not in found:

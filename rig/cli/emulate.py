@@ -24,19 +24,53 @@ def arguments(parser: ArgumentParser) -> None:
 
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     parser.add_argument("--protocol", choices=PROTOCOLS, help="by default what [controller] of the rig.toml says")
-    parser.add_argument("--fault", action="append", default=[], metavar="KIND[:RATE]",
-                        help="a fault seen in the field: once, at the next move, or at a rate per move; all:RATE for all kinds; may be repeated; "
-                             "--fault list names them")
-    parser.add_argument("--tcp", metavar="[HOST:]PORT", help="listen there instead of at a pseudo-terminal (port 0: any; host 127.0.0.1)")
-    parser.add_argument("--link", metavar="PATH", type=Path, help="keep a symbolic link pointing at the pseudo-terminal")
-    parser.add_argument("--speed", type=parse_number, default=1.0, metavar="N", help="struts N times as fast as [controller] states (default 1)")
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="KIND[:RATE]",
+        help="a fault seen in the field: once, at the next move, or at a rate per move; all:RATE for all kinds; "
+        "may be repeated; "
+        "--fault list names them",
+    )
+    parser.add_argument(
+        "--tcp",
+        metavar="[HOST:]PORT",
+        help="listen there instead of at a pseudo-terminal (port 0: any; host 127.0.0.1)",
+    )
+    parser.add_argument(
+        "--link", metavar="PATH", type=Path, help="keep a symbolic link pointing at the pseudo-terminal"
+    )
+    parser.add_argument(
+        "--speed",
+        type=parse_number,
+        default=1.0,
+        metavar="N",
+        help="struts N times as fast as [controller] states (default 1)",
+    )
     parser.add_argument("--start", metavar="L1,L2,..", help="where the struts stand at first, m (default: home)")
-    parser.add_argument("--history", metavar="FILE", type=Path, help="write what the struts were truly told, as commands.csv, as it happens")
-    parser.add_argument("--cameras", metavar="[HOST:]PORT", help="draw what the cameras see and answer for the sensors there (port 0: any); "
-                        'rig.toml: source = "emulator:HOST:PORT", [sensors] port = "socket://HOST:PORT", ask = "sensors"')
-    parser.add_argument("--truth", metavar="FILE", type=Path, help="the machine, its cameras and effects as rig simulate --truth wrote them, "
-                        "for --cameras (default: all is as RIG.toml says)")
-    parser.add_argument("--seed", type=parse_whole_number, default=0, help="of the faults, the temperatures and the noise of images")
+    parser.add_argument(
+        "--history",
+        metavar="FILE",
+        type=Path,
+        help="write what the struts were truly told, as commands.csv, as it happens",
+    )
+    parser.add_argument(
+        "--cameras",
+        metavar="[HOST:]PORT",
+        help="draw what the cameras see and answer for the sensors there (port 0: any); "
+        'rig.toml: source = "emulator:HOST:PORT", [sensors] port = "socket://HOST:PORT", ask = "sensors"',
+    )
+    parser.add_argument(
+        "--truth",
+        metavar="FILE",
+        type=Path,
+        help="the machine, its cameras and effects as rig simulate --truth wrote them, "
+        "for --cameras (default: all is as RIG.toml says)",
+    )
+    parser.add_argument(
+        "--seed", type=parse_whole_number, default=0, help="of the faults, the temperatures and the noise of images"
+    )
 
 
 def run(arguments: Namespace) -> None:
@@ -67,9 +101,13 @@ def run(arguments: Namespace) -> None:
     for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(ending, signal.default_int_handler)
     try:
-        terminal_and_tcp_server.serve_emulator(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
+        terminal_and_tcp_server.serve_emulator(
+            emulator, wire, lambda: True, _say, history.record if history else lambda: None
+        )
     except KeyboardInterrupt:
-        print(f"{len(emulator.machine.executed)} moves carried out; faults: {', '.join(emulator.faults.struck) or 'none'}")
+        print(
+            f"{len(emulator.machine.executed)} moves carried out; faults: {', '.join(emulator.faults.struck) or 'none'}"
+        )
     finally:
         wire.close()
         if cameras:
@@ -83,13 +121,17 @@ def _cameras(arguments: Namespace, followed: Path) -> Cameras:
     """The process that draws; its address is printed."""
     from rig.cli.shared.emulated_camera_process import Cameras
 
-    cameras = Cameras(arguments.design, arguments.truth, followed, _address(arguments.cameras, "--cameras"), arguments.seed)
+    cameras = Cameras(
+        arguments.design, arguments.truth, followed, _address(arguments.cameras, "--cameras"), arguments.seed
+    )
     print(f"cameras {cameras.name}", flush=True)
     return cameras
 
 
 def emulator_of_arguments(arguments: Namespace, clock: Clock) -> Emulator:
-    """The Emulator that the arguments ask for. Raises RigError for a rig without a controller and arguments that cannot be meant."""
+    """The Emulator that the arguments ask for. Raises RigError for a rig without a controller and arguments that cannot
+    be meant.
+    """
     import numpy as np
 
     from rig.driving import emulators

@@ -18,26 +18,57 @@ if TYPE_CHECKING:
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
 CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
 SEEN = ("tum", "parquet")  # of a recording
-FORMATS = {"genhexkins": ("hexapod",), "urdf": ("hexapod", "arm"), "sdf": ("hexapod",), "json": ("hexapod", "arm"), "csv": ("hexapod", "arm")}
+FORMATS = {
+    "genhexkins": ("hexapod",),
+    "urdf": ("hexapod", "arm"),
+    "sdf": ("hexapod",),
+    "json": ("hexapod", "arm"),
+    "csv": ("hexapod", "arm"),
+}
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("machine", metavar="CALIBRATION", type=Path, help="calibration.json, or a rig.toml for the machine as its owner has "
-                        "it; for tum and parquet a recording")
-    parser.add_argument("--format", choices=(*FORMATS, *TABLES, *CAMERAS, *SEEN), required=True, help="genhexkins: HAL settings of LinuxCNC; "
-                        "urdf, sdf: for simulators, a hexapod's URDF as a tree; linuxcnc-comp: what goes on top of genhexkins, a file for each joint "
-                        "in the folder OUT; grid: a CSV of what is to be added to the owner's model; camera-info, opencv: lenses of a rig.toml, a "
-                        "YAML file for each camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording or of what "
-                        "`rig measure` wrote")
+    parser.add_argument(
+        "machine",
+        metavar="CALIBRATION",
+        type=Path,
+        help="calibration.json, or a rig.toml for the machine as its owner has it; for tum and parquet a recording",
+    )
+    parser.add_argument(
+        "--format",
+        choices=(*FORMATS, *TABLES, *CAMERAS, *SEEN),
+        required=True,
+        help="genhexkins: HAL settings of LinuxCNC; "
+        "urdf, sdf: for simulators, a hexapod's URDF as a tree; linuxcnc-comp: what goes on top of "
+        "genhexkins, a file for each joint "
+        "in the folder OUT; grid: a CSV of what is to be added to the owner's model; camera-info, opencv: "
+        "lenses of a rig.toml, a "
+        "YAML file for each camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording "
+        "or of what "
+        "`rig measure` wrote",
+    )
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
-    parser.add_argument("--coupling", type=parse_number, default=0.0, metavar="GAIN",
-                        help="of genhexkins: share of the cardans' twist that turns the screws")
-    parser.add_argument("--lead", type=parse_number, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for "
-                        "--coupling (default [actuator] screw_lead of a rig.toml)")
     parser.add_argument(
-        "--parts", type=parse_whole_number, metavar="Q", help="of linuxcnc-comp and grid: parts of each actuator's interval (default 64, and 3)"
+        "--coupling",
+        type=parse_number,
+        default=0.0,
+        metavar="GAIN",
+        help="of genhexkins: share of the cardans' twist that turns the screws",
+    )
+    parser.add_argument(
+        "--lead",
+        type=parse_number,
+        metavar="M",
+        help="of genhexkins: the screws' lead, m per revolution, for "
+        "--coupling (default [actuator] screw_lead of a rig.toml)",
+    )
+    parser.add_argument(
+        "--parts",
+        type=parse_whole_number,
+        metavar="Q",
+        help="of linuxcnc-comp and grid: parts of each actuator's interval (default 64, and 3)",
     )
     add_overwrite_option(parser)
     add_result(parser)
@@ -46,8 +77,16 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Write or print the geometry."""
     if arguments.json and arguments.out is None:
-        raise RigError("--json says what was written: name a file or a folder with --out; without it what is exported is printed itself")
-    arguments.result = {"schema": "exported/1", "format": arguments.format, "out": str(arguments.out), "left_out": _export(arguments)}
+        raise RigError(
+            "--json says what was written: name a file or a folder with --out; without it what is exported "
+            "is printed itself"
+        )
+    arguments.result = {
+        "schema": "exported/1",
+        "format": arguments.format,
+        "out": str(arguments.out),
+        "left_out": _export(arguments),
+    }
 
 
 def _export(arguments: Namespace) -> list[str]:
@@ -66,22 +105,43 @@ def _export(arguments: Namespace) -> list[str]:
     mechanism, left_out, lead = _machine(arguments.machine)
     lead = lead if arguments.lead is None else arguments.lead
     if arguments.coupling and lead is None:
-        raise RigError(f"--coupling takes the screws' lead, m per revolution: give --lead, since {arguments.machine} does not state it"
-                       + (" ([actuator] screw_lead)" if arguments.machine.suffix == ".toml" else " (a rig.toml may, as [actuator] screw_lead)"))
+        raise RigError(
+            f"--coupling takes the screws' lead, m per revolution: give --lead, since {arguments.machine} "
+            "does not state it"
+            + (
+                " ([actuator] screw_lead)"
+                if arguments.machine.suffix == ".toml"
+                else " (a rig.toml may, as [actuator] screw_lead)"
+            )
+        )
     if not -10 <= arguments.coupling <= 10 or (lead is not None and not 0 < lead <= 1):
-        raise RigError(f"--coupling is a share between -10 and 10 and --lead is in metres, above 0 and at most 1, not {arguments.coupling:g} and "
-                       f"{lead:g}"
-                       if lead is not None else f"--coupling is a share between -10 and 10, not {arguments.coupling:g}")
+        raise RigError(
+            "--coupling is a share between -10 and 10 and --lead is in metres, above 0 and at most 1, not "
+            f"{arguments.coupling:g} and "
+            f"{lead:g}"
+            if lead is not None
+            else f"--coupling is a share between -10 and 10, not {arguments.coupling:g}"
+        )
     kinds = FORMATS[arguments.format]
     if mechanism.kind not in kinds:
-        raise RigError(f"{arguments.format} takes a mechanism of kind {' or '.join(kinds)}; {arguments.machine} has one of kind {mechanism.kind!r}")
+        raise RigError(
+            f"{arguments.format} takes a mechanism of kind {' or '.join(kinds)}; {arguments.machine} has one "
+            f"of kind {mechanism.kind!r}"
+        )
     out = arguments.outputs.file(arguments.out) if arguments.out else None
-    text = {"genhexkins": lambda: linuxcnc_genhexkins.genhexkins_settings(hexapod_of(mechanism), arguments.units, lead, arguments.coupling),
-            "urdf": lambda: (arm_urdf.arm_urdf(arm_of(mechanism), arguments.machine.stem) if mechanism.kind == "arm"
-                             else hexapod_urdf.hexapod_urdf(hexapod_of(mechanism), arguments.machine.stem)),
-            "sdf": lambda: hexapod_sdf.hexapod_sdf(hexapod_of(mechanism), arguments.machine.stem),
-            "json": lambda: geometry_json_and_csv.as_json(_exported(mechanism)),
-            "csv": lambda: geometry_json_and_csv.as_csv(_exported(mechanism))}[arguments.format]()
+    text = {
+        "genhexkins": lambda: linuxcnc_genhexkins.genhexkins_settings(
+            hexapod_of(mechanism), arguments.units, lead, arguments.coupling
+        ),
+        "urdf": lambda: (
+            arm_urdf.arm_urdf(arm_of(mechanism), arguments.machine.stem)
+            if mechanism.kind == "arm"
+            else hexapod_urdf.hexapod_urdf(hexapod_of(mechanism), arguments.machine.stem)
+        ),
+        "sdf": lambda: hexapod_sdf.hexapod_sdf(hexapod_of(mechanism), arguments.machine.stem),
+        "json": lambda: geometry_json_and_csv.as_json(_exported(mechanism)),
+        "csv": lambda: geometry_json_and_csv.as_csv(_exported(mechanism)),
+    }[arguments.format]()
     for line in left_out:
         print(f"rig export: {line}; use `rig correct` where it matters", file=sys.stderr)
     if out is None:
@@ -114,15 +174,29 @@ def _tables(arguments: Namespace) -> None:
         raise RigError(f"--parts is 1 to {most} for {arguments.format}, not {parts}")
     if arguments.format == "grid":
         out = arguments.outputs.file(arguments.out)
-        write_text(out, compensation_tables.grid(*grid_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT))
-        print(f"{(parts + 1) ** len(mechanism.axes)} rows; command = x + k, x as the owner's model has it; written: {arguments.out}")
+        write_text(
+            out,
+            compensation_tables.grid(
+                *grid_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
+            ),
+        )
+        print(
+            f"{(parts + 1) ** len(mechanism.axes)} rows; command = x + k, x as the owner's model has it; "
+            f"written: {arguments.out}"
+        )
         return
     folder = arguments.outputs.folder(arguments.out)
     found = joint_tables(correction, parts + 1)
     for i, (levels, trims) in enumerate(zip(found.levels, found.trims)):
-        write_text(folder / f"joint_{i}.comp", compensation_tables.linuxcnc(levels + correction.fitted.strut_zeros[i], trims, arguments.units))
-    print(f"COMP_FILE_TYPE = 0, units {arguments.units}, on top of genhexkins with the calibration's geometry; a table for each joint alone leaves "
-          f"{np.sqrt((found.left**2).mean()) * 1e6:.3f} um RMS of the correction; written: {arguments.out}")
+        write_text(
+            folder / f"joint_{i}.comp",
+            compensation_tables.linuxcnc(levels + correction.fitted.strut_zeros[i], trims, arguments.units),
+        )
+    print(
+        f"COMP_FILE_TYPE = 0, units {arguments.units}, on top of genhexkins with the calibration's geometry; "
+        "a table for each joint alone leaves "
+        f"{np.sqrt((found.left**2).mean()) * 1e6:.3f} um RMS of the correction; written: {arguments.out}"
+    )
 
 
 def _cameras(arguments: Namespace) -> None:
@@ -137,9 +211,11 @@ def _cameras(arguments: Namespace) -> None:
     if not found:
         raise RigError(f"{arguments.machine} has no cameras")
     texts = {
-        camera.name: (opencv_and_ros_camera.ros_camera_info if arguments.format == "camera-info" else opencv_and_ros_camera.opencv_camera_yaml)(
-            camera
-        )
+        camera.name: (
+            opencv_and_ros_camera.ros_camera_info
+            if arguments.format == "camera-info"
+            else opencv_and_ros_camera.opencv_camera_yaml
+        )(camera)
         for camera in found
     }
     folder = arguments.outputs.folder(arguments.out)
@@ -173,7 +249,9 @@ def _seen(arguments: Namespace) -> None:
 
 
 def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
-    """(mechanism, what corrects beyond it, in lines, the screws' lead in m or None) of a calibration.json or a rig.toml."""
+    """(mechanism, what corrects beyond it, in lines, the screws' lead in m or None) of a calibration.json or a
+    rig.toml.
+    """
     if path.suffix == ".toml":
         from rig.formats.rig_toml import design_file
 

@@ -24,13 +24,26 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
-    parser.add_argument("--rig", metavar="RIG.toml", type=Path, default=Path("rig.toml"),
-                        help="with the [controller] to drive (default: rig.toml here)")
-    parser.add_argument("--pose", metavar="X,Y,Z,RX,RY,RZ", required=True, help="platform in base: m, and a rotation vector in rad")
-    parser.add_argument("--uncorrected", action="store_true", help="command what the owner's model says, for comparison")
+    parser.add_argument(
+        "--rig",
+        metavar="RIG.toml",
+        type=Path,
+        default=Path("rig.toml"),
+        help="with the [controller] to drive (default: rig.toml here)",
+    )
+    parser.add_argument(
+        "--pose", metavar="X,Y,Z,RX,RY,RZ", required=True, help="platform in base: m, and a rotation vector in rad"
+    )
+    parser.add_argument(
+        "--uncorrected", action="store_true", help="command what the owner's model says, for comparison"
+    )
     parser.add_argument("--dry-run", action="store_true", help="say what would be commanded, and move nothing")
-    parser.add_argument("--speed", type=parse_number, default=1.0, metavar="SHARE", help="of the struts' greatest speed (default 1)")
-    parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
+    parser.add_argument(
+        "--speed", type=parse_number, default=1.0, metavar="SHARE", help="of the struts' greatest speed (default 1)"
+    )
+    parser.add_argument(
+        "--trust", action="store_true", help="believe the position that the controller reads, though it was not homed"
+    )
     user_effects_option.add_effects_option(parser)
     add_port(parser)
     add_result(parser)
@@ -49,7 +62,9 @@ def run(arguments: Namespace) -> None:
     if not 0 < arguments.speed <= 1:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
     design = design_with_controller(arguments.rig, arguments.port)
-    calibration = user_effects_option.load_calibration(arguments.calibration, user_effects_option.load_effect_files(arguments))
+    calibration = user_effects_option.load_calibration(
+        arguments.calibration, user_effects_option.load_effect_files(arguments)
+    )
     refutation_marks.read_refutations(arguments.calibration)
     correction = calibration.correction
     _same(correction.nominal, hexapod_of(design.mechanism), arguments)
@@ -57,9 +72,16 @@ def run(arguments: Namespace) -> None:
     home = mechanisms.kinematics_of(correction.nominal).home(correction.nominal)
     lengths = correction.uncorrected(wanted) if arguments.uncorrected else _lengths(calibration, wanted, home)
     require_reachable(np.array([lengths]), hexapod_of(design.mechanism), ["the pose"])
-    print(f"to command: {lengths_text(lengths)}, which is {lengths_text(lengths - correction.uncorrected(wanted))} off the owner's model")
-    arguments.result = {"schema": "gone/1", "commanded": lengths.tolist(), "off_owners_model": (lengths - correction.uncorrected(wanted)).tolist(),
-                        "moved": False}
+    print(
+        f"to command: {lengths_text(lengths)}, which is "
+        f"{lengths_text(lengths - correction.uncorrected(wanted))} off the owner's model"
+    )
+    arguments.result = {
+        "schema": "gone/1",
+        "commanded": lengths.tolist(),
+        "off_owners_model": (lengths - correction.uncorrected(wanted)).tolist(),
+        "moved": False,
+    }
     if arguments.dry_run:
         return
     with open_driver(design, arguments.trace, print) as driver:
@@ -71,23 +93,33 @@ def run(arguments: Namespace) -> None:
         driver.move(lengths, arguments.speed)
         status = driver.status()
         print_status(status, design)
-    arguments.result |= {"commanded": lengths.tolist(), "off_owners_model": (lengths - correction.uncorrected(wanted)).tolist(), "moved": True,
-                         "lengths": status.lengths.tolist()}
+    arguments.result |= {
+        "commanded": lengths.tolist(),
+        "off_owners_model": (lengths - correction.uncorrected(wanted)).tolist(),
+        "moved": True,
+        "lengths": status.lengths.tolist(),
+    }
     left = wanted.inv() * correction.predict(correction.inverse_without_physics(wanted) + status.lengths - lengths)
     if not arguments.uncorrected:
         arguments.result |= {"left": pose_to_vector(left).tolist()}
-        print(f"by the calibration the platform is within {np.linalg.norm(left.translation) * 1e6:.1f} um and "
-              f"{left.rotation.magnitude() * 1e6:.1f} urad of the pose")
+        print(
+            f"by the calibration the platform is within {np.linalg.norm(left.translation) * 1e6:.1f} um and "
+            f"{left.rotation.magnitude() * 1e6:.1f} urad of the pose"
+        )
 
 
 def _lengths(calibration: Calibration, wanted: RigidTransform, start: np.ndarray) -> np.ndarray:
-    """(axes,) m or rad that give a wanted pose (), the axes coming from start (axes,); what nobody logs is taken as when calibrated."""
+    """(axes,) m or rad that give a wanted pose (), the axes coming from start (axes,); what nobody logs is taken as
+    when calibrated.
+    """
     import numpy as np
     from scipy.spatial.transform import RigidTransform
 
     from calib.models.wanted_pose_commands import commands_along_route
 
-    return commands_along_route(calibration, RigidTransform.from_matrix(wanted.as_matrix()[None]), np.asarray(start, float)).values[0]
+    return commands_along_route(
+        calibration, RigidTransform.from_matrix(wanted.as_matrix()[None]), np.asarray(start, float)
+    ).values[0]
 
 
 def parse_pose(text: str) -> RigidTransform:
@@ -104,7 +136,10 @@ def parse_pose(text: str) -> RigidTransform:
     if values.shape != (6,) or not np.isfinite(values).all():
         raise RigError(f"--pose takes six figures joined by commas, x,y,z (m) and rx,ry,rz (rad), got {text!r}")
     if np.abs(values[:3]).max() > LARGEST_RIG:
-        raise RigError(f"--pose {text}: {np.abs(values[:3]).max():g} m is implausible: poses are in metres and radians (millimetres?)")
+        raise RigError(
+            f"--pose {text}: {np.abs(values[:3]).max():g} m is implausible: poses are in metres and radians "
+            "(millimetres?)"
+        )
     return pose(values[:3], values[3:])
 
 
@@ -113,5 +148,9 @@ def _same(nominal: Hexapod, mechanism: Hexapod, arguments: Namespace) -> None:
     import numpy as np
 
     names = ("base_joints", "platform_joints") if mechanism.kind == "hexapod" else ("base_joints",)
-    if nominal.kind != mechanism.kind or not all(np.allclose(getattr(nominal, name), getattr(mechanism, name), rtol=0, atol=1e-6) for name in names):
-        raise RigError(f"{arguments.calibration} is a calibration of another rig than {arguments.rig}: their stated joints differ")
+    if nominal.kind != mechanism.kind or not all(
+        np.allclose(getattr(nominal, name), getattr(mechanism, name), rtol=0, atol=1e-6) for name in names
+    ):
+        raise RigError(
+            f"{arguments.calibration} is a calibration of another rig than {arguments.rig}: their stated joints differ"
+        )

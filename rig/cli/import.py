@@ -1,4 +1,6 @@
-"""rig import IMAGES --rig rig.toml --commands X.csv --cameras camchain.yaml --out REC, or rig import --recipe FILE --out REC."""
+"""rig import IMAGES --rig rig.toml --commands X.csv --cameras camchain.yaml --out REC, or rig import --recipe FILE
+--out REC.
+"""
 
 import argparse
 import tempfile
@@ -12,25 +14,61 @@ if TYPE_CHECKING:
     from rig.formats.importers import Imported, Recipe
     from rig.recording.recording_folder import Recording
 
-TABLES = {"commands": "table of what was commanded: time, lengths or angles", "poses": "table of measured poses",
-          "sensors": "log of sensors", "frames": "table of the images' times: frame or image, time"}
+TABLES = {
+    "commands": "table of what was commanded: time, lengths or angles",
+    "poses": "table of measured poses",
+    "sensors": "log of sensors",
+    "frames": "table of the images' times: frame or image, time",
+}
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("images", metavar="IMAGES", type=Path, nargs="*", help="folders of images: a folder per camera, or the camera in the names")
+    parser.add_argument(
+        "images",
+        metavar="IMAGES",
+        type=Path,
+        nargs="*",
+        help="folders of images: a folder per camera, or the camera in the names",
+    )
     parser.add_argument("--rig", metavar="rig.toml", type=Path, help="the rig as you believe it")
     for name, text in TABLES.items():
         parser.add_argument(f"--{name}", metavar="FILE.csv", type=Path, help=text)
-    parser.add_argument("--cameras", metavar="FILE", type=Path, nargs="+", help="cameras as Kalibr, multical, caliscope, ROS (camera_info) or OpenCV "
-                        "calibrated them, in place of rig.toml's; with nothing else to import, --out FILE.toml is a rig.toml")
-    parser.add_argument("--bag", metavar="BAG", type=Path, nargs="+", help="bags of ROS 1 or 2, or an MCAP file: images, joint states, poses, "
-                        "temperatures by the topics' types (bag.topics.commands=/joint_states states one)")
-    parser.add_argument("--set", dest="settings", metavar="KEY=VALUE", action="append", default=[], help="state what files do not, as "
-                        "commands.unit=mm, commands.columns.l1=Leg1, images.tolerance=0.01, poses.rotation=zyx; may be repeated (docs/check.md)")
-    parser.add_argument("--recipe", metavar="FILE.toml", type=Path, help="do again what an import wrote beside its result")
-    parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; REC.import.toml beside it is the recipe")
-    parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
+    parser.add_argument(
+        "--cameras",
+        metavar="FILE",
+        type=Path,
+        nargs="+",
+        help="cameras as Kalibr, multical, caliscope, ROS (camera_info) or OpenCV "
+        "calibrated them, in place of rig.toml's; with nothing else to import, --out FILE.toml is a rig.toml",
+    )
+    parser.add_argument(
+        "--bag",
+        metavar="BAG",
+        type=Path,
+        nargs="+",
+        help="bags of ROS 1 or 2, or an MCAP file: images, joint states, poses, "
+        "temperatures by the topics' types (bag.topics.commands=/joint_states states one)",
+    )
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="state what files do not, as "
+        "commands.unit=mm, commands.columns.l1=Leg1, images.tolerance=0.01, poses.rotation=zyx; may be "
+        "repeated (docs/check.md)",
+    )
+    parser.add_argument(
+        "--recipe", metavar="FILE.toml", type=Path, help="do again what an import wrote beside its result"
+    )
+    parser.add_argument(
+        "--out", metavar="REC", type=Path, required=True, help="the recording; REC.import.toml beside it is the recipe"
+    )
+    parser.add_argument(
+        "--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used"
+    )
     add_overwrite_option(parser)
     add_result(parser)
 
@@ -42,13 +80,20 @@ def run(arguments: argparse.Namespace) -> None:
     from rig.formats.output_files import write_text
 
     given = {name: getattr(arguments, name) for name in TABLES}
-    if arguments.recipe is not None and (arguments.images or arguments.rig or arguments.cameras or arguments.bag or any(given.values())):
+    if arguments.recipe is not None and (
+        arguments.images or arguments.rig or arguments.cameras or arguments.bag or any(given.values())
+    ):
         raise RigError("--recipe names all files itself; --set changes what it says")
     if arguments.recipe is None and arguments.rig is None:
         raise RigError("--rig rig.toml says what rig the files are of; `rig design` lays one out")
     settings = tuple(arguments.settings)
-    recipe = (importers.load(arguments.recipe, settings) if arguments.recipe is not None
-              else importers.recipe_of_arguments(arguments.rig, arguments.images, given, settings, arguments.cameras or (), arguments.bag or ()))
+    recipe = (
+        importers.load(arguments.recipe, settings)
+        if arguments.recipe is not None
+        else importers.recipe_of_arguments(
+            arguments.rig, arguments.images, given, settings, arguments.cameras or (), arguments.bag or ()
+        )
+    )
     arguments.outputs.inputs += _read(recipe)
     if recipe.cameras is not None and arguments.out.suffix == ".toml":
         _rig(arguments, recipe)
@@ -62,11 +107,16 @@ def run(arguments: argparse.Namespace) -> None:
         write_text(arguments.outputs.file(kept), importers.text(imported.recipe, kept.parent))
     remarks = file_mistakes(_loaded(out, arguments.out))
     _say(imported)
-    arguments.result = _result(imported, [str(remark) for remark in remarks], kept if arguments.recipe is None else arguments.recipe)
+    arguments.result = _result(
+        imported, [str(remark) for remark in remarks], kept if arguments.recipe is None else arguments.recipe
+    )
     for remark in remarks:
         print(f"{'wrong' if remark.spoils else 'to look at'}: {remark}")
-    print(f"written: {arguments.out}" + (f"; {kept} does it again (rig import --recipe)" if arguments.recipe is None else "")
-          + f"; `rig check {arguments.out}` looks at it closely")
+    print(
+        f"written: {arguments.out}"
+        + (f"; {kept} does it again (rig import --recipe)" if arguments.recipe is None else "")
+        + f"; `rig check {arguments.out}` looks at it closely"
+    )
 
 
 def _read(recipe: "Recipe") -> list[Path]:
@@ -80,23 +130,39 @@ def _read(recipe: "Recipe") -> list[Path]:
 def _result(imported: "Imported", remarks: list[str], recipe: Path) -> dict[str, Any]:
     """What --json prints."""
     e, c, p, s = imported.exposed, imported.commanded, imported.posed, imported.logged
-    return {"schema": "imported/1", "frames": len(set(e.frame)), "images": sum(bool(name) for name in e.camera),
-            "commands": 0 if c is None else len(c.values), "poses": 0 if p is None else len(p.T),
-            "sensors": [] if s is None else [name for name, _ in s.channels],
-            "assumed": list(imported.said), "remarks": remarks, "recipe": str(recipe)}
+    return {
+        "schema": "imported/1",
+        "frames": len(set(e.frame)),
+        "images": sum(bool(name) for name in e.camera),
+        "commands": 0 if c is None else len(c.values),
+        "poses": 0 if p is None else len(p.T),
+        "sensors": [] if s is None else [name for name, _ in s.channels],
+        "assumed": list(imported.said),
+        "remarks": remarks,
+        "recipe": str(recipe),
+    }
 
 
 def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
-    """Write a rig.toml with the cameras of another program. Raises RigError where more than cameras is to be imported."""
+    """Write a rig.toml with the cameras of another program. Raises RigError where more than cameras is to be
+    imported.
+    """
     from rig.formats import importers
     from rig.formats.output_files import write_text
 
     if recipe.images or any(getattr(recipe, name) for name in TABLES):
-        raise RigError(f"--out {arguments.out} is a rig.toml, which takes cameras alone; images and tables make a folder, --out REC")
+        raise RigError(
+            f"--out {arguments.out} is a rig.toml, which takes cameras alone; images and tables make a "
+            "folder, --out REC"
+        )
     out = arguments.outputs.file(arguments.out)
     design, text, said = importers.with_cameras(recipe)
     write_text(out, text or "")
-    arguments.result = {"schema": "imported/1", "cameras": [camera.name for camera in design.cameras], "assumed": list(said)}
+    arguments.result = {
+        "schema": "imported/1",
+        "cameras": [camera.name for camera in design.cameras],
+        "assumed": list(said),
+    }
     print(f"imported: {len(design.cameras)} cameras")
     _say_assumed(said)
     print(f"written: {arguments.out}")
@@ -116,10 +182,15 @@ def _say(imported: "Imported") -> None:
     """Print the verdict, then what was assumed."""
     e, parts = imported.exposed, []
     pictures = sum(bool(name) for name in e.camera)
-    parts.append(f"{len(set(e.frame))} frames" + (f", {pictures} images of {len(set(e.camera))} cameras" if pictures else ""))
+    parts.append(
+        f"{len(set(e.frame))} frames" + (f", {pictures} images of {len(set(e.camera))} cameras" if pictures else "")
+    )
     commanded, posed, logged = imported.commanded, imported.posed, imported.logged
-    for count, word in ((commanded and len(commanded.values), "commands"), (posed and len(posed.T), "poses"),
-                        (logged and len(logged.t), "rows of sensors")):
+    for count, word in (
+        (commanded and len(commanded.values), "commands"),
+        (posed and len(posed.T), "poses"),
+        (logged and len(logged.t), "rows of sensors"),
+    ):
         if count is not None:
             parts.append(f"{count} {word}")
     if e.t:

@@ -9,8 +9,14 @@ from rig.errors import RigError
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("folder", metavar="DIR", type=Path, nargs="?", default=Path("."), help="gets index.html; this one by default. Commands that "
-                        "write a page below it keep it up to date")
+    parser.add_argument(
+        "folder",
+        metavar="DIR",
+        type=Path,
+        nargs="?",
+        default=Path("."),
+        help="gets index.html; this one by default. Commands that write a page below it keep it up to date",
+    )
     add_overwrite_option(parser)
 
 

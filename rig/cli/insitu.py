@@ -8,7 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli import online
-from rig.cli.shared.output_options import Progress, add_page, add_recording, add_result, page_links, page_path, print_unsolved, read_recording
+from rig.cli.shared.output_options import (
+    Progress,
+    add_page,
+    add_recording,
+    add_result,
+    page_links,
+    page_path,
+    print_unsolved,
+    read_recording,
+)
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number
 
@@ -27,14 +36,34 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
-    parser.add_argument("--tolerance", nargs=2, type=parse_number, default=(5e-5, 2e-4), metavar=("M", "RAD"),
-                        help="that each axis must agree with vision within (default 5e-5 m and 2e-4 rad)")
-    parser.add_argument("--use", metavar="LIMBS", help="of more limbs than six those that tell the pose, as m1,m2,m4,m5,m7,m8, the others being "
-                        "checks; by default the six that tell it best")
-    parser.add_argument("--out", metavar="FILE", type=Path, help="limbs.json: geometry, covariance, agreement and verdict, for --limbs of measure, "
-                        "calibrate, online and run")
+    parser.add_argument(
+        "--tolerance",
+        nargs=2,
+        type=parse_number,
+        default=(5e-5, 2e-4),
+        metavar=("M", "RAD"),
+        help="that each axis must agree with vision within (default 5e-5 m and 2e-4 rad)",
+    )
+    parser.add_argument(
+        "--use",
+        metavar="LIMBS",
+        help="of more limbs than six those that tell the pose, as m1,m2,m4,m5,m7,m8, the others being "
+        "checks; by default the six that tell it best",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        type=Path,
+        help="limbs.json: geometry, covariance, agreement and verdict, for --limbs of measure, "
+        "calibrate, online and run",
+    )
     add_page(parser)
-    parser.add_argument("--state", metavar="FILE", type=Path, help="once passed: learn the struts from the limbs' poses, and save that here")
+    parser.add_argument(
+        "--state",
+        metavar="FILE",
+        type=Path,
+        help="once passed: learn the struts from the limbs' poses, and save that here",
+    )
     add_result(parser)
 
 
@@ -45,7 +74,7 @@ def run(arguments: Namespace) -> int:
     recording = read_recording(arguments)
 
     from calib.certify import measuring_limbs
-    from calib.online import measuring_limbs_file, measuring_limb_poses
+    from calib.online import measuring_limb_poses, measuring_limbs_file
     from calib.samples.recording_samples import sample_recording
 
     renewed = arguments.out is not None and measuring_limbs_file.is_limbs_file(arguments.out)
@@ -65,10 +94,15 @@ def run(arguments: Namespace) -> int:
     _print_checks(accepted.limbs, channels, *closed)
     print_unsolved(by_vision.measurement)
     if accepted.withdrawn is not None:
-        print(f"from frame {accepted.withdrawn.frame} on {accepted.withdrawn.reason}; limbs that change while they are held "
-              "against vision cannot stand for it")
+        print(
+            f"from frame {accepted.withdrawn.frame} on {accepted.withdrawn.reason}; limbs that change while "
+            "they are held "
+            "against vision cannot stand for it"
+        )
     passed = accepted.verdict == "accepted"
-    print("the measuring limbs pass: their poses may stand for vision's" if passed else "the measuring limbs do not pass")
+    print(
+        "the measuring limbs pass: their poses may stand for vision's" if passed else "the measuring limbs do not pass"
+    )
     why = None if accepted.withdrawn is None else accepted.withdrawn.reason
     arguments.result = _result(accepted, channels, *closed) | {"verdict": limbs_verdict(found, why).tree()}
     if out is not None:
@@ -80,14 +114,22 @@ def run(arguments: Namespace) -> int:
         limbs_page(page, recording.name, found, by_vision.source, why, page_links(arguments, arguments.page))
         print(f"written: {arguments.page}")
     if state is not None and passed:
-        poses = measuring_limb_poses.samples_of_limb_poses(recording, measuring_limb_poses.limb_poses(recording, accepted))
+        poses = measuring_limb_poses.samples_of_limb_poses(
+            recording, measuring_limb_poses.limb_poses(recording, accepted)
+        )
         _learn(arguments, recording, poses, state)
     return 0 if passed else 1
 
 
-def _held(arguments: Namespace, recording: Recording, by_vision: Sampled, read: tuple[np.ndarray, np.ndarray],
-          asked: np.ndarray | None) -> tuple[Accepted, Closed]:
-    """(Accepted, closures of the limbs beyond six) of limbs held against vision. read : (frames (f,), lengths (f, limbs) m)
+def _held(
+    arguments: Namespace,
+    recording: Recording,
+    by_vision: Sampled,
+    read: tuple[np.ndarray, np.ndarray],
+    asked: np.ndarray | None,
+) -> tuple[Accepted, Closed]:
+    """(Accepted, closures of the limbs beyond six) of limbs held against vision. read : (frames (f,), lengths (f,
+    limbs) m)
     asked : (6,) numbers of those that tell poses, or None"""
     import numpy as np
 
@@ -97,7 +139,11 @@ def _held(arguments: Namespace, recording: Recording, by_vision: Sampled, read: 
 
     stated, (frames, every) = measuring_limbs.stated_limbs(recording.design), read
     sigma, home = stated.length_sigma, measuring_limbs.limb_hexapod(recording.design).home
-    chosen = redundant_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform) if asked is None else asked
+    chosen = (
+        redundant_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
+        if asked is None
+        else asked
+    )
     nominal = measuring_limbs.limb_hexapod(recording.design, chosen)
     samples = measuring_limbs.samples_by_limbs(by_vision.samples, frames, every[:, chosen])
     T, expected = measuring_limbs.held_out_limb_poses(samples, nominal, sigma)
@@ -111,7 +157,10 @@ def _held(arguments: Namespace, recording: Recording, by_vision: Sampled, read: 
     slipped = measuring_limb_steps.detect_limb_slip(samples, limbs, sigma)
     if slipped is not None:
         limb = chosen[slipped.limb - 1] + 1
-        reason = f"limb {limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: it slipped"
+        reason = (
+            f"limb {limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: "
+            "it slipped"
+        )
         accepted = measuring_limbs_file.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
     return accepted, redundant_limb_checks.held_out_check_errors(limbs, stated, both)
 
@@ -142,25 +191,55 @@ def _result(accepted: Accepted, channels: tuple[str, ...], error: np.ndarray, si
     names = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
     figures = {name: getattr(found, "proven_limits" if name == "surely" else name).tolist() for name in names}
     checks = accepted.limbs.checks
-    closures = [{"limb": channels[i], "mean": float(e.mean()), "rms": float((e**2).mean() ** 0.5), "expected": float((s**2).mean() ** 0.5)}
-                for i, e, s in zip([] if checks is None else checks.limbs, error.T, sigma.T)]
-    return {"schema": "insitu/1", "verdict": accepted.verdict, "poses": found.n, "order": "x y z rx ry rz, m and rad",
-            "pose_from": [channels[i] for i in accepted.limbs.chosen], "closures": closures,
-            **figures, "withdrawn": gone and {"frame": gone.frame, "reason": gone.reason}}
+    closures = [
+        {
+            "limb": channels[i],
+            "mean": float(e.mean()),
+            "rms": float((e**2).mean() ** 0.5),
+            "expected": float((s**2).mean() ** 0.5),
+        }
+        for i, e, s in zip([] if checks is None else checks.limbs, error.T, sigma.T)
+    ]
+    return {
+        "schema": "insitu/1",
+        "verdict": accepted.verdict,
+        "poses": found.n,
+        "order": "x y z rx ry rz, m and rad",
+        "pose_from": [channels[i] for i in accepted.limbs.chosen],
+        "closures": closures,
+        **figures,
+        "withdrawn": gone and {"frame": gone.frame, "reason": gone.reason},
+    }
 
 
 def _print(found: Agreement, source: str) -> None:
     from calib.certify.measuring_limbs import AXES, MOVES
 
-    print(f"measuring limbs less vision ({source}), {found.n} poses, each by limbs fitted to other stretches; um and urad:")
-    print(f"{'':4}{'bias':>9}{'scatter':>9}{'expected':>9}{'limits of agreement':>24}{'surely within':>15}{'tolerance':>11}{'moved over':>14}")
+    print(
+        f"measuring limbs less vision ({source}), {found.n} poses, each by limbs fitted to other stretches; "
+        "um and urad:"
+    )
+    print(
+        f"{'':4}{'bias':>9}{'scatter':>9}{'expected':>9}{'limits of agreement':>24}"
+        f"{'surely within':>15}{'tolerance':>11}{'moved over':>14}"
+    )
     for i, axis in enumerate(AXES):
         low, high = found.limits[:, i] * 1e6
         moved = f"{found.moved[i] * 1e3:.1f} {'mm' if i < 3 else 'mrad'}"
-        said = "passes" if found.passed[i] else ("fails" if found.proven_limits[i] > found.tolerance[i]
-                                                 else f"not shown: it must move over {MOVES:g} tolerances")
-        print(f"{axis:4}{found.bias[i] * 1e6:9.2f}{found.scatter[i] * 1e6:9.2f}{found.expected[i] * 1e6:9.2f}"
-              f"{f'{low:.2f} .. {high:.2f}':>24}{found.proven_limits[i] * 1e6:15.2f}{found.tolerance[i] * 1e6:11.1f}{moved:>14}  {said}")
+        said = (
+            "passes"
+            if found.passed[i]
+            else (
+                "fails"
+                if found.proven_limits[i] > found.tolerance[i]
+                else f"not shown: it must move over {MOVES:g} tolerances"
+            )
+        )
+        print(
+            f"{axis:4}{found.bias[i] * 1e6:9.2f}{found.scatter[i] * 1e6:9.2f}{found.expected[i] * 1e6:9.2f}"
+            f"{f'{low:.2f} .. {high:.2f}':>24}{found.proven_limits[i] * 1e6:15.2f}{found.tolerance[i] * 1e6:11.1f}"
+            f"{moved:>14}  {said}"
+        )
 
 
 def _learn(arguments: Namespace, recording: Recording, by_limbs: Sampled, state: Path) -> None:

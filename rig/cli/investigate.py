@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from calib.experiment.investigation_folder import Look
 
 FIRST = "moving:24,sobol:60"  # the first plan of a rig that may be exposed on the way
-LOADED = "payload:6"  # besides, where a load may be asked for: at constant load most of a sag hides in the joint geometry
+LOADED = (
+    "payload:6"  # besides, where a load may be asked for: at constant load most of a sag hides in the joint geometry
+)
 STANDING = "sobol:60,ladder:1,repeat:12"  # of one whose struts must stand
 MOST = 8  # looks
 STATE = "investigation.json"
@@ -36,15 +38,35 @@ def parse_minutes(text: str) -> float:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="recordings, diagnoses, plans, notebook.md and notebook.html, and at "
-                        "the end calibration.json and certificate; a new folder, or with --resume the one to go on with")
-    parser.add_argument("--budget", metavar="2h", type=parse_minutes, default=120.0, help="of the rig's time (default 2h)")
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help="recordings, diagnoses, plans, notebook.md and notebook.html, and at "
+        "the end calibration.json and certificate; a new folder, or with --resume the one to go on with",
+    )
+    parser.add_argument(
+        "--budget", metavar="2h", type=parse_minutes, default=120.0, help="of the rig's time (default 2h)"
+    )
     who = parser.add_mutually_exclusive_group()
-    who.add_argument("--machine", metavar="TRUTH", type=Path, help="a simulated machine, as rig simulate --machine takes it, instead of [controller]")
-    who.add_argument("--by-hand", action="store_true", help="somebody does the moves: each plan is written and waited for")
-    parser.add_argument("--plan", help=f"the first one (default {FIRST}, and {LOADED} where rig.toml allows a payload; where the "
-                        f"struts must stand {STANDING})")
-    parser.add_argument("--seed", type=parse_whole_number, default=SEED, help="of plans, and of a simulated machine's noise")
+    who.add_argument(
+        "--machine",
+        metavar="TRUTH",
+        type=Path,
+        help="a simulated machine, as rig simulate --machine takes it, instead of [controller]",
+    )
+    who.add_argument(
+        "--by-hand", action="store_true", help="somebody does the moves: each plan is written and waited for"
+    )
+    parser.add_argument(
+        "--plan",
+        help=f"the first one (default {FIRST}, and {LOADED} where rig.toml allows a payload; where the "
+        f"struts must stand {STANDING})",
+    )
+    parser.add_argument(
+        "--seed", type=parse_whole_number, default=SEED, help="of plans, and of a simulated machine's noise"
+    )
     parser.add_argument(
         "--verify",
         metavar="N",
@@ -60,23 +82,33 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Plan, record, diagnose, and again, until nothing is alike or the budget ends; then calibrate, verify and certify."""
+    """Plan, record, diagnose, and again, until nothing is alike or the budget ends; then calibrate, verify and
+    certify.
+    """
     from calib.experiment.investigation_folder import read_looks
     from calib.experiment.investigation_page import investigation_verdict
     from rig.formats.rig_toml import design_file
 
     design = design_file.load(arguments.design)
     if design.mechanism.kind not in ("hexapod", "planar2", "arm"):
-        raise RigError(f"an investigation is of a platform on struts or of an arm, not of a mechanism of kind {design.mechanism.kind!r}")
+        raise RigError(
+            "an investigation is of a platform on struts or of an arm, not of a mechanism of kind "
+            f"{design.mechanism.kind!r}"
+        )
     if design.mechanism.kind == "arm" and design.instrument is None and not (design.cameras and design.targets):
-        raise RigError("an investigation of an arm takes an [instrument] that measures its poses, or cameras and targets that show them")
+        raise RigError(
+            "an investigation of an arm takes an [instrument] that measures its poses, or cameras and "
+            "targets that show them"
+        )
     if not 12 <= arguments.verify <= 400:
         raise RigError(f"--verify takes 12 to 400 poses, not {arguments.verify}")
     rig = Rig(arguments, design)
     _begin(arguments, rig)
     try:
         before = read_looks(arguments.out)
-        if before and before[-1].questions and not before[-1].proposed:  # there was no time, or something was not allowed: it is asked again
+        if (
+            before and before[-1].questions and not before[-1].proposed
+        ):  # there was no time, or something was not allowed: it is asked again
             _diagnose(arguments, rig, before[-1].number, before[:-1])
         while True:
             so_far = read_looks(arguments.out)
@@ -99,14 +131,22 @@ def run(arguments: Namespace) -> int:
 
 
 def _result(so_far: list[Look], ended: str, after: tuple[str, ...], waiting: str | None = None) -> dict[str, Any]:
-    """What --json prints. ended : why, "" while it goes on; after : what was made at the end, in lines; waiting : for whom and what, or None"""
+    """What --json prints. ended : why, "" while it goes on; after : what was made at the end, in lines; waiting : for
+    whom and what, or None
+    """
     from dataclasses import asdict
 
     from calib.experiment.investigation_page import investigation_verdict
 
     verdict = investigation_verdict(so_far, ended).tree() if so_far else None
-    return {"schema": "investigated/1", "verdict": verdict, "ended": ended, "waiting": waiting, "looks": [asdict(look) for look in so_far],
-            "after": list(after)}
+    return {
+        "schema": "investigated/1",
+        "verdict": verdict,
+        "ended": ended,
+        "waiting": waiting,
+        "looks": [asdict(look) for look in so_far],
+        "after": list(after),
+    }
 
 
 def _begin(arguments: Namespace, rig: Rig) -> None:
@@ -125,7 +165,10 @@ def _begin(arguments: Namespace, rig: Rig) -> None:
                 kept.fail(f"is of another {name}: {kept.tree.get(name)!r}, not {value!r}", name)
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise RigError(f"{out} is there already" + ("; --resume goes on with it" if (out / STATE).exists() else "; name a new folder"))
+        raise RigError(
+            f"{out} is there already"
+            + ("; --resume goes on with it" if (out / STATE).exists() else "; name a new folder")
+        )
     plan = build_plan(rig.design, arguments.plan or _first(rig), arguments.seed)
     rig.refuse(plan)
     try:
@@ -160,9 +203,18 @@ def _diagnose(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -
     out = arguments.out
     taken = minutes_spent(so_far) + plan_minutes(plan_path(out, number))
     left = max(arguments.budget - taken, 0.1)
-    words = ["diagnose", *(str(recording_path(out, k + 1)) for k in range(number)), "--out", str(diagnosis_path(out, number)), "--next",
-             str(plan_path(out, number + 1)), "--minutes", f"{left:.3f}", *([] if rig.moving else ["--standing"]),
-             *(word for may in rig.design.experiment.may for word in ("--may", may))]
+    words = [
+        "diagnose",
+        *(str(recording_path(out, k + 1)) for k in range(number)),
+        "--out",
+        str(diagnosis_path(out, number)),
+        "--next",
+        str(plan_path(out, number + 1)),
+        "--minutes",
+        f"{left:.3f}",
+        *([] if rig.moving else ["--standing"]),
+        *(word for may in rig.design.experiment.may for word in ("--may", may)),
+    ]
     rig.call(*words)
 
 
@@ -174,11 +226,18 @@ def _ended(arguments: Namespace, so_far: list[Look]) -> str:
         return ""
     last = so_far[-1]
     if not last.questions:
-        return "nothing is alike any more" if last.findings else ("what is there has no name" if last.unknown else "nothing is left out")
+        return (
+            "nothing is alike any more"
+            if last.findings
+            else ("what is there has no name" if last.unknown else "nothing is left out")
+        )
     if not last.proposed:
         late = minutes_spent(so_far) > arguments.budget / 2
-        return (f"the budget of {arguments.budget:.0f} min leaves no time for an experiment that would tell more" if late
-                else "no plan that is allowed tells what is left apart")
+        return (
+            f"the budget of {arguments.budget:.0f} min leaves no time for an experiment that would tell more"
+            if late
+            else "no plan that is allowed tells what is left apart"
+        )
     return f"{MOST} recordings did not tell it apart" if last.number >= MOST else ""
 
 

@@ -16,13 +16,27 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_driving(parser)
-    parser.add_argument("--strut", type=parse_whole_number, action="append", metavar="N", help="1.. (may be repeated; by default all of them)")
+    parser.add_argument(
+        "--strut",
+        type=parse_whole_number,
+        action="append",
+        metavar="N",
+        help="1.. (may be repeated; by default all of them)",
+    )
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--by", type=parse_number, metavar="MM", help="longer by so much")
     where.add_argument("--to", metavar="MM,MM,..", help="to these lengths, one for every strut")
-    parser.add_argument("--speed", type=parse_number, default=0.25, metavar="SHARE", help="of the struts' greatest speed (default 0.25)")
-    parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first; its position is then believed with --trust only")
-    parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
+    parser.add_argument(
+        "--speed", type=parse_number, default=0.25, metavar="SHARE", help="of the struts' greatest speed (default 0.25)"
+    )
+    parser.add_argument(
+        "--unlock",
+        action="store_true",
+        help="clear the controller's alarm first; its position is then believed with --trust only",
+    )
+    parser.add_argument(
+        "--trust", action="store_true", help="believe the position that the controller reads, though it was not homed"
+    )
 
 
 def run(arguments: Namespace) -> None:
@@ -46,8 +60,14 @@ def run(arguments: Namespace) -> None:
         if arguments.trust:
             driver.trust()
         if not driver.status().known:
-            raise PositionLost("where the struts stand is not known, so not how much longer they may become; home them, or say --trust")
-        goal = _lengths(arguments.to, count) if arguments.to else driver.lengths() + arguments.by * 1e-3 * np.isin(np.arange(1, count + 1), struts)
+            raise PositionLost(
+                "where the struts stand is not known, so not how much longer they may become; home them, or say --trust"
+            )
+        goal = (
+            _lengths(arguments.to, count)
+            if arguments.to
+            else driver.lengths() + arguments.by * 1e-3 * np.isin(np.arange(1, count + 1), struts)
+        )
         driver.move(goal, arguments.speed)
         print_status(driver.status(), design)
 

@@ -26,11 +26,17 @@ SINGULAR = 1e-6  # least over greatest singular value of the Jacobian, below whi
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("arm", metavar="ARM", help="a rig.toml with an arm, an arm's calibration.json, or the name of a shipped one")
+    parser.add_argument(
+        "arm", metavar="ARM", help="a rig.toml with an arm, an arm's calibration.json, or the name of a shipped one"
+    )
     way = parser.add_mutually_exclusive_group(required=True)
     way.add_argument("--forward", metavar="FILE", type=Path, help="frame,q1..qn (rad, of slides m) -> poses")
     way.add_argument("--inverse", metavar="FILE", type=Path, help="frame,x,y,z,rx,ry,rz -> all joint solutions")
-    parser.add_argument("--steps", action="store_true", help="points A, B, C (D, E) and space vectors after each joint, in the arm's global frame")
+    parser.add_argument(
+        "--steps",
+        action="store_true",
+        help="points A, B, C (D, E) and space vectors after each joint, in the arm's global frame",
+    )
     add_json(parser)
 
 
@@ -67,13 +73,19 @@ def _arm(text: str) -> tuple[Arm, ArmCorrection | None]:
     correction = calibration.correction
     if calibration.physics is not None and calibration.physics.compensable_effects():
         names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
-        print(f"{text} undoes {names} besides, by what went before a pose: that is not in what follows; rig correct does it", file=sys.stderr)
+        print(
+            f"{text} undoes {names} besides, by what went before a pose: that is not in what follows; rig "
+            "correct does it",
+            file=sys.stderr,
+        )
     if not isinstance(correction, ArmCorrection):
         raise RigError(f"{text} is the calibration of a {correction.nominal.kind}; this takes an arm's")
     return correction.nominal, correction
 
 
-def _forward(frames: np.ndarray, q: np.ndarray, arm: Arm, correction: ArmCorrection | None, steps: bool) -> dict[str, Any]:
+def _forward(
+    frames: np.ndarray, q: np.ndarray, arm: Arm, correction: ArmCorrection | None, steps: bool
+) -> dict[str, Any]:
     """What `--forward` tells, as JSON holds it."""
     from rig.model import mechanisms
     from rig.model.mechanisms import arm as mechanism
@@ -98,7 +110,9 @@ def _forward(frames: np.ndarray, q: np.ndarray, arm: Arm, correction: ArmCorrect
 
 
 def _near_singular(q: np.ndarray, arm: Arm) -> float:
-    """Least over greatest singular value of the Jacobian, 0 where singular; over as many directions as the joints can lead in at all."""
+    """Least over greatest singular value of the Jacobian, 0 where singular; over as many directions as the joints can
+    lead in at all.
+    """
     import numpy as np
 
     from rig.model.mechanisms import arm as mechanism
@@ -108,7 +122,9 @@ def _near_singular(q: np.ndarray, arm: Arm) -> float:
     return float(values[sum(deficient_arm.reachable_directions(arm)) - 1] / values[0])
 
 
-def _inverse(frames: np.ndarray, T: RigidTransform, arm: Arm, correction: ArmCorrection | None, steps: bool) -> dict[str, Any]:
+def _inverse(
+    frames: np.ndarray, T: RigidTransform, arm: Arm, correction: ArmCorrection | None, steps: bool
+) -> dict[str, Any]:
     """What `--inverse` tells, as JSON holds it."""
     from rig.model import mechanisms
     from rig.model.mechanisms import six_joint_inverse
@@ -126,8 +142,12 @@ def _inverse(frames: np.ndarray, T: RigidTransform, arm: Arm, correction: ArmCor
             if correction is not None:
                 entry["corrected"] = _finished(T[[i]], entry["q"], correction)
         out.append({"frame": frame, "state": state, "solutions": entries})
-    return {"schema": "kinematics/1", "units": list(mechanisms.axis_units(arm)), "form": form.kind if form is not None else f"numeric: {why_none}",
-            "frames": out}
+    return {
+        "schema": "kinematics/1",
+        "units": list(mechanisms.axis_units(arm)),
+        "form": form.kind if form is not None else f"numeric: {why_none}",
+        "frames": out,
+    }
 
 
 def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[dict[str, Any]]]:
@@ -136,22 +156,35 @@ def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[dict[
 
     found = six_joint_inverse.inverse(T, form)
     return found.why(0), [
-        {"q": q.tolist(), "singular": _singular(flags), **({"steps": _steps(arm_kinematics_steps.inverse(T, form, q))} if steps else {})}
+        {
+            "q": q.tolist(),
+            "singular": _singular(flags),
+            **({"steps": _steps(arm_kinematics_steps.inverse(T, form, q))} if steps else {}),
+        }
         for q, flags in zip(found.q[found.there], found.singular[found.there].tolist())
     ]
 
 
 def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[dict[str, Any]]]:
-    """(state of a pose in words, the solutions that many starts lead to, named as found so); rest : what few joints leave of it."""
+    """(state of a pose in words, the solutions that many starts lead to, named as found so); rest : what few joints
+    leave of it.
+    """
     from rig.model.mechanisms import arm_kinematics_steps
     from rig.model.mechanisms.arm_inverse_search import inverse_solutions
 
     found = inverse_solutions(T, arm)
     if not len(found.q):
         return f"out of reach: the arm comes no nearer than {found.missed[0]:.3g} m and {found.missed[1]:.3g} rad", []
-    entries = [{"q": q.tolist(), "singular": "singular" if _near_singular(q, arm) < SINGULAR else "", "rest": rest.tolist(),
-                "found": "numerically", **({"steps": _steps(arm_kinematics_steps.inverse_steps_of_solution(T, arm, q))} if steps else {})}
-               for q, rest in zip(found.q, found.rest)]
+    entries = [
+        {
+            "q": q.tolist(),
+            "singular": "singular" if _near_singular(q, arm) < SINGULAR else "",
+            "rest": rest.tolist(),
+            "found": "numerically",
+            **({"steps": _steps(arm_kinematics_steps.inverse_steps_of_solution(T, arm, q))} if steps else {}),
+        }
+        for q, rest in zip(found.q, found.rest)
+    ]
     return ("singular" if all(entry["singular"] for entry in entries) else "regular"), entries
 
 
@@ -167,7 +200,9 @@ def _beyond(q: list[float], arm: Arm) -> list[str]:
 
 
 def _finished(T: RigidTransform, q: list[float], correction: ArmCorrection) -> list[float] | None:
-    """Commands of the calibrated arm for a pose (1,), sought from a solution of its owner's model; None where none is near."""
+    """Commands of the calibrated arm for a pose (1,), sought from a solution of its owner's model; None where none is
+    near.
+    """
     import numpy as np
 
     commands = correction.near(T, np.array([q]))[0]
@@ -181,18 +216,32 @@ def _singular(flags: int) -> str:
 
 
 def _steps(steps: list[Step]) -> list[dict[str, Any]]:
-    return [{"joint": s.joint, "value": s.value, "axis": {"point": s.axis[0].tolist(), "vector": s.axis[1].tolist()},
-             "points": dict(zip(s.names, s.points.tolist())), "AB": (s.points[1] - s.points[0]).tolist(),
-             "AC": (s.points[2] - s.points[0]).tolist()} for s in steps]
+    return [
+        {
+            "joint": s.joint,
+            "value": s.value,
+            "axis": {"point": s.axis[0].tolist(), "vector": s.axis[1].tolist()},
+            "points": dict(zip(s.names, s.points.tolist())),
+            "AB": (s.points[1] - s.points[0]).tolist(),
+            "AC": (s.points[2] - s.points[0]).tolist(),
+        }
+        for s in steps
+    ]
 
 
 def _forward_text(tree: dict[str, Any]) -> list[str]:
     """Lines of `--forward`, lengths in mm and angles in degrees."""
     lines = []
     for entry in tree["frames"]:
-        near = "singular" if entry["near_singular"] < SINGULAR else f"singular values down to {entry['near_singular']:.3g} of the greatest"
+        near = (
+            "singular"
+            if entry["near_singular"] < SINGULAR
+            else f"singular values down to {entry['near_singular']:.3g} of the greatest"
+        )
         beyond = f"; beyond the limits: {', '.join(entry['beyond_limits'])}" if entry["beyond_limits"] else ""
-        lines.append(f"frame {entry['frame']}: {_joints(entry['q'], tree['units'])} -> {_pose(entry['pose'])}; {near}{beyond}")
+        lines.append(
+            f"frame {entry['frame']}: {_joints(entry['q'], tree['units'])} -> {_pose(entry['pose'])}; {near}{beyond}"
+        )
         if "corrected" in entry:
             lines.append(f"  as calibrated {_pose(entry['corrected'])}")
         lines += _steps_text(entry.get("steps", []), tree["units"], "at zero", ("turned about", "moved along"))
@@ -202,10 +251,16 @@ def _forward_text(tree: dict[str, Any]) -> list[str]:
 def _inverse_text(tree: dict[str, Any]) -> list[str]:
     """Lines of `--inverse`, lengths in mm and angles in degrees."""
     numeric = tree["form"].startswith("numeric")
-    lines = [f"joint solutions: {tree['form']}" + ("; those that many starts lead to, found numerically" if numeric else
-                                                   ", all branches in closed form")]
+    lines = [
+        f"joint solutions: {tree['form']}"
+        + ("; those that many starts lead to, found numerically" if numeric else ", all branches in closed form")
+    ]
     start = "the hand of the pose" if numeric else "A at the crossing of axes 5 and 6"
-    way = ("found numerically, turned back about", "found numerically, moved back along") if numeric else ("read and returned about",) * 2
+    way = (
+        ("found numerically, turned back about", "found numerically, moved back along")
+        if numeric
+        else ("read and returned about",) * 2
+    )
     for entry in tree["frames"]:
         lines.append(f"frame {entry['frame']}: {entry['state']}; {len(entry['solutions'])} solutions")
         for k, one in enumerate(entry["solutions"], 1):
@@ -221,9 +276,17 @@ def _inverse_text(tree: dict[str, Any]) -> list[str]:
 def _said(one: dict[str, Any]) -> list[str]:
     """What is to be said of a solution: what it leaves of the pose, singularities, limits."""
     rest = one.get("rest", [0.0] * 6)
-    return ([f"leaves {_pose(rest)}"] if max(map(abs, rest)) > LEAVES else []) + (
-        [f"singular: {one['singular']}"] if one["singular"] not in ("", "singular") else [one["singular"]] if one["singular"] else []) + (
-        [f"beyond the limits: {', '.join(one['beyond_limits'])}"] if one["beyond_limits"] else [])
+    return (
+        ([f"leaves {_pose(rest)}"] if max(map(abs, rest)) > LEAVES else [])
+        + (
+            [f"singular: {one['singular']}"]
+            if one["singular"] not in ("", "singular")
+            else [one["singular"]]
+            if one["singular"]
+            else []
+        )
+        + ([f"beyond the limits: {', '.join(one['beyond_limits'])}"] if one["beyond_limits"] else [])
+    )
 
 
 def _steps_text(steps: list[dict[str, Any]], units: list[str], first: str, done: tuple[str, str]) -> list[str]:
@@ -232,8 +295,11 @@ def _steps_text(steps: list[dict[str, Any]], units: list[str], first: str, done:
     for s in steps:
         j = s["joint"]
         axis = f"the axis through {_three(s['axis']['point'], 1e3)} along {_three(s['axis']['vector'], 1)}"
-        head = first if j == 0 else (f"joint {j} = {_joints([s['value']], [units[j - 1]])}, "
-                                     f"{done[units[j - 1] == 'm']} {axis}")
+        head = (
+            first
+            if j == 0
+            else (f"joint {j} = {_joints([s['value']], [units[j - 1]])}, {done[units[j - 1] == 'm']} {axis}")
+        )
         points = "  ".join(f"{name} {_three(point, 1e3)}" for name, point in s["points"].items())
         lines += [f"     {head}", f"       {points}  AB {_three(s['AB'], 1)}  AC {_three(s['AC'], 1)}"]
     return lines
@@ -244,7 +310,9 @@ def _three(values: list[float], scale: float) -> str:
 
 
 def _joints(q: list[float], units: list[str]) -> str:
-    return ", ".join(f"{value * 1e3:.4f} mm" if unit == "m" else f"{degrees(value):.4f}°" for value, unit in zip(q, units))
+    return ", ".join(
+        f"{value * 1e3:.4f} mm" if unit == "m" else f"{degrees(value):.4f}°" for value, unit in zip(q, units)
+    )
 
 
 def _pose(vector: list[float]) -> str:

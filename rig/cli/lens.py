@@ -15,12 +15,24 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("images", metavar="IMAGES", type=Path, nargs="+", help="photographs of the board, or a folder of them")
-    parser.add_argument("--board", required=True, help="charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares; m, m), for one "
-                        "charuco:5x7:0.036:0.018:DICT_6X6_250, or aruco:COLUMNSxROWS:SIDE:GAP:DICTIONARY (markers; m, m)")
-    parser.add_argument("--legacy", action="store_true", help="the charuco's first square holds a marker (boards of OpenCV before 4.6, even rows)")
+    parser.add_argument(
+        "images", metavar="IMAGES", type=Path, nargs="+", help="photographs of the board, or a folder of them"
+    )
+    parser.add_argument(
+        "--board",
+        required=True,
+        help="charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares; m, m), for one "
+        "charuco:5x7:0.036:0.018:DICT_6X6_250, or aruco:COLUMNSxROWS:SIDE:GAP:DICTIONARY (markers; m, m)",
+    )
+    parser.add_argument(
+        "--legacy",
+        action="store_true",
+        help="the charuco's first square holds a marker (boards of OpenCV before 4.6, even rows)",
+    )
     parser.add_argument("--name", default="cam0", help="the camera's name in the block (%(default)s)")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="gets lens.html with residual map and uncertainty, and camera.toml")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="gets lens.html with residual map and uncertainty, and camera.toml"
+    )
     add_overwrite_option(parser)
     add_result(parser)
 
@@ -47,14 +59,24 @@ def run(arguments: Namespace) -> None:
     block = camera_block(found.fit.camera)
     for path, reason in found.left_out:
         print(f"left out: {path}: {reason}", file=sys.stderr)
-    print(f"{len(found.used)} of {len(paths)} photographs, {found.fit.inliers.sum()} of {len(found.fit.inliers)} corners of the board",
-          file=sys.stderr)
-    print(f"{'lens model':>22} {'fitted':>9} {'held out':>9}   RMS px per axis, every photograph in turn predicted from the others", file=sys.stderr)
+    print(
+        f"{len(found.used)} of {len(paths)} photographs, {found.fit.inliers.sum()} of "
+        f"{len(found.fit.inliers)} corners of the board",
+        file=sys.stderr,
+    )
+    print(
+        f"{'lens model':>22} {'fitted':>9} {'held out':>9}   RMS px per axis, every photograph in turn "
+        "predicted from the others",
+        file=sys.stderr,
+    )
     for terms, line in found.models.items():
         held = f"{line.rms:9.4f} {line.held.rms:9.4f}" if line.held else f"{line.reason}"
         print(f"{_model(terms):>22} {held}{'   <- taken' if terms == found.fit.terms else ''}", file=sys.stderr)
-    print(f"projection known to {found.middle:.3f} px in the middle of the frame, {found.worst:.3f} px at worst (standard uncertainty)",
-          file=sys.stderr)
+    print(
+        f"projection known to {found.middle:.3f} px in the middle of the frame, {found.worst:.3f} px at "
+        "worst (standard uncertainty)",
+        file=sys.stderr,
+    )
     if not arguments.json:
         print(block, end="")
     arguments.result = _result(found) | {"verdict": lens_verdict(found).tree()}
@@ -67,11 +89,27 @@ def run(arguments: Namespace) -> None:
 def _result(found: "Calibrated") -> dict[str, Any]:
     """What --json prints."""
     camera = found.fit.camera
-    models = [{"distortion_terms": terms, "rms_px": line.rms, "held_out_px": line.held.rms if line.held else None, "taken": terms == found.fit.terms}
-              for terms, line in found.models.items()]
-    return {"schema": "lens/1", "name": camera.name, "width": camera.width, "height": camera.height, "matrix": camera.matrix.tolist(),
-            "distortion": camera.distortion.tolist(), "photographs": len(found.used), "left_out": {str(path): why for path, why in found.left_out},
-            "projection_px": {"middle": float(found.middle), "worst": float(found.worst)}, "models": models}
+    models = [
+        {
+            "distortion_terms": terms,
+            "rms_px": line.rms,
+            "held_out_px": line.held.rms if line.held else None,
+            "taken": terms == found.fit.terms,
+        }
+        for terms, line in found.models.items()
+    ]
+    return {
+        "schema": "lens/1",
+        "name": camera.name,
+        "width": camera.width,
+        "height": camera.height,
+        "matrix": camera.matrix.tolist(),
+        "distortion": camera.distortion.tolist(),
+        "photographs": len(found.used),
+        "left_out": {str(path): why for path, why in found.left_out},
+        "projection_px": {"middle": float(found.middle), "worst": float(found.worst)},
+        "models": models,
+    }
 
 
 def _model(terms: int) -> str:
@@ -79,7 +117,9 @@ def _model(terms: int) -> str:
 
 
 def _paths(given: list[Path]) -> list[Path]:
-    """Photographs named, or lying in a folder named. Raises RigError for what is not there and for a folder without any."""
+    """Photographs named, or lying in a folder named. Raises RigError for what is not there and for a folder without
+    any.
+    """
     paths = []
     for path in given:
         if path.is_dir():

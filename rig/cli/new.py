@@ -16,18 +16,28 @@ CAMERAS, SIZE = "3", "1280x1024"  # what is taken where nothing is answered
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("out", metavar="FOLDER", type=Path, nargs="?", default=Path("."), help="gets rig.toml; this one by default")
+    parser.add_argument(
+        "out", metavar="FOLDER", type=Path, nargs="?", default=Path("."), help="gets rig.toml; this one by default"
+    )
     parser.add_argument("--mechanism", metavar="KIND", help="hexapod, planar2 (two struts in a plane) or arm")
-    parser.add_argument("--radius", metavar="300mm", help="of a hexapod's circle of base joints, of planar2 half the joints' distance; with its unit")
+    parser.add_argument(
+        "--radius",
+        metavar="300mm",
+        help="of a hexapod's circle of base joints, of planar2 half the joints' distance; with its unit",
+    )
     parser.add_argument("--arm", metavar="NAME", help="in place of --radius, a shipped arm")
     parser.add_argument("--cameras", metavar="N", help="how many look at it")
     parser.add_argument("--size", metavar="WxH", help="of their images, px")
-    parser.add_argument("--defaults", action="store_true", help=f"do not ask what has a default: hexapod, {CAMERAS} cameras, {SIZE}")
+    parser.add_argument(
+        "--defaults", action="store_true", help=f"do not ask what has a default: hexapod, {CAMERAS} cameras, {SIZE}"
+    )
     add_overwrite_option(parser)
 
 
 def run(arguments: Namespace) -> None:
-    """Ask what is not given, write rig.toml, and say what to do next. Raises RigError where something must be asked and nobody is there."""
+    """Ask what is not given, write rig.toml, and say what to do next. Raises RigError where something must be asked and
+    nobody is there.
+    """
     from rig.formats.output_files import write_text
     from rig.planning.layout import shipped_arms
 
@@ -38,10 +48,25 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"{arguments.out.parent} is no folder; make it first")
     if arguments.arm is not None and arguments.mechanism is None:
         arguments.mechanism = "arm"
-    kind = _answer(arguments, "mechanism", "What moves? hexapod (six struts), planar2 (two struts in a plane), arm", "hexapod", _one_of(KINDS))
+    kind = _answer(
+        arguments,
+        "mechanism",
+        "What moves? hexapod (six struts), planar2 (two struts in a plane), arm",
+        "hexapod",
+        _one_of(KINDS),
+    )
     if kind == "arm":
-        name = _answer(arguments, "arm", f"Which arm? {', '.join(shipped_arms.shipped_arm_names())}", None, _one_of(shipped_arms.shipped_arm_names()))
-        text, seen = shipped_arms.shipped_arm_rig_toml(name), "its poses come from an instrument; see [instrument] in it"
+        name = _answer(
+            arguments,
+            "arm",
+            f"Which arm? {', '.join(shipped_arms.shipped_arm_names())}",
+            None,
+            _one_of(shipped_arms.shipped_arm_names()),
+        )
+        text, seen = (
+            shipped_arms.shipped_arm_rig_toml(name),
+            "its poses come from an instrument; see [instrument] in it",
+        )
     else:
         text, seen = _with_struts(arguments, kind)
     if place is None:
@@ -51,7 +76,10 @@ def run(arguments: Namespace) -> None:
     arguments.outputs.finish()
     _index(arguments.out)
     print(f"written: {out}; {seen}")
-    print(f"next: measure your own machine's joints, cameras and cubes and write them into it; then rig print {out} --out sheets.pdf")
+    print(
+        "next: measure your own machine's joints, cameras and cubes and write them into it; then rig print "
+        f"{out} --out sheets.pdf"
+    )
     print(f"or try it without a machine: rig simulate {out} --plan sobol:40 --out REC")
 
 
@@ -69,7 +97,11 @@ def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
     """(text of a rig.toml of struts, what is said of it)."""
     from rig.planning.layout import hexapod_layout, two_strut_layout
 
-    question = "How large? radius of the circle of base joints" if kind == "hexapod" else "How large? half the distance of the base joints"
+    question = (
+        "How large? radius of the circle of base joints"
+        if kind == "hexapod"
+        else "How large? half the distance of the base joints"
+    )
     radius = _answer(arguments, "radius", f"{question}, with its unit, as 300mm", None, parse_length)
     cameras = _answer(arguments, "cameras", "How many cameras look at it?", CAMERAS, _count)
     width, height = _answer(arguments, "size", "How large are their images, px?", SIZE, _size)
@@ -78,7 +110,9 @@ def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:
 
 
 def _answer(arguments: Namespace, name: str, question: str, default: str | None, read: Callable[[str], Any]) -> Any:
-    """What the option says; else the answer to the question, asked again until it can be read. Raises RigError where nobody can be asked."""
+    """What the option says; else the answer to the question, asked again until it can be read. Raises RigError where
+    nobody can be asked.
+    """
     given = getattr(arguments, name)
     if given is None and arguments.defaults:
         given = default

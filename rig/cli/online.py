@@ -10,7 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.cli.shared import limb_poses, recording_checks, refutation_marks, simple_online_learners
-from rig.cli.shared.output_options import Progress, add_page, add_recording, add_result, page_links, page_path, print_unsolved
+from rig.cli.shared.output_options import (
+    Progress,
+    add_page,
+    add_recording,
+    add_result,
+    page_links,
+    page_path,
+    print_unsolved,
+)
 from rig.cli.shared.pending_frames import unlearnt_frame_numbers, unlearnt_samples
 from rig.errors import RigError
 
@@ -33,8 +41,15 @@ MANY = 6  # changes beyond which they are not believed to be steps
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
-    parser.add_argument("--state", metavar="FILE", type=Path, help="go on from this state where it is there, and save it after the last pose")
-    parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
+    parser.add_argument(
+        "--state",
+        metavar="FILE",
+        type=Path,
+        help="go on from this state where it is there, and save it after the last pose",
+    )
+    parser.add_argument(
+        "--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml"
+    )
     add_page(parser)
     recording_checks.add_anyway_option(parser)
     simple_online_learners.arguments(parser)
@@ -64,7 +79,9 @@ def run(arguments: Namespace) -> None:
     assert confounds is not None
     known_of = _of_calibrations(arguments, recording, calibration)
     if arguments.learner != simple_online_learners.WATCHING:
-        followed, arguments.result = simple_online_learners.learn_poses(arguments, recording, sampled, calibration, state, progress)
+        followed, arguments.result = simple_online_learners.learn_poses(
+            arguments, recording, sampled, calibration, state, progress
+        )
         followed = replace(followed, confounds=confounds, calibrations=known_of)
         from calib.report.online_page import online_verdict
 
@@ -87,7 +104,9 @@ def run(arguments: Namespace) -> None:
 
 
 def _of_calibrations(arguments: Namespace, recording: Recording, calibration: Calibration | None) -> OfCalibrations:
-    """OfCalibrations made from a recording that are beside it; and what the one that learning starts from leaves unexplained."""
+    """OfCalibrations made from a recording that are beside it; and what the one that learning starts from leaves
+    unexplained.
+    """
     from calib.certify.calibration_evidence import calibration_evidence
     from calib.diagnose.calibration_left_out_physics import findings_against_calibrations
     from rig.recording.data_provenance import content_marks
@@ -109,11 +128,19 @@ def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt:
     print(f"written: {arguments.page}")
 
 
-def learn_recording(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None,
-          progress: Progress, of_calibrations: OfCalibrations | None = None) -> tuple[Online, OnlineResult, dict[str, Any]]:
-    """The filter after a recording's poses that it has not learnt, and what they taught, which is said, and what --json prints of it.
+def learn_recording(
+    recording: Recording,
+    sampled: Callable[[], Sampled],
+    known: Online | None,
+    calibration: Calibration | None,
+    progress: Progress,
+    of_calibrations: OfCalibrations | None = None,
+) -> tuple[Online, OnlineResult, dict[str, Any]]:
+    """The filter after a recording's poses that it has not learnt, and what they taught, which is said, and what --json
+    prints of it.
 
-    sampled : makes the Sampled of it; known : the filter to go on with, or None; calibration : where a new one starts from, or None
+    sampled : makes the Sampled of it; known : the filter to go on with, or None; calibration : where a new one starts
+        from, or None
     of_calibrations : OfCalibrations made from the recording, None where nobody looked for any
 
     Raises RigError where no pose is left to learn
@@ -129,7 +156,13 @@ def learn_recording(recording: Recording, sampled: Callable[[], Sampled], known:
     from rig.recording.data_provenance import content_marks, marks_of_frames
 
     of, mechanism = content_marks(recording), hexapod_of(recording.design.mechanism)
-    learnt = known.data if known is not None else set() if calibration is None else set(calibration.provenance.get("data", ()))
+    learnt = (
+        known.data
+        if known is not None
+        else set()
+        if calibration is None
+        else set(calibration.provenance.get("data", ()))
+    )
     fresh = unlearnt_frame_numbers(recording, of, learnt)
     found = sampled()
     samples = unlearnt_samples(found.samples, fresh, recording)
@@ -137,8 +170,11 @@ def learn_recording(recording: Recording, sampled: Callable[[], Sampled], known:
     before = known.number if known is not None else 0
     if known is not None:
         known.new_session(shared)
-    learner = known or (Online(mechanism, shared) if calibration is None else
-                        Online(hexapod_of(calibration.correction.fitted), shared, calibration.scatter, calibration.covariance))
+    learner = known or (
+        Online(mechanism, shared)
+        if calibration is None
+        else Online(hexapod_of(calibration.correction.fitted), shared, calibration.scatter, calibration.covariance)
+    )
     learner.data = learnt | set(marks_of_frames(of, fresh))
     commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
     updates = []
@@ -146,11 +182,19 @@ def learn_recording(recording: Recording, sampled: Callable[[], Sampled], known:
         updates.append(learner.update(x, T, C, B))
         progress("learning", len(updates), len(samples))
     moved = float(np.sqrt(np.mean((learner.p - parameters(mechanism)) ** 2)))
-    taught = replace(_learnt(learner, updates, samples.frame, found.source, moved), confounds=confounds_of_recordings([recording]),
-                     calibrations=of_calibrations or ALONE)
+    taught = replace(
+        _learnt(learner, updates, samples.frame, found.source, moved),
+        confounds=confounds_of_recordings([recording]),
+        calibrations=of_calibrations or ALONE,
+    )
     print(online_verdict(taught).line)
-    _tell(learner, updates, samples.frame, f"{len(samples)} poses from {found.source}, learnt one at a time"
-          + (f" after {before} before" if before else ""))
+    _tell(
+        learner,
+        updates,
+        samples.frame,
+        f"{len(samples)} poses from {found.source}, learnt one at a time"
+        + (f" after {before} before" if before else ""),
+    )
     print(f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml")
     print_unsolved(found.measurement)
     return learner, taught, {**_result(learner, updates, samples.frame), "verdict": online_verdict(taught).tree()}
@@ -165,12 +209,23 @@ def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: 
     first = updates[0].number
     changes = [change for update in updates for change in update.changes]
     returning = {change.strut for change in changes if changes_cancel(changes, change.strut)}
-    told = [change_sentence(change, frames[max(change.onset - first, 0)], change.strut in returning) for change in changes]
+    told = [
+        change_sentence(change, frames[max(change.onset - first, 0)], change.strut in returning) for change in changes
+    ]
     dropped = [int(frames[number - first]) for update in updates for number in update.dropped if number >= first]
-    return OnlineResult(frames, np.array([update.innovation for update in updates]), source, told, dropped,
-                  float(np.sqrt(np.mean(np.diag(learner.covariance)))), moved,
-                  [f"strut {strut} goes back and forth: play or whatever else depends on the direction, no missed steps" for strut in sorted(
-                      strut for strut in returning if strut is not None)])
+    return OnlineResult(
+        frames,
+        np.array([update.innovation for update in updates]),
+        source,
+        told,
+        dropped,
+        float(np.sqrt(np.mean(np.diag(learner.covariance)))),
+        moved,
+        [
+            f"strut {strut} goes back and forth: play or whatever else depends on the direction, no missed steps"
+            for strut in sorted(strut for strut in returning if strut is not None)
+        ],
+    )
 
 
 def changes_cancel(changes: Sequence[Change], strut: int | None) -> bool:
@@ -180,7 +235,9 @@ def changes_cancel(changes: Sequence[Change], strut: int | None) -> bool:
 
 
 def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: str) -> None:
-    """Say what poses of frames (n,) have taught: how well joints and zeros are known, what jumped, what was left out."""
+    """Say what poses of frames (n,) have taught: how well joints and zeros are known, what jumped, what was left
+    out.
+    """
     import numpy as np
 
     changes, first = [change for update in updates for change in update.changes], updates[0].number
@@ -191,10 +248,8 @@ def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: st
         print("these are no few steps: something acts on the struts or the measurement that the geometry lacks")
     for update in updates:
         for change in update.changes:
-            print(
-                f"frame {frames[update.number - first]}: "
-                f"{change_sentence(change, frames[max(change.onset - first, 0)], changes_cancel(changes, change.strut))}"
-            )
+            onset, cancelled = frames[max(change.onset - first, 0)], changes_cancel(changes, change.strut)
+            print(f"frame {frames[update.number - first]}: {change_sentence(change, onset, cancelled)}")
         for number in update.dropped:
             print(f"frame {frames[number - first]}: its pose agrees with no other and is left out")
     innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
@@ -206,13 +261,27 @@ def _result(learner: Online, updates: list[Update], frames: np.ndarray) -> dict[
     import numpy as np
 
     first = updates[0].number
-    jumps = [{"frame": int(frames[max(change.onset - first, 0)]), "found_at": int(frames[update.number - first]), "kind": change.kind,
-              "strut": change.strut, "size": np.asarray(change.size).tolist(), "sigma": np.asarray(change.sigma).tolist()}
-             for update in updates for change in update.changes]
+    jumps = [
+        {
+            "frame": int(frames[max(change.onset - first, 0)]),
+            "found_at": int(frames[update.number - first]),
+            "kind": change.kind,
+            "strut": change.strut,
+            "size": np.asarray(change.size).tolist(),
+            "sigma": np.asarray(change.sigma).tolist(),
+        }
+        for update in updates
+        for change in update.changes
+    ]
     whitened = [update.innovation @ update.innovation / 6 for update in updates if not update.held]
-    return {"schema": "online/1", "poses": len(updates), "changes": jumps,
-            "left_out": [int(frames[number - first]) for update in updates for number in update.dropped],
-            "sigma_rms_m": float((learner.covariance.diagonal().mean()) ** 0.5), "innovation": float((sum(whitened) / max(len(whitened), 1)) ** 0.5)}
+    return {
+        "schema": "online/1",
+        "poses": len(updates),
+        "changes": jumps,
+        "left_out": [int(frames[number - first]) for update in updates for number in update.dropped],
+        "sigma_rms_m": float((learner.covariance.diagonal().mean()) ** 0.5),
+        "innovation": float((sum(whitened) / max(len(whitened), 1)) ** 0.5),
+    }
 
 
 def _counted(changes: int) -> str:
@@ -225,18 +294,36 @@ def _calibration(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> Calib
 
     found = calibration_file.load(path)
     if found.correction.fitted.kind != mechanism.kind:
-        raise RigError(f"{path} is a calibration of a mechanism of kind {found.correction.fitted.kind!r}, the recording's is {mechanism.kind!r}")
+        raise RigError(
+            f"{path} is a calibration of a mechanism of kind {found.correction.fitted.kind!r}, the "
+            f"recording's is {mechanism.kind!r}"
+        )
     found.refuse_physics("learning on-line")
     return found
 
 
 def change_sentence(change: Change, frame: int, returns: bool = False) -> str:
-    """A Change in words; frame : number of the first frame after it; returns : whether others of the same strut take it back"""
+    """A Change in words; frame : number of the first frame after it; returns : whether others of the same strut take it
+    back
+    """
     if not isinstance(change.size, float):
         position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))
-        return (f"from frame {frame} on the measured poses are moved against the base by {position * 1e3:.3f} mm and {rotation * 1e3:.3f} mrad: "
-                "a camera or the base was knocked")
+        return (
+            f"from frame {frame} on the measured poses are moved against the base by {position * 1e3:.3f} mm "
+            f"and {rotation * 1e3:.3f} mrad: "
+            "a camera or the base was knocked"
+        )
     if returns:
-        return f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- {change.sigma * 1e3:.4f} mm, and goes back: play"
-    cause = "missed steps or a slipped joint" if change.kind == "strut" else "a knocked joint, the amount differs from pose to pose"
-    return f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- {change.sigma * 1e3:.4f} mm: {cause}"
+        return (
+            f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- "
+            f"{change.sigma * 1e3:.4f} mm, and goes back: play"
+        )
+    cause = (
+        "missed steps or a slipped joint"
+        if change.kind == "strut"
+        else "a knocked joint, the amount differs from pose to pose"
+    )
+    return (
+        f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- "
+        f"{change.sigma * 1e3:.4f} mm: {cause}"
+    )

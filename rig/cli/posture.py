@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import posture_force
-from rig.cli.shared.output_options import SEED, add_json, add_overwrite_option, file_or_stdout, parse_numbers, print_json
+from rig.cli.shared.output_options import (
+    SEED,
+    add_json,
+    add_overwrite_option,
+    file_or_stdout,
+    parse_numbers,
+    print_json,
+)
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number
 from rig.formats.output_files import write_text
@@ -27,22 +34,72 @@ STARTS = 24  # joint solutions of the pose from which self-motions are looked fo
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser._negative_number_matcher = re.compile(r"^-[\d.]")  # so that a value may begin with a minus: --pose -0.4,0.1,..
-    parser.add_argument("arm", metavar="ARM.toml", help="a rig.toml with an arm, or the name of a shipped one, as panda")
-    parser.add_argument("--pose", nargs="+", metavar="N", help="x,y,z,rx,ry,rz of the hand, m and rad (rotation vector)")
-    parser.add_argument("--among", metavar="REC", type=Path, help="compare the postures that the arm took in this recording with the hand "
-                        "there, and go back to the best along the way it came; by default with the hand as at its first exposure")
-    parser.add_argument("--force", nargs="+", action="extend", default=[], metavar="AXIS", help="x, y or z: directions of force that count")
-    parser.add_argument("--moment", nargs="+", action="extend", default=[], metavar="AXIS", help="x, y or z: directions of moment that count")
-    parser.add_argument("--norm", choices=("2", "inf"), default="2", help="of a direction's column of the transposed Jacobian")
-    parser.add_argument("--whole", choices=("det", "norm"), default="det", help="with no direction chosen: det(J J^T) or the norm of J^T")
-    parser.add_argument("--above", type=parse_number, metavar="LIMIT", help="stop as soon as the measure exceeds this (0: as long as it is not zero)")
-    parser.add_argument("--hold", choices=("pose", "position", "orientation"), default="pose", help="what of the hand stays")
+    parser._negative_number_matcher = re.compile(
+        r"^-[\d.]"
+    )  # so that a value may begin with a minus: --pose -0.4,0.1,..
+    parser.add_argument(
+        "arm", metavar="ARM.toml", help="a rig.toml with an arm, or the name of a shipped one, as panda"
+    )
+    parser.add_argument(
+        "--pose", nargs="+", metavar="N", help="x,y,z,rx,ry,rz of the hand, m and rad (rotation vector)"
+    )
+    parser.add_argument(
+        "--among",
+        metavar="REC",
+        type=Path,
+        help="compare the postures that the arm took in this recording with the hand "
+        "there, and go back to the best along the way it came; by default with the hand as at its first exposure",
+    )
+    parser.add_argument(
+        "--force",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="AXIS",
+        help="x, y or z: directions of force that count",
+    )
+    parser.add_argument(
+        "--moment",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="AXIS",
+        help="x, y or z: directions of moment that count",
+    )
+    parser.add_argument(
+        "--norm", choices=("2", "inf"), default="2", help="of a direction's column of the transposed Jacobian"
+    )
+    parser.add_argument(
+        "--whole",
+        choices=("det", "norm"),
+        default="det",
+        help="with no direction chosen: det(J J^T) or the norm of J^T",
+    )
+    parser.add_argument(
+        "--above",
+        type=parse_number,
+        metavar="LIMIT",
+        help="stop as soon as the measure exceeds this (0: as long as it is not zero)",
+    )
+    parser.add_argument(
+        "--hold", choices=("pose", "position", "orientation"), default="pose", help="what of the hand stays"
+    )
     posture_force.arguments(parser)
-    parser.add_argument("--from", dest="start", nargs="+", metavar="Q", help="joint angles now, rad; by default a solution of the pose")
-    parser.add_argument("--motion", choices=("end", "way"), default="end", help="take the posture when the hand has arrived, or on its way")
-    parser.add_argument("--speed", type=parse_number, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out")
-    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="commands.csv of the motion into the posture")
+    parser.add_argument(
+        "--from", dest="start", nargs="+", metavar="Q", help="joint angles now, rad; by default a solution of the pose"
+    )
+    parser.add_argument(
+        "--motion",
+        choices=("end", "way"),
+        default="end",
+        help="take the posture when the hand has arrived, or on its way",
+    )
+    parser.add_argument(
+        "--speed", type=parse_number, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out"
+    )
+    parser.add_argument(
+        "--out", metavar="FILE", type=file_or_stdout, help="commands.csv of the motion into the posture"
+    )
     add_overwrite_option(parser, "--overwrite")
     add_json(parser)
 
@@ -55,8 +112,11 @@ def run(arguments: Namespace) -> None:
 
     path, arm, wanted = _wanted(arguments)
     chosen = _directions(arguments)
-    wish: Wish | Exertion = wanted if wanted is not None and not chosen else force_transmission.Wish(chosen, np.inf if arguments.norm == "inf" else 2,
-                                                                                         arguments.whole)
+    wish: Wish | Exertion = (
+        wanted
+        if wanted is not None and not chosen
+        else force_transmission.Wish(chosen, np.inf if arguments.norm == "inf" else 2, arguments.whole)
+    )
     if arguments.above is not None and not arguments.above >= 0:
         raise RigError(f"--above must be at least 0, not {arguments.above:g}")
     if not arguments.speed > 0:
@@ -96,17 +156,30 @@ def _among(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | No
     from rig.recording import recording_folder
 
     if arguments.start or arguments.above is not None or arguments.motion == "way":
-        raise RigError("--among goes back to a posture from where the recording ends; --from, --above and --motion are for searches")
+        raise RigError(
+            "--among goes back to a posture from where the recording ends; --from, --above and --motion are "
+            "for searches"
+        )
     numbered = parse_numbers(arguments.pose, 6, "--pose") if arguments.pose else None
     found = visited_postures.best_visited_posture(
-        recording_folder.load(arguments.among), arm, wish, arguments.hold, None if numbered is None else pose(numbered[:3], numbered[3:])
+        recording_folder.load(arguments.among),
+        arm,
+        wish,
+        arguments.hold,
+        None if numbered is None else pose(numbered[:3], numbered[3:]),
     )
     if out:
         _write(out, arguments, arm, found.back)
     best, first = found.best, found.q[0]
     tree = _tree(arm, wish, found.q[best], first, (float(found.value[best]), float(found.value[0])))
-    return tree | {"search": "among", "recording": str(arguments.among), "frame": int(found.frame[best]), "compared": len(found.q),
-                   "elsewhere": found.elsewhere, "values": {"best": float(found.value[best]), "worst": float(found.value.min())}}
+    return tree | {
+        "search": "among",
+        "recording": str(arguments.among),
+        "frame": int(found.frame[best]),
+        "compared": len(found.q),
+        "elsewhere": found.elsewhere,
+        "values": {"best": float(found.value[best]), "worst": float(found.value.min())},
+    }
 
 
 def _searched(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | None) -> dict:
@@ -124,7 +197,10 @@ def _searched(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path |
     now = np.array(parse_numbers(arguments.start, n, "--from")) if arguments.start else None
     arrived = now is not None and np.abs(pose_difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
     if now is not None and not arrived and arguments.motion == "end":
-        raise RigError("--from has the hand elsewhere than --pose: bring it there first, or take the posture on the way (--motion way)")
+        raise RigError(
+            "--from has the hand elsewhere than --pose: bring it there first, or take the posture on the way "
+            "(--motion way)"
+        )
     first = now if now is not None and arrived else mechanism.inverse(wanted, arm, now)
     starts = first[None] if arrived and arguments.motion == "end" else _starts(first, wanted, arm)
     found, name, k = _best(arguments, arm, wish, first, starts)
@@ -139,15 +215,25 @@ def _searched(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path |
             else posture_transition.motion_with_hand_still(starts[k], best.q[k], arm, arguments.hold),
         )
     tree = _tree(arm, wish, best.q[k], starts[k], (float(best.value[k]), float(best.start[k])))
-    tree |= {"search": name, "joint_solutions_searched": len(starts), "values": {key: float(f.value[k]) for key, f in found.items()}}
+    tree |= {
+        "search": name,
+        "joint_solutions_searched": len(starts),
+        "values": {key: float(f.value[k]) for key, f in found.items()},
+    }
     if "global" in found:
-        tree["certificate"] = {"gradient_over_global_here": float(found["gradient"].value[k] / found["global"].value[k]),
-                               "reached_over_best_of_all_self_motions": float(best.value[k] / found["global"].value.max())}
+        tree["certificate"] = {
+            "gradient_over_global_here": float(found["gradient"].value[k] / found["global"].value[k]),
+            "reached_over_best_of_all_self_motions": float(best.value[k] / found["global"].value.max()),
+        }
     return tree
 
 
-def _best(arguments: Namespace, arm: Arm, wish: Wish | Exertion, first: np.ndarray, starts: np.ndarray) -> tuple[dict[str, Found], str, int]:
-    """(what each search found, name of the best, index of its posture) from starts (k, n) rad. Raises RigError where nothing exceeds a limit"""
+def _best(
+    arguments: Namespace, arm: Arm, wish: Wish | Exertion, first: np.ndarray, starts: np.ndarray
+) -> tuple[dict[str, Found], str, int]:
+    """(what each search found, name of the best, index of its posture) from starts (k, n) rad. Raises RigError where
+    nothing exceeds a limit
+    """
     import numpy as np
 
     from rig.posture import null_space_search
@@ -160,12 +246,21 @@ def _best(arguments: Namespace, arm: Arm, wish: Wish | Exertion, first: np.ndarr
     if arguments.above is not None:
         enough = np.flatnonzero(found["gradient"].value > arguments.above)
         if not len(enough):
-            raise RigError(f"no posture found whose measure exceeds {arguments.above:g}; the best reaches {found['gradient'].value.max():.6g}")
-        return found, "gradient", int(enough[np.abs(found["gradient"].q[enough] - first).max(axis=1).argmin()])  # the least motion will do
+            raise RigError(
+                f"no posture found whose measure exceeds {arguments.above:g}; the best reaches "
+                f"{found['gradient'].value.max():.6g}"
+            )
+        return (
+            found,
+            "gradient",
+            int(enough[np.abs(found["gradient"].q[enough] - first).max(axis=1).argmin()]),
+        )  # the least motion will do
     found["sampled"] = null_space_search.sampled_search(starts, arm, wish, np.random.default_rng(SEED), arguments.hold)
     if null_space_search.redundant_joint_count(arm, arguments.hold) == 1:
         found["global"] = null_space_search.global_search(starts, arm, wish, arguments.hold)
-    name, k = max(((name, int(f.value.argmax())) for name, f in found.items()), key=lambda pair: found[pair[0]].value[pair[1]])
+    name, k = max(
+        ((name, int(f.value.argmax())) for name, f in found.items()), key=lambda pair: found[pair[0]].value[pair[1]]
+    )
     return found, name, k
 
 
@@ -220,12 +315,29 @@ def _tree(arm: Arm, wish: Wish | Exertion, q: np.ndarray, start: np.ndarray, val
     low, high = arm.limits.T
     moved = pose_difference(mechanism.forward(start, arm), mechanism.forward(q, arm))
     told = force_transmission.Wish() if isinstance(wish, Exertion) else wish
-    return {"schema": "posture/1", "unit": "rad, m", "directions": list(told.directions) or "all", "norm": str(told.norm),
-            "measure": "greatest multiple" if isinstance(wish, Exertion) else "smallest column of J^T" if told.directions else told.whole,
-            "q": q.tolist(), "q_units": list(mechanisms.axis_units(arm)), "value": values[0], "start": {"q": start.tolist(), "value": values[1]},
-            "hand_moved": {"position": float(np.linalg.norm(moved[:3])), "rotation": float(np.linalg.norm(moved[3:]))},
-            "at_limit": (np.flatnonzero((q <= low + 1e-6) | (q >= high - 1e-6)) + 1).tolist(),
-            "columns": dict(zip(told.directions or force_transmission.DIRECTIONS, force_transmission.direction_norms(q, arm, told).tolist()))}
+    return {
+        "schema": "posture/1",
+        "unit": "rad, m",
+        "directions": list(told.directions) or "all",
+        "norm": str(told.norm),
+        "measure": "greatest multiple"
+        if isinstance(wish, Exertion)
+        else "smallest column of J^T"
+        if told.directions
+        else told.whole,
+        "q": q.tolist(),
+        "q_units": list(mechanisms.axis_units(arm)),
+        "value": values[0],
+        "start": {"q": start.tolist(), "value": values[1]},
+        "hand_moved": {"position": float(np.linalg.norm(moved[:3])), "rotation": float(np.linalg.norm(moved[3:]))},
+        "at_limit": (np.flatnonzero((q <= low + 1e-6) | (q >= high - 1e-6)) + 1).tolist(),
+        "columns": dict(
+            zip(
+                told.directions or force_transmission.DIRECTIONS,
+                force_transmission.direction_norms(q, arm, told).tolist(),
+            )
+        ),
+    }
 
 
 def _table(tree: dict, arguments: Namespace) -> str:
@@ -233,22 +345,36 @@ def _table(tree: dict, arguments: Namespace) -> str:
 
     units = tree["q_units"]
     slides = "m" in units
-    large = ", ".join(f"{np.degrees(q):.4f}" if unit == "rad" else f"{q * 1e3:.4f} mm" for q, unit in zip(tree["q"], units))
-    lines = [f"joint {'values' if slides else 'angles'}, degrees{' and, of slides, mm' if slides else ''}: {large}",
-             f"joint {'values' if slides else 'angles'}, rad{' and m' if slides else ''}: {','.join(f'{q:.9f}' for q in tree['q'])}",
-             f"measure ({tree['measure']}, norm {tree['norm']}): {tree['value']:.6f}, from {tree['start']['value']:.6f} where the search began",
-             "columns of J^T: " + ", ".join(f"{name} {value:.6f}" for name, value in tree["columns"].items())
-             + f" (Nm{', of slides N,' if slides else ''} per N for forces, per Nm for moments)",
-             f"the hand moved by {tree['hand_moved']['position'] * 1e3:.2g} mm and {tree['hand_moved']['rotation'] * 1e3:.2g} mrad; joints at "
-             f"their limits: {', '.join(map(str, tree['at_limit'])) or 'none'}",
-             _how(tree)]
+    large = ", ".join(
+        f"{np.degrees(q):.4f}" if unit == "rad" else f"{q * 1e3:.4f} mm" for q, unit in zip(tree["q"], units)
+    )
+    lines = [
+        f"joint {'values' if slides else 'angles'}, degrees{' and, of slides, mm' if slides else ''}: {large}",
+        f"joint {'values' if slides else 'angles'}, rad{' and m' if slides else ''}: "
+        f"{','.join(f'{q:.9f}' for q in tree['q'])}",
+        f"measure ({tree['measure']}, norm {tree['norm']}): {tree['value']:.6f}, from "
+        f"{tree['start']['value']:.6f} where the search began",
+        "columns of J^T: "
+        + ", ".join(f"{name} {value:.6f}" for name, value in tree["columns"].items())
+        + f" (Nm{', of slides N,' if slides else ''} per N for forces, per Nm for moments)",
+        f"the hand moved by {tree['hand_moved']['position'] * 1e3:.2g} mm and "
+        f"{tree['hand_moved']['rotation'] * 1e3:.2g} mrad; joints at "
+        f"their limits: {', '.join(map(str, tree['at_limit'])) or 'none'}",
+        _how(tree),
+    ]
     if "certificate" in tree:
         share = tree["certificate"]["gradient_over_global_here"]
-        lines.append(f"certificate: the whole self-motion was traced; the gradient alone reaches {share:.4f} of its best; "
-                     f"{tree['joint_solutions_searched']} joint solutions were searched")
+        lines.append(
+            f"certificate: the whole self-motion was traced; the gradient alone reaches {share:.4f} of its best; "
+            f"{tree['joint_solutions_searched']} joint solutions were searched"
+        )
     elif arguments.above is None and tree["search"] not in ("among", "solutions"):
         lines.append("no certificate: the self-motion has more than one dimension and cannot be traced whole")
-    lines += posture_force.exertion_lines(tree["exert"], tuple("Nm" if unit == "rad" else "N" for unit in units)) if "exert" in tree else []
+    lines += (
+        posture_force.exertion_lines(tree["exert"], tuple("Nm" if unit == "rad" else "N" for unit in units))
+        if "exert" in tree
+        else []
+    )
     if arguments.out:
         lines.append(f"motion written to {arguments.out}")
     if arguments.draw:
@@ -260,8 +386,13 @@ def _how(tree: dict) -> str:
     """How the posture was found."""
     values = ", ".join(f"{name} {value:.6f}" for name, value in tree["values"].items())
     if tree["search"] == "among":
-        return (f"the best of {tree['compared']} postures visited in {tree['recording']} is that of frame {tree['frame']} ({values}); in "
-                f"{tree['elsewhere']} more the hand was elsewhere")
+        return (
+            f"the best of {tree['compared']} postures visited in {tree['recording']} is that of frame "
+            f"{tree['frame']} ({values}); in "
+            f"{tree['elsewhere']} more the hand was elsewhere"
+        )
     if tree["search"] == "solutions":
-        return f"the best of {tree['joint_solutions_searched']} joint solutions of the pose: the arm has no joint to spare"
+        return (
+            f"the best of {tree['joint_solutions_searched']} joint solutions of the pose: the arm has no joint to spare"
+        )
     return f"found by the {tree['search']} search; from the same start: {values}"

@@ -13,12 +13,28 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
-    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="a PDF: the sheets of every cube, then how to put them "
-                        "together and where they stand")
-    parser.add_argument("--paper", default="A4", help="A4 (the default), Letter, A3, Tabloid, A2, A1 or A0; a net too large for it is "
-                        "split over sheets")
-    parser.add_argument("--stl", metavar="DIR", type=Path, help="gets a solid body for each cube to glue the faces on (NAME.stl, mm)")
-    parser.add_argument("--paper-thickness", metavar="0.1mm", type=parse_length, default=1e-4, help="by which a body is smaller on each side (0.1mm)")
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        type=file_or_stdout,
+        required=True,
+        help="a PDF: the sheets of every cube, then how to put them together and where they stand",
+    )
+    parser.add_argument(
+        "--paper",
+        default="A4",
+        help="A4 (the default), Letter, A3, Tabloid, A2, A1 or A0; a net too large for it is split over sheets",
+    )
+    parser.add_argument(
+        "--stl", metavar="DIR", type=Path, help="gets a solid body for each cube to glue the faces on (NAME.stl, mm)"
+    )
+    parser.add_argument(
+        "--paper-thickness",
+        metavar="0.1mm",
+        type=parse_length,
+        default=1e-4,
+        help="by which a body is smaller on each side (0.1mm)",
+    )
     add_overwrite_option(parser)
 
 
@@ -35,7 +51,10 @@ def run(arguments: Namespace) -> None:
 
     for line in write_sheets(design, out, arguments.paper):
         print(line)
-    print(f"written: {arguments.out}. Print at 100 %, without fitting to the page, and hold a ruler to the rulers on each sheet.")
+    print(
+        f"written: {arguments.out}. Print at 100 %, without fitting to the page, and hold a ruler to the "
+        "rulers on each sheet."
+    )
     if folder is not None:
         _bodies(arguments, design, folder)
 
@@ -47,4 +66,7 @@ def _bodies(arguments: Namespace, design: "Design", folder: Path) -> None:
     found = cube_stl_files(design, arguments.paper_thickness)
     for name, data in found.items():
         write_bytes(folder / f"{name}.stl", data)
-    print(f"written: {len(found)} bodies in {arguments.stl}, mm, smaller on each side by the paper's {arguments.paper_thickness * 1e3:g} mm")
+    print(
+        f"written: {len(found)} bodies in {arguments.stl}, mm, smaller on each side by the paper's "
+        f"{arguments.paper_thickness * 1e3:g} mm"
+    )

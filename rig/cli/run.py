@@ -32,24 +32,59 @@ KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_driving(parser)
-    parser.add_argument("--plan", required=True, help="as for rig simulate, of parts at whose exposures the struts stand: "
-                        "sobol:40,ladder,repeat:20, or commands:FILE (frame,l1..l6 as rig correct and rig plan --for write it)")
+    parser.add_argument(
+        "--plan",
+        required=True,
+        help="as for rig simulate, of parts at whose exposures the struts stand: "
+        "sobol:40,ladder,repeat:20, or commands:FILE (frame,l1..l6 as rig correct and rig plan --for write it)",
+    )
     parser.add_argument("--seed", type=parse_whole_number, default=SEED, help="of the plan")
-    parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; a new folder, or with --resume the one to go on with")
+    parser.add_argument(
+        "--out",
+        metavar="REC",
+        type=Path,
+        required=True,
+        help="the recording; a new folder, or with --resume the one to go on with",
+    )
     parser.add_argument("--resume", action="store_true", help="go on with REC from where the struts stand")
-    parser.add_argument("--dry-run", action="store_true", help="check the plan, say what would be done, and move nothing")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="check the plan, say what would be done, and move nothing"
+    )
     parser.add_argument("--no-home", action="store_true", help="believe the position that the controller reads")
-    parser.add_argument("--settle", default="time:1", metavar="HOW", help="time:SECONDS, images (until they no longer change) or limbs:METRES "
-                        "(until measuring limbs agree so well); default time:1")
-    parser.add_argument("--exposure", metavar="SECONDS", help="of all cameras; by default so that markers are bright and do not clip; "
-                        '"keep" leaves them as they are')
-    parser.add_argument("--calibration", metavar="FILE", type=Path, help="what poses are expected, and held against for drift")
-    parser.add_argument("--tolerance", nargs=2, type=parse_number, metavar=("M", "RAD"), help="drift from the calibration that is said")
-    parser.add_argument("--stop-on", default="", metavar="WHAT,..", help=f"end the run on {', '.join(KINDS)}; by default they are only said")
+    parser.add_argument(
+        "--settle",
+        default="time:1",
+        metavar="HOW",
+        help="time:SECONDS, images (until they no longer change) or limbs:METRES "
+        "(until measuring limbs agree so well); default time:1",
+    )
+    parser.add_argument(
+        "--exposure",
+        metavar="SECONDS",
+        help='of all cameras; by default so that markers are bright and do not clip; "keep" leaves them as they are',
+    )
+    parser.add_argument(
+        "--calibration", metavar="FILE", type=Path, help="what poses are expected, and held against for drift"
+    )
+    parser.add_argument(
+        "--tolerance", nargs=2, type=parse_number, metavar=("M", "RAD"), help="drift from the calibration that is said"
+    )
+    parser.add_argument(
+        "--stop-on",
+        default="",
+        metavar="WHAT,..",
+        help=f"end the run on {', '.join(KINDS)}; by default they are only said",
+    )
     parser.add_argument("--no-measure", action="store_true", help="take images only")
     limb_poses.arguments(parser)
-    parser.add_argument("--page", nargs="?", type=parse_whole_number, const=0, metavar="PORT",
-                        help="show the run on a page of this computer, with a button to stop it")
+    parser.add_argument(
+        "--page",
+        nargs="?",
+        type=parse_whole_number,
+        const=0,
+        metavar="PORT",
+        help="show the run on a page of this computer, with a button to stop it",
+    )
 
 
 def run(arguments: Namespace) -> int:
@@ -65,7 +100,10 @@ def run(arguments: Namespace) -> int:
     planned = steps_of_plan(plan)
     todo = turning_instructions(dict(plan.turned), quarter_turns(design))
     if todo:
-        raise RigError(f"the plan is for a cube put back turned; {'; '.join(todo)}, and say so in {arguments.design} under [turned]")
+        raise RigError(
+            f"the plan is for a cube put back turned; {'; '.join(todo)}, and say so in {arguments.design} "
+            "under [turned]"
+        )
     settle, options = parse_settling(arguments.settle), _options(arguments)
     limb_poses.check_interval(arguments)
     if arguments.limbs is not None:
@@ -78,7 +116,9 @@ def run(arguments: Namespace) -> int:
 
 
 def _options(arguments: Namespace) -> tuple[float | str | None, frozenset[str]]:
-    """(exposure s, None or "keep"; kinds of alarms that stop). Raises RigError for what cannot be meant, before anything moves."""
+    """(exposure s, None or "keep"; kinds of alarms that stop). Raises RigError for what cannot be meant, before
+    anything moves.
+    """
     wanted = frozenset(filter(None, arguments.stop_on.split(",")))
     if wanted - set(KINDS):
         raise RigError(f"--stop-on takes {', '.join(KINDS)}, not {', '.join(sorted(wanted - set(KINDS)))}")
@@ -113,9 +153,16 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
     for k, step in enumerate(planned):
         exposed = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
         print(f"step {k + 1}: {lengths_text(step.goal)}, {way[k] * 1e3:.1f} mm to go, {exposed}")
-    frames, pixels = sum(step.frames for step in planned), sum(camera.width * camera.height for camera in design.cameras)
-    print(f"{len(planned)} steps, {frames} frames of {len(design.cameras)} cameras, {way.sum():.2f} m of the busiest strut, "
-          f"{(way / np.min(c.max_speed)).sum() / 60:.1f} min of moving; at most {frames * pixels / 1e9:.2f} GB of images; nothing was moved")
+    frames, pixels = (
+        sum(step.frames for step in planned),
+        sum(camera.width * camera.height for camera in design.cameras),
+    )
+    print(
+        f"{len(planned)} steps, {frames} frames of {len(design.cameras)} cameras, {way.sum():.2f} m of the "
+        "busiest strut, "
+        f"{(way / np.min(c.max_speed)).sum() / 60:.1f} min of moving; at most {frames * pixels / 1e9:.2f} GB "
+        "of images; nothing was moved"
+    )
 
 
 def check_move(design: Design) -> Callable[[np.ndarray, np.ndarray], None]:
@@ -139,7 +186,9 @@ def _place(arguments: Namespace) -> None:
             raise RigError(f"{out} has no journal.jsonl, so there is no run to resume")
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise RigError(f"{out} is there already" + ("; --resume goes on with it" if journal.exists() else "; name a new folder"))
+        raise RigError(
+            f"{out} is there already" + ("; --resume goes on with it" if journal.exists() else "; name a new folder")
+        )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -161,13 +210,18 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(arguments.out / "journal.jsonl"))
         if journal.torn:
-            print(f"the journal's last line was cut off ({journal.torn} bytes) and is taken away: nothing of it was reported")
+            print(
+                f"the journal's last line was cut off ({journal.torn} bytes) and is taken away: nothing of "
+                "it was reported"
+            )
         fresh = not journal.rows
         if not fresh:
             _same(_began(journal), planned, arguments)
         shutter = open_cameras(design, clock)
         stack.callback(shutter.close)
-        told: list[Callable[[str], None]] = [print]  # who takes what the driver says: the terminal, then the journal too
+        told: list[Callable[[str], None]] = [
+            print
+        ]  # who takes what the driver says: the terminal, then the journal too
         if not arguments.no_measure:
             Thread(target=warm_up, args=(design,), daemon=True).start()
         driver = stack.enter_context(open_driver(design, arguments.trace, lambda text: _tell(told, text), clock))
@@ -220,11 +274,16 @@ def _began(journal: Journal) -> Began:
 
 
 def _origin(journal: Journal, clock: Clock) -> float:
-    """s, the clock's time at t = 0 of the recording; where the computer's clock was set back since, so that time still goes on."""
+    """s, the clock's time at t = 0 of the recording; where the computer's clock was set back since, so that time still
+    goes on.
+    """
     origin, last = _began(journal).wall, journal.rows[-1].t
     if clock.now() - origin > last:
         return origin
-    print(f"the computer's clock has been set back by {last - (clock.now() - origin):.1f} s or more since; the recording's goes on")
+    print(
+        f"the computer's clock has been set back by {last - (clock.now() - origin):.1f} s or more since; the "
+        "recording's goes on"
+    )
     return clock.now() - last - 1.0
 
 
@@ -241,4 +300,7 @@ def _hash(planned: tuple[Step, ...]) -> str:
 def _same(began: Began, planned: tuple[Step, ...], arguments: Namespace) -> None:
     """Raise RigError where a journal is not of this plan."""
     if began.sha256 != _hash(planned):
-        raise RigError(f"{arguments.out} is of another plan than --plan {arguments.plan} --seed {arguments.seed} on {arguments.design}")
+        raise RigError(
+            f"{arguments.out} is of another plan than --plan {arguments.plan} --seed {arguments.seed} on "
+            f"{arguments.design}"
+        )

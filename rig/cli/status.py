@@ -19,5 +19,11 @@ def run(arguments: Namespace) -> None:
     with open_driver(design, arguments.trace, print) as driver:
         status = driver.status()
     print_status(status, design)
-    arguments.result = {"schema": "status/1", "activity": status.activity, "known": status.known, "fault": status.fault, "said": status.said,
-                        "lengths": status.lengths.tolist()}
+    arguments.result = {
+        "schema": "status/1",
+        "activity": status.activity,
+        "known": status.known,
+        "fault": status.fault,
+        "said": status.said,
+        "lengths": status.lengths.tolist(),
+    }

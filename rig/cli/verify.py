@@ -46,7 +46,9 @@ def arguments(parser: ArgumentParser) -> None:
     add_json(parser)
     add_page(parser)
     user_effects_option.add_effects_option(parser)
-    parser.add_argument("--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take")
+    parser.add_argument(
+        "--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take"
+    )
 
 
 def run(arguments: Namespace) -> int:
@@ -56,7 +58,9 @@ def run(arguments: Namespace) -> int:
 
     progress = Progress()
     progress("reading the recording", 0, 1)
-    calibration = user_effects_option.load_calibration(arguments.calibration, user_effects_option.load_effect_files(arguments))
+    calibration = user_effects_option.load_calibration(
+        arguments.calibration, user_effects_option.load_effect_files(arguments)
+    )
     wanted = recordings.load_poses(arguments.wanted, commanded=True) if arguments.wanted else None
     recording = read_recording(arguments)
     calibration.refuse_kind(recording.design.mechanism.kind, str(arguments.recording))
@@ -77,24 +81,35 @@ def run(arguments: Namespace) -> int:
     label = configuration_numbers(samples.commanded, axis_ranges(calibration.correction.nominal))
     before, after = errors_before_and_after(calibration.correction, samples)
     held = compare_errors(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
-    same, found = calibration_file.frames_used_in_calibration(calibration, recording), of_samples(calibration, samples, np.random.default_rng(SEED))
+    same, found = (
+        calibration_file.frames_used_in_calibration(calibration, recording),
+        of_samples(calibration, samples, np.random.default_rng(SEED)),
+    )
     driven = _driven(calibration, recording, sampled.samples, wanted) if wanted is not None else None
     confounds = confounds_of_recordings([recording])
     progress.close()
     unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
     refuted = refutation_marks.read_refutations(arguments.calibration)
-    shown = Verified(recording.design, samples, before, after, held, found, calibration, refuted, same, driven, unsolved, confounds)
+    shown = Verified(
+        recording.design, samples, before, after, held, found, calibration, refuted, same, driven, unsolved, confounds
+    )
     verdict = verification_verdict(shown)
     if page is not None:
         write_verification_page(page, recording.name, shown, page_links(arguments, arguments.page))
     if found is not None and refutes_claim(shown):
-        refutation_marks.write_refutation(arguments, arguments.calibration, recording.name, words.refutation_sentence(found))
+        refutation_marks.write_refutation(
+            arguments, arguments.calibration, recording.name, words.refutation_sentence(found)
+        )
     if arguments.json:
         print_json(_verification(shown, verdict, sampled) | {"confounds": confounds and confounds.tree()})
         return exit_status(verdict)
     if same:
-        print(f"warning: the calibration was made from {len(same)} of this recording's {len(recording.exposures.times()[0])} frames, so these "
-              "figures are not held out", file=sys.stderr)
+        print(
+            f"warning: the calibration was made from {len(same)} of this recording's "
+            f"{len(recording.exposures.times()[0])} frames, so these "
+            "figures are not held out",
+            file=sys.stderr,
+        )
     _say(shown, verdict, sampled)
     if confounds is not None:
         print(confounds.line())
@@ -109,23 +124,39 @@ def _say(shown: Verified, verdict: Verdict, sampled: Sampled) -> None:
     if shown.driven is None:
         print_comparison(shown.held, f"{len(shown.samples)} poses from {sampled.source}")
         if shown.found is not None and shown.found.parts:
-            print("an error of the machine would have been noticed from " + " and ".join(
-                f"{part.noticed * 1e3:.4f} {'mm' if name == 'position' else 'mrad'} RMS on" for name, part in shown.found.parts.items()))
+            print(
+                "an error of the machine would have been noticed from "
+                + " and ".join(
+                    f"{part.noticed * 1e3:.4f} {'mm' if name == 'position' else 'mrad'} RMS on"
+                    for name, part in shown.found.parts.items()
+                )
+            )
     else:
         figures, stated, _ = shown.driven
         turned = ("", "", "")
         if 0 < stated[1] < float("inf"):  # the machine turns at all, and that was measured
-            turned = (f"; rotation {figures.rotation[0] * 1e3:.4f} mrad RMS, {figures.rotation[2] * 1e3:.4f} max", f" and {stated[1] * 1e3:.4f} mrad",
-                      f" and {figures.rotation[0] / stated[1]:.2f}")
-        print(f"{figures.n} poses as measured, against the poses wanted: position {figures.position[0] * 1e3:.4f} mm RMS, "
-              f"{figures.position[2] * 1e3:.4f} max{turned[0]}")
-        print(f"stated standard uncertainty of that, calibration and measurement together: {stated[0] * 1e3:.4f} mm{turned[1]}: "
-              f"the error is {figures.position[0] / stated[0]:.2f}{turned[2]} times it")
+            turned = (
+                f"; rotation {figures.rotation[0] * 1e3:.4f} mrad RMS, {figures.rotation[2] * 1e3:.4f} max",
+                f" and {stated[1] * 1e3:.4f} mrad",
+                f" and {figures.rotation[0] / stated[1]:.2f}",
+            )
+        print(
+            f"{figures.n} poses as measured, against the poses wanted: position "
+            f"{figures.position[0] * 1e3:.4f} mm RMS, "
+            f"{figures.position[2] * 1e3:.4f} max{turned[0]}"
+        )
+        print(
+            "stated standard uncertainty of that, calibration and measurement together: "
+            f"{stated[0] * 1e3:.4f} mm{turned[1]}: "
+            f"the error is {figures.position[0] / stated[0]:.2f}{turned[2]} times it"
+        )
     print_unsolved(sampled.measurement)
 
 
 def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> Driven:
-    """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference, the differences (n, 6))."""
+    """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference, the
+    differences (n, 6)).
+    """
     from calib.certify.held_out_errors import error_figures, pose_errors
     from calib.models.corrected_pose_covariance import pose_covariance
     from calib.samples.pose_samples import rms_uncertainty
@@ -151,17 +182,33 @@ def _verification(shown: Verified, verdict: Verdict, sampled: Sampled) -> dict:
         return {"position": dict(zip(names, position)), "rotation": dict(zip(names, rotation)), "bias": figures.bias}
 
     held, same, claim = shown.held, shown.same, shown.calibration.claim
-    tree = {"schema": "verification/1", "verdict": verdict.tree(), "unit": {"position": "m", "rotation": "rad"}, "held_out": not same,
-            "frames_used_in_fitting": same, "n": held.after.n,
-            "before": side(held.before), "after": side(held.after),
-            "measurement_uncertainty": {"position": held.floor[0], "rotation": held.floor[1]},
-            "ratio": {"position": held.ratio[0], "ci95": held.ratio[1:]}, "configurations": held.configurations,
-            "unsolved": [{"frame": frame, "reason": reason} for frame, reason in sorted(shown.unsolved.items())],
-            "refuted_before": [asdict(one) for one in shown.refutations]}
+    tree = {
+        "schema": "verification/1",
+        "verdict": verdict.tree(),
+        "unit": {"position": "m", "rotation": "rad"},
+        "held_out": not same,
+        "frames_used_in_fitting": same,
+        "n": held.after.n,
+        "before": side(held.before),
+        "after": side(held.after),
+        "measurement_uncertainty": {"position": held.floor[0], "rotation": held.floor[1]},
+        "ratio": {"position": held.ratio[0], "ci95": held.ratio[1:]},
+        "configurations": held.configurations,
+        "unsolved": [{"frame": frame, "reason": reason} for frame, reason in sorted(shown.unsolved.items())],
+        "refuted_before": [asdict(one) for one in shown.refutations],
+    }
     if claim is not None and claim.after is not None and shown.found is not None:
         parts = {name: {**asdict(part), "kept": part.kept} for name, part in shown.found.parts.items()}
-        tree["claim"] = {"after": claim.after[0], "ratio": claim.ratio, "kept": shown.found.kept, **parts,
-                         "offset": shown.found.offset and asdict(shown.found.offset)}
+        tree["claim"] = {
+            "after": claim.after[0],
+            "ratio": claim.ratio,
+            "kept": shown.found.kept,
+            **parts,
+            "offset": shown.found.offset and asdict(shown.found.offset),
+        }
     if shown.driven is not None:
-        tree["wanted"] = {**side(shown.driven[0]), "stated_uncertainty": {"position": shown.driven[1][0], "rotation": shown.driven[1][1]}}
+        tree["wanted"] = {
+            **side(shown.driven[0]),
+            "stated_uncertainty": {"position": shown.driven[1][0], "rotation": shown.driven[1][1]},
+        }
     return tree

@@ -5,7 +5,14 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.output_options import Progress, add_overwrite_option, add_recording, file_or_stdout, page_links, read_recording
+from rig.cli.shared.output_options import (
+    Progress,
+    add_overwrite_option,
+    add_recording,
+    file_or_stdout,
+    page_links,
+    read_recording,
+)
 from rig.errors import RigError
 from rig.formats.number_parsing import parse_number, parse_whole_number
 
@@ -15,16 +22,37 @@ def arguments(parser: ArgumentParser) -> None:
     add_recording(parser)
     shown = parser.add_mutually_exclusive_group(required=True)
     shown.add_argument("--frame", type=parse_whole_number, help="draw what was read in this frame")
-    shown.add_argument("--page", metavar="FILE", type=Path, help="a page with the rig in three dimensions, its poses played; needs no network")
-    shown.add_argument("--rerun", metavar="FILE.rrd", type=Path, help="all frames, for the viewer Rerun (`rerun FILE.rrd`)")
-    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="for --frame, a picture, written here; without it one named after the "
-                        "recording is written in the folder where you are, and shown")
+    shown.add_argument(
+        "--page",
+        metavar="FILE",
+        type=Path,
+        help="a page with the rig in three dimensions, its poses played; needs no network",
+    )
+    shown.add_argument(
+        "--rerun", metavar="FILE.rrd", type=Path, help="all frames, for the viewer Rerun (`rerun FILE.rrd`)"
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        type=file_or_stdout,
+        help="for --frame, a picture, written here; without it one named after the "
+        "recording is written in the folder where you are, and shown",
+    )
     add_overwrite_option(parser)
     parser.add_argument(
-        "--enlarge", type=parse_number, default=200.0, help="for --frame, how much longer than they are residuals are drawn (default 200)"
+        "--enlarge",
+        type=parse_number,
+        default=200.0,
+        help="for --frame, how much longer than they are residuals are drawn (default 200)",
     )
-    parser.add_argument("--effect", metavar="EFFECT", action="append", default=[], help="for --page, what this effect would do to the poses, at "
-                        "several sizes; as for rig simulate; may be given again")
+    parser.add_argument(
+        "--effect",
+        metavar="EFFECT",
+        action="append",
+        default=[],
+        help="for --page, what this effect would do to the poses, at "
+        "several sizes; as for rig simulate; may be given again",
+    )
 
 
 def run(arguments: Namespace) -> None:
@@ -84,4 +112,7 @@ def _rerun(arguments: Namespace) -> None:
     left_out = rerun_recording.write_rerun(recording, arguments.outputs.file(arguments.rerun), rr)
     if left_out:
         print(f"{left_out} images are left out: Rerun shows PNG and JPEG")
-    print(f"{len(recording.exposures.times()[0])} frames; written: {arguments.rerun}; see them with `rerun {arguments.rerun}`")
+    print(
+        f"{len(recording.exposures.times()[0])} frames; written: {arguments.rerun}; see them with `rerun "
+        f"{arguments.rerun}`"
+    )

@@ -19,9 +19,19 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
-    parser.add_argument("--certificate", metavar="FILE", type=Path, help="certificate.json of this calibration: what it promises stands beside the "
-                        "bound in the cells of its volume")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="a folder for workspace.json, workspace.csv (a line a cell) and workspace.html")
+    parser.add_argument(
+        "--certificate",
+        metavar="FILE",
+        type=Path,
+        help="certificate.json of this calibration: what it promises stands beside the "
+        "bound in the cells of its volume",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="a folder for workspace.json, workspace.csv (a line a cell) and workspace.html",
+    )
     add_overwrite_option(parser)
     add_result(parser)
 
@@ -40,7 +50,10 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"{arguments.out}: --out takes a folder, for three files")
     calibration = calibration_file.load(arguments.calibration)
     if calibration.correction.nominal.kind == "chain":
-        raise RigError(f"{arguments.calibration} is of a chain, which comes to most poses in many ways: it has no map of its workspace")
+        raise RigError(
+            f"{arguments.calibration} is of a chain, which comes to most poses in many ways: it has no map "
+            "of its workspace"
+        )
     if calibration.workspace is None:
         print(f"{arguments.calibration} was made before a calibration held its workspace: worked out now")
         calibration = add_workspace(calibration)
@@ -53,7 +66,10 @@ def run(arguments: Namespace) -> None:
     if certified is not None:
         print(workspace_sentences.certified_line(certified))
     if correction.extension is not None or any(correction.remainder):
-        print("beyond the recorded configurations what is corrected on top of the geometry is extrapolated; its bound grows there")
+        print(
+            "beyond the recorded configurations what is corrected on top of the geometry is extrapolated; "
+            "its bound grows there"
+        )
     arguments.result = {"verdict": verdict.tree(), **workspace_dict(w), "room_of": margin_description(correction)}
     if arguments.out is not None:
         _write(arguments, w, unit, margin_description(correction), certified)
@@ -71,8 +87,15 @@ def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certifie
     folder = arguments.outputs.folder(arguments.out)
     write_text(folder / "workspace.json", json.dumps(arguments.result, allow_nan=False) + "\n")
     write_table(folder / "workspace.csv", COLUMNS, workspace_rows(w))
-    workspace_page(folder / "workspace.html", arguments.calibration.name, w, unit, room_of, certified,
-                   page_links(arguments, arguments.out / "workspace.html"))
+    workspace_page(
+        folder / "workspace.html",
+        arguments.calibration.name,
+        w,
+        unit,
+        room_of,
+        certified,
+        page_links(arguments, arguments.out / "workspace.html"),
+    )
     print(f"written: {arguments.out}; look at {arguments.out / 'workspace.html'}")
 
 

@@ -1,4 +1,6 @@
-"""rig wrench ARM torques.csv [--out wrench.csv]: what pushed on an arm's hand, from its joints' torques or motor currents."""
+"""rig wrench ARM torques.csv [--out wrench.csv]: what pushed on an arm's hand, from its joints' torques or motor
+currents.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,16 @@ SETTLED = 0.1  # of a record, after which figures are told: a filter begins with
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("arm", metavar="ARM.toml", help="a rig.toml with an arm and [dynamics], or the name of a shipped one, as panda")
-    parser.add_argument("torques", metavar="torques.csv", type=Path, help="t, q1.., tau1.. (Nm, what the joints exert) or i1.. (A of the motors), "
-                        "and v1.. (rad/s) where speeds were read")
+    parser.add_argument(
+        "arm", metavar="ARM.toml", help="a rig.toml with an arm and [dynamics], or the name of a shipped one, as panda"
+    )
+    parser.add_argument(
+        "torques",
+        metavar="torques.csv",
+        type=Path,
+        help="t, q1.., tau1.. (Nm, what the joints exert) or i1.. (A of the motors), "
+        "and v1.. (rad/s) where speeds were read",
+    )
     parser.add_argument(
         "--sigma",
         nargs=3,
@@ -33,9 +42,16 @@ def arguments(parser: ArgumentParser) -> None:
         metavar=("NM", "RAD", "RAD/S"),
         help="standard deviations of a torque, an angle and a speed as read, in place of what [dynamics] states",
     )
-    parser.add_argument("--rate", nargs=2, type=parse_number, metavar=("N", "NM"), help="by how much force and moment wander in a second (standard "
-                        "deviation); by default as is likeliest")
-    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="wrench.csv: both estimates with their covariance, in time")
+    parser.add_argument(
+        "--rate",
+        nargs=2,
+        type=parse_number,
+        metavar=("N", "NM"),
+        help="by how much force and moment wander in a second (standard deviation); by default as is likeliest",
+    )
+    parser.add_argument(
+        "--out", metavar="FILE", type=file_or_stdout, help="wrench.csv: both estimates with their covariance, in time"
+    )
     add_overwrite_option(parser)
     add_result(parser)
 
@@ -77,15 +93,25 @@ def run(arguments: Namespace) -> None:
     _tell(record, seen, plain, rates, arguments.rate is None)
     settled = slice(int(SETTLED * len(record.motion.t)), None)
     value, sigma = seen.value[0][settled], np.sqrt(np.einsum("kii->ki", seen.covariance[0][settled]))
-    arguments.result = {"schema": "wrench/1", "order": "fx fy fz mx my mz, N and N m, axes of poses", "readings": len(record.motion.t),
-                        "mean": value.mean(axis=0).tolist(), "largest": value[np.abs(value).argmax(axis=0), np.arange(6)].tolist(),
-                        "sigma_rms": np.sqrt((sigma**2).mean(axis=0)).tolist(), "wanders_per_s": rates.tolist(), "innovation": float(seen.innovation)}
+    arguments.result = {
+        "schema": "wrench/1",
+        "order": "fx fy fz mx my mz, N and N m, axes of poses",
+        "readings": len(record.motion.t),
+        "mean": value.mean(axis=0).tolist(),
+        "largest": value[np.abs(value).argmax(axis=0), np.arange(6)].tolist(),
+        "sigma_rms": np.sqrt((sigma**2).mean(axis=0)).tolist(),
+        "wanders_per_s": rates.tolist(),
+        "innovation": float(seen.innovation),
+    }
     if out:
         print(f"written: {arguments.out}")
 
 
-def _plain(record: TorqueRecord, design: Design, sigma: np.ndarray, links: Links) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(value (k, 6), covariance (k, 6, 6), left (k,)) by the pseudo-inverse, reading by reading; NaN where the posture does not feel every wrench.
+def _plain(
+    record: TorqueRecord, design: Design, sigma: np.ndarray, links: Links
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(value (k, 6), covariance (k, 6, 6), left (k,)) by the pseudo-inverse, reading by reading; NaN where the posture
+    does not feel every wrench.
 
     sigma : (n,) N m of a torque's reading
     """
@@ -96,7 +122,10 @@ def _plain(record: TorqueRecord, design: Design, sigma: np.ndarray, links: Links
     from rig.posture import wrench_estimate
 
     arm, m = arm_of(design.mechanism), record.motion
-    q, torque = m.q[0], wrench_estimate.external(m.torque[0], m.q[0], m.speed[0], record.acceleration, arm, links, design.gravity)
+    q, torque = (
+        m.q[0],
+        wrench_estimate.external(m.torque[0], m.q[0], m.speed[0], record.acceleration, arm, links, design.gravity),
+    )
     mass = arm_momentum.mass_matrix(q, arm, links)
     own = (mass * record.acceleration_sigma**2) @ np.swapaxes(mass, 1, 2) + np.diag(np.square(sigma))
     felt = wrench_estimate.is_wrench_observable(q, arm, own)
@@ -117,12 +146,27 @@ def _write(out: Path, t: np.ndarray, seen: Observed, plain: tuple[np.ndarray, np
     from rig.recording.corner_and_pose_tables import COVARIANCE_COLUMNS
 
     header = ["t", *DIRECTIONS, *COVARIANCE_COLUMNS, *(f"plain_{name}" for name in (*DIRECTIONS, *COVARIANCE_COLUMNS))]
-    both = [np.concatenate([value, covariance[:, *TRIANGLE]], axis=1) for value, covariance in ((seen.value[0], seen.covariance[0]), plain[:2])]
-    recording_tables.write_table(out, header, [",".join([f"{moment:.6f}", *(f"{x:.6e}" if x == x else "" for x in row)])
-                                      for moment, row in zip(t, np.concatenate(both, axis=1))])
+    both = [
+        np.concatenate([value, covariance[:, *TRIANGLE]], axis=1)
+        for value, covariance in ((seen.value[0], seen.covariance[0]), plain[:2])
+    ]
+    recording_tables.write_table(
+        out,
+        header,
+        [
+            ",".join([f"{moment:.6f}", *(f"{x:.6e}" if x == x else "" for x in row)])
+            for moment, row in zip(t, np.concatenate(both, axis=1))
+        ],
+    )
 
 
-def _tell(record: TorqueRecord, seen: Observed, plain: tuple[np.ndarray, np.ndarray, np.ndarray], rates: np.ndarray, sought: bool) -> None:
+def _tell(
+    record: TorqueRecord,
+    seen: Observed,
+    plain: tuple[np.ndarray, np.ndarray, np.ndarray],
+    rates: np.ndarray,
+    sought: bool,
+) -> None:
     """Say both estimates: mean, the largest, and how sure each is."""
     import numpy as np
 
@@ -133,15 +177,29 @@ def _tell(record: TorqueRecord, seen: Observed, plain: tuple[np.ndarray, np.ndar
     value, sigma = seen.value[0][settled], np.sqrt(np.einsum("kii->ki", seen.covariance[0][settled]))
     felt = np.isfinite(plain[2][settled])
     beside = 2 * np.sqrt(np.einsum("kii->ki", plain[1][settled])[felt])
-    print(f"{count} readings over {record.motion.t[-1]:.2f} s, {'motor currents' if record.current else 'torques'}, speeds "
-          f"{'as read' if record.motion.measured else 'worked out of angles'}; weight and motion taken off; in the axes of poses, N and Nm:")
+    print(
+        f"{count} readings over {record.motion.t[-1]:.2f} s, "
+        f"{'motor currents' if record.current else 'torques'}, speeds "
+        f"{'as read' if record.motion.measured else 'worked out of angles'}; weight and motion taken off; in "
+        "the axes of poses, N and Nm:"
+    )
     print(f"{'':4}{'mean':>10}{'largest':>10}{'+- (k=2)':>10}{'plain mean':>12}{'+- (k=2)':>10}")
     for i, name in enumerate(DIRECTIONS):
         most = value[np.abs(value[:, i]).argmax(), i]
-        other = f"{plain[0][settled][felt, i].mean():12.3f}{np.sqrt((beside[:, i] ** 2).mean()):10.3f}" if felt.any() else f"{'-':>12}{'-':>10}"
+        other = (
+            f"{plain[0][settled][felt, i].mean():12.3f}{np.sqrt((beside[:, i] ** 2).mean()):10.3f}"
+            if felt.any()
+            else f"{'-':>12}{'-':>10}"
+        )
         print(f"{name:4}{value[:, i].mean():10.3f}{most:10.3f}{2 * np.sqrt((sigma[:, i] ** 2).mean()):10.3f}{other}")
-    print(f"the wrench wanders by {rates[0]:.3g} N and {rates[3]:.3g} Nm in a second, {'as is likeliest' if sought else 'as stated'}; readings are "
-          f"{seen.innovation:.3f} of what the observer expects (1 where nothing is left out)")
+    print(
+        f"the wrench wanders by {rates[0]:.3g} N and {rates[3]:.3g} Nm in a second, "
+        f"{'as is likeliest' if sought else 'as stated'}; readings are "
+        f"{seen.innovation:.3f} of what the observer expects (1 where nothing is left out)"
+    )
     blind = int(np.isnan(plain[2]).sum())
     if blind:
-        print(f"{blind} postures do not feel every wrench: the pseudo-inverse says nothing there, the observer goes on from what it knows")
+        print(
+            f"{blind} postures do not feel every wrench: the pseudo-inverse says nothing there, the observer "
+            "goes on from what it knows"
+        )

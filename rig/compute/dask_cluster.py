@@ -1,4 +1,6 @@
-"""Calls done by the workers of a Dask cluster, which have this package and see the same folders; what one that is gone was at, others do again."""
+"""Calls done by the workers of a Dask cluster, which have this package and see the same folders; what one that is gone
+was at, others do again.
+"""
 
 import hashlib
 import pickle
@@ -32,13 +34,16 @@ class Cluster:
     def map(self, function: Callable[[Any], Any], things: Sequence, progress: Progress | None = None) -> list:
         """[function(thing)] in the things' order; of what they raise the first in that order is raised.
 
-        Raises RigError where the cluster or all its workers are gone, or where workers end again and again at the same things
+        Raises RigError where the cluster or all its workers are gone, or where workers end again and again at the same
+            things
         """
         import cloudpickle
 
         data = cloudpickle.dumps(function)
         with self._said():
-            carried = self._client.submit(bytes, data, pure=False)  # a call and no mere data: it is done again where who held it is gone
+            carried = self._client.submit(
+                bytes, data, pure=False
+            )  # a call and no mere data: it is done again where who held it is gone
             digest, shares = hashlib.sha256(data).hexdigest(), work_parts(things, max(self._workers(), 1))
             futures = [self._client.submit(_done, carried, digest, share, pure=False) for share in shares]
         out: list = []
@@ -95,17 +100,24 @@ class Cluster:
             with config.set({"distributed.admin.large-graph-warning-threshold": LARGE}):
                 yield
         except KilledWorker as error:
-            raise RigError(f"workers of the cluster at {self.address} ended one after the other at the same work, as a system does that is short of "
-                           f"memory: {error}") from None
+            raise RigError(
+                f"workers of the cluster at {self.address} ended one after the other at the same work, as a "
+                "system does that is short of "
+                f"memory: {error}"
+            ) from None
         except ImportError as error:
-            raise RigError(f"a worker of the cluster at {self.address} lacks what this computer has: {error}; install the same rig there") from None
+            raise RigError(
+                f"a worker of the cluster at {self.address} lacks what this computer has: {error}; install "
+                "the same rig there"
+            ) from None
         except (OSError, CancelledError) as error:  # those of its connections and waits that are over are OSErrors
             raise RigError(f"the cluster at {self.address} is gone: {error}") from None
 
 
 @contextmanager
 def use_cluster(address: str | None) -> Iterator[Cluster | None]:
-    """Within it `current_cluster` is the Cluster of the scheduler at an address, tcp://HOST:PORT; None leaves it at what there is.
+    """Within it `current_cluster` is the Cluster of the scheduler at an address, tcp://HOST:PORT; None leaves it at
+    what there is.
 
     Raises MissingLibrary without Dask, RigError where no scheduler answers or it has no worker
     """
@@ -125,7 +137,9 @@ def use_cluster(address: str | None) -> Iterator[Cluster | None]:
         try:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError:
-            raise RigError(f"the Dask scheduler at {address} has no worker; start some: dask worker {address} --nthreads 1") from None
+            raise RigError(
+                f"the Dask scheduler at {address} has no worker; start some: dask worker {address} --nthreads 1"
+            ) from None
         before, _at_work = _at_work, Cluster(client, address)
         try:
             yield _at_work

@@ -1,4 +1,6 @@
-"""Where compiled kernels are kept: beside their sources, and where that cannot be, in a folder of the user's own. They are loaded as code."""
+"""Where compiled kernels are kept: beside their sources, and where that cannot be, in a folder of the user's own. They
+are loaded as code.
+"""
 
 import os
 import stat
@@ -11,7 +13,9 @@ HERE = Path(__file__).parents[1]
 
 
 def keep_kernels() -> None:
-    """Tell numba, before it is imported, where to keep what it compiles, unless its user or the installation has a place for it."""
+    """Tell numba, before it is imported, where to keep what it compiles, unless its user or the installation has a
+    place for it.
+    """
     folder = kernel_folder()
     if folder is not None:
         os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))
@@ -21,7 +25,9 @@ def keep_kernels() -> None:
 def kernel_folder() -> Path | None:
     """The folder for compiled kernels, or None where they lie beside their sources."""
     kept = HERE / "__pycache__"
-    return None if os.access(kept if kept.is_dir() else HERE, os.W_OK) else own_folder(f"{HERE.parent} cannot be written")
+    return (
+        None if os.access(kept if kept.is_dir() else HERE, os.W_OK) else own_folder(f"{HERE.parent} cannot be written")
+    )
 
 
 def trusted_folder(folder: Path) -> Path:
@@ -31,8 +37,8 @@ def trusted_folder(folder: Path) -> Path:
 
 @cache
 def is_private(folder: Path) -> bool:
-    """Whether nobody but this user and root can put a file into a folder, or where it is not there yet, into the nearest one above; nor
-    put another folder in its place."""
+    """Whether nobody but this user and root can put a file into a folder, or where it is not there yet, into the
+    nearest one above; nor put another folder in its place."""
     found = Path(os.path.realpath(folder))
     there = [place.stat() for place in (found, *found.parents) if place.exists()]
     own = there[0].st_uid in (0, os.getuid()) and not there[0].st_mode & 0o022
@@ -41,7 +47,9 @@ def is_private(folder: Path) -> bool:
 
 @cache
 def own_folder(reason: str) -> Path:
-    """A folder for compiled kernels that is this user's alone: below the home, or else among temporary files. reason : why it is needed"""
+    """A folder for compiled kernels that is this user's alone: below the home, or else among temporary files.
+    reason : why it is needed
+    """
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     why = "cannot be written"
     try:

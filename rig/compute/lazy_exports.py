@@ -1,4 +1,6 @@
-"""What a package hands on of its modules, which are opened when it is first asked for: importing the package takes no time."""
+"""What a package hands on of its modules, which are opened when it is first asked for: importing the package takes no
+time.
+"""
 
 from collections.abc import Callable, Mapping
 from importlib import import_module

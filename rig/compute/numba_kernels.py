@@ -16,7 +16,9 @@ _say: Callable[[], None] | None = None  # to be called when something is compile
 
 @contextmanager
 def announce_compilation(say: Callable[[], None]) -> Iterator[None]:
-    """Within it `say` is called before anything is compiled that no earlier run left to be loaded, once in a process."""
+    """Within it `say` is called before anything is compiled that no earlier run left to be loaded, once in a
+    process.
+    """
     global _say
     before, _say = _say, say
     try:
@@ -48,10 +50,11 @@ def _listen() -> None:
 
 
 class Kernel:
-    """A function that is compiled, or loaded as an earlier run compiled it, at its first call; other kernels may call it.
+    """A function that is compiled, or loaded as an earlier run compiled it, at its first call; other kernels may call
+    it.
 
-    function : as written; options : of numba.njit; folder : where what is compiled is kept, None where numba's settings say; to which no other
-    user can write, or else it is another
+    function : as written; options : of numba.njit; folder : where what is compiled is kept, None where numba's settings
+    say; to which no other user can write, or else it is another
     """
 
     def __init__(self, function: Callable, options: dict[str, Any], folder: Callable[[], str] | None = None) -> None:

@@ -1,5 +1,5 @@
-"""One function of many things on all cores: in processes, which inherit what it reads by forking and send back what it found, in threads, or by
-the workers of a cluster.
+"""One function of many things on all cores: in processes, which inherit what it reads by forking and send back what it
+found, in threads, or by the workers of a cluster.
 
 Threads within the products of matrices as small as here cost more than they bring; who calls limits them to one.
 """
@@ -21,11 +21,18 @@ R = TypeVar("R")
 _inherited: tuple[Callable, Sequence] | None = None  # what the processes forked next are to call
 
 
-def parallel_map(function: Callable[[Any], Any], things: Sequence, progress: Progress | None = None, few: int = FEW, far: bool = False) -> list:
+def parallel_map(
+    function: Callable[[Any], Any],
+    things: Sequence,
+    progress: Progress | None = None,
+    few: int = FEW,
+    far: bool = False,
+) -> list:
     """[function(thing)] in the things' order; what it changes elsewhere is lost, what it raises is raised here.
 
-    It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads, is 1, and within
-    a process that another call of it forked. A process that is ended from outside costs what it was at, which another does again.
+    It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads,
+    is 1, and within a process that another call of it forked. A process that is ended from outside costs what it was
+    at, which another does again.
     progress : called with (done, of), or None; few : things for each process, below which it is not worth starting any
     far : whether a thing takes so long that it is worth sending it to a cluster, where one is at work
     """
@@ -50,7 +57,9 @@ def parallel_map(function: Callable[[Any], Any], things: Sequence, progress: Pro
 
 
 def thread_map(function: Callable[[T], R], things: Sequence[T]) -> list[R]:
-    """[function(thing)] in the things' order, side by side in threads: for a few large things whose work lets go of the interpreter's lock."""
+    """[function(thing)] in the things' order, side by side in threads: for a few large things whose work lets go of the
+    interpreter's lock.
+    """
     count = min(worker_count(), len(things))
     if count < 2 or _inherited is not None or dask_cluster.is_worker():
         return [function(thing) for thing in things]

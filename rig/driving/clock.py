@@ -15,7 +15,9 @@ class Clock(Protocol):
 
 
 class SystemClock:
-    """The computer's monotonic clock, related to the epoch once, when made: a correction of the wall clock does not bend it."""
+    """The computer's monotonic clock, related to the epoch once, when made: a correction of the wall clock does not
+    bend it.
+    """
 
     def __init__(self) -> None:
         self._epoch = time.time() - time.monotonic()

@@ -1,4 +1,6 @@
-"""One line to a controller: a request at a time, each bounded in time, every byte traced where asked; and connecting anew."""
+"""One line to a controller: a request at a time, each bounded in time, every byte traced where asked; and connecting
+anew.
+"""
 
 import threading
 from collections import deque
@@ -38,7 +40,14 @@ class Link:
     events : (t, text) of what the controller said unasked
     """
 
-    def __init__(self, protocol: Protocol, opener: Callable[[], Port], clock: Clock, timeout: float = 1.0, trace: TextIO | None = None) -> None:
+    def __init__(
+        self,
+        protocol: Protocol,
+        opener: Callable[[], Port],
+        clock: Clock,
+        timeout: float = 1.0,
+        trace: TextIO | None = None,
+    ) -> None:
         self.protocol, self.clock, self.timeout = protocol, clock, timeout
         self.events: deque[tuple[float, str]] = deque(maxlen=EVENTS)
         self._opener, self._trace = opener, trace
@@ -48,12 +57,17 @@ class Link:
         self._stop = threading.Event()
 
     def greeting(self) -> str:
-        """What a controller says that it is, as nothing was heard from it yet. Raises NoAnswer with what may be stated wrongly."""
+        """What a controller says that it is, as nothing was heard from it yet. Raises NoAnswer with what may be stated
+        wrongly.
+        """
         try:
             return self.run(self.protocol.hello())
         except NoAnswer as error:
-            raise NoAnswer(f"{error}: is the controller switched on and at this port, and are protocol and baudrate in [controller] "
-                           "its own?") from None
+            raise NoAnswer(
+                f"{error}: is the controller switched on and at this port, and are protocol and baudrate in "
+                "[controller] "
+                "its own?"
+            ) from None
 
     def connect(self, patience: float) -> None:
         """Open the port, trying again with growing pauses for so long (s). Raises LinkLost with the last reason."""
@@ -76,7 +90,9 @@ class Link:
         self._port = None
 
     def run(self, dialogue: Dialogue[T], stoppable: bool = True) -> T:
-        """What a dialogue comes to. Raises what it raises, LinkLost, and Stopped where somebody called `interrupt` (unless not stoppable)."""
+        """What a dialogue comes to. Raises what it raises, LinkLost, and Stopped where somebody called `interrupt`
+        (unless not stoppable).
+        """
         with self._lock:
             try:
                 exchange = next(dialogue)
@@ -86,7 +102,9 @@ class Link:
                 return end.value
 
     def interrupt(self) -> None:
-        """From any thread: send the bytes that slow every axis down, past a request in flight, and end that with Stopped."""
+        """From any thread: send the bytes that slow every axis down, past a request in flight, and end that with
+        Stopped.
+        """
         self._stop.set()
         if self._port is not None:
             self._write(self.protocol.urgent_stop)

@@ -1,7 +1,9 @@
-"""One process drives a controller: a lock that all users of this computer share and that ends with the process, and by which it can be stopped.
+"""One process drives a controller: a lock that all users of this computer share and that ends with the process, and by
+which it can be stopped.
 
-The lock is a listening socket in Linux's abstract namespace, named by the device: it is no file, so that no folder, environment or umask decides
-who sees it and nothing can be planted in its place, and the kernel says which process listens.
+The lock is a listening socket in Linux's abstract namespace, named by the device: it is no file, so that no folder,
+environment or umask decides who sees it and nothing can be planted in its place, and the kernel says which process
+listens.
 """
 
 import hashlib
@@ -31,7 +33,9 @@ _held: set[socket.socket] = set()  # of this process, which no forked child may 
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """A process that drives. name : of the lock; pid : 0 where it runs in another process namespace; uid : of its user"""
+    """A process that drives. name : of the lock; pid : 0 where it runs in another process namespace; uid : of its
+    user
+    """
 
     name: bytes
     pid: int
@@ -39,7 +43,9 @@ class Holder:
 
     def __str__(self) -> str:
         own = self.uid == os.getuid()
-        return (f"process {self.pid}" if self.pid else "a process in another container") + ("" if own else f" of user {_user(self.uid)}")
+        return (f"process {self.pid}" if self.pid else "a process in another container") + (
+            "" if own else f" of user {_user(self.uid)}"
+        )
 
 
 class Occupied:
@@ -77,7 +83,9 @@ class Occupied:
             held.close()
 
     def _listen(self) -> None:
-        """Take callers: those who look who drives send nothing; whoever sends STOP has this process end as SIGTERM does."""
+        """Take callers: those who look who drives send nothing; whoever sends STOP has this process end as SIGTERM
+        does.
+        """
         while self._open:
             for held in select.select(self._sockets, [], [])[0]:
                 try:
@@ -94,8 +102,8 @@ class Occupied:
 def stop_lock_holder(port: str, clock: Clock, patience: float, usb: str = "") -> int | None:
     """Have the process that drives the controller at a port stop the struts and end, and wait until it has let go.
 
-    patience : s after which one that has not is killed. It is asked by SIGTERM, as a shell's background job ignores SIGINT; one of another user
-    over its lock
+    patience : s after which one that has not is killed. It is asked by SIGTERM, as a shell's background job ignores
+    SIGINT; one of another user over its lock
     Returns its number, or None where nobody drives. Raises RigError where it does not let go
     """
     names = lock_names(port, usb)
@@ -109,11 +117,15 @@ def stop_lock_holder(port: str, clock: Clock, patience: float, usb: str = "") ->
             if lock_holder(holder.name) != holder:
                 return holder.pid
             clock.sleep(LOOK)
-    raise RigError(f"{holder} was killed and still holds the controller at {port or usb}: use the rig's own emergency stop")
+    raise RigError(
+        f"{holder} was killed and still holds the controller at {port or usb}: use the rig's own emergency stop"
+    )
 
 
 def lock_names(port: str, usb: str = "") -> list[bytes]:
-    """Names of all locks of the controller at a port, in one order for all processes: by its device, its path, its addresses, its USB number."""
+    """Names of all locks of the controller at a port, in one order for all processes: by its device, its path, its
+    addresses, its USB number.
+    """
     words = set()
     if usb:
         from rig.driving.serial_port import find_port
@@ -170,7 +182,9 @@ def _bound(name: bytes, port: str) -> socket.socket:
 
 
 def _ask(holder: Holder, number: signal.Signals, port: str) -> None:
-    """Have a process end: by a signal where that is permitted, else over its lock. Raises RigError where neither can end it."""
+    """Have a process end: by a signal where that is permitted, else over its lock. Raises RigError where neither can
+    end it.
+    """
     try:
         if holder.pid:
             os.kill(holder.pid, number)
@@ -180,8 +194,11 @@ def _ask(holder: Holder, number: signal.Signals, port: str) -> None:
     except PermissionError:
         pass  # another user's: it is asked over its lock
     if number != signal.SIGTERM:
-        raise RigError(f"{holder} drives the controller at {port} and does not stop; only {_user(holder.uid)} or root can kill it: "
-                       "use the rig's own emergency stop")
+        raise RigError(
+            f"{holder} drives the controller at {port} and does not stop; only {_user(holder.uid)} or root "
+            "can kill it: "
+            "use the rig's own emergency stop"
+        )
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
         caller.setblocking(False)
         try:

@@ -1,4 +1,6 @@
-"""The one way by which struts move: checked before a byte leaves, watched until the read-back says done, stopped by whatever fails."""
+"""The one way by which struts move: checked before a byte leaves, watched until the read-back says done, stopped by
+whatever fails.
+"""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -32,12 +34,19 @@ TRIES = 3  # times that a move is sent which the read-back shows was never begun
 class Driver:
     """A rig's struts. `with Driver(design) as driver: driver.home(); driver.move(lengths)`.
 
-    design : with a controller; clock : SystemClock by default; opener : makes the port, by default what [controller] port names
+    design : with a controller; clock : SystemClock by default; opener : makes the port, by default what [controller]
+        port names
     trace : takes every byte with its time; say : takes a line of text when something was noticed or recovered
     """
 
-    def __init__(self, design: Design, clock: Clock | None = None, opener: Callable[[], Port] | None = None,
-                 trace: TextIO | None = None, say: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self,
+        design: Design,
+        clock: Clock | None = None,
+        opener: Callable[[], Port] | None = None,
+        trace: TextIO | None = None,
+        say: Callable[[str], None] | None = None,
+    ) -> None:
         c = design.driver()
         if opener is None and not (c.port or c.usb):
             raise RigError("[controller] names no port")
@@ -45,7 +54,11 @@ class Driver:
         self.clock = clock or SystemClock()
         self._protocol = protocols.of(c, len(design.mechanism.axes))
         self.link = Link(
-            self._protocol, opener or (lambda: SerialPort(find_port(c.port, c.usb), c.baudrate, self.clock)), self.clock, c.timeout, trace
+            self._protocol,
+            opener or (lambda: SerialPort(find_port(c.port, c.usb), c.baudrate, self.clock)),
+            self.clock,
+            c.timeout,
+            trace,
         )
         self._say = say or (lambda text: None)
         self._busy = threading.RLock()
@@ -61,7 +74,8 @@ class Driver:
         self.close()
 
     def open(self, stopping: bool = False) -> Status:
-        """Connect, and read what the controller is and where the struts stand. Raises LinkLost, NoAnswer, ControllerFault.
+        """Connect, and read what the controller is and where the struts stand. Raises LinkLost, NoAnswer,
+        ControllerFault.
 
         stopping : the struts are stopped before anything is asked: a controller that homes may answer nothing
         """
@@ -88,12 +102,16 @@ class Driver:
         return self._lengths(self._state())
 
     def trust(self) -> None:
-        """The operator says that the lengths read back are true, after a start without homing or PositionLost. Raises Unreachable beyond ranges."""
+        """The operator says that the lengths read back are true, after a start without homing or PositionLost. Raises
+        Unreachable beyond ranges.
+        """
         self._asked(self._protocol.hello)
         try:
             self._left = path_check.check_lengths(self.lengths(), self.mechanism)
         except Unreachable as error:
-            raise Unreachable("what the controller reads cannot be believed", error.index, [str(error), OUT_OF_RANGE]) from None
+            raise Unreachable(
+                "what the controller reads cannot be believed", error.index, [str(error), OUT_OF_RANGE]
+            ) from None
         self._known, self._homed = True, None
 
     def unlock(self) -> Status:
@@ -103,7 +121,9 @@ class Driver:
         return self.status()
 
     def home(self) -> Status:
-        """Home every axis and wait. Raises ControllerFault with the controller's reason, MotionError where it is not at home then."""
+        """Home every axis and wait. Raises ControllerFault with the controller's reason, MotionError where it is not at
+        home then.
+        """
         if not self.controller.homing:
             raise ControllerFault(CANNOT_HOME)
         with self._busy, self._guarded():
@@ -115,21 +135,27 @@ class Driver:
                 raise ControllerFault(f"not at home: {state.said}" + (f": {state.fault}" if state.fault else ""))
             lengths, home = self._lengths(state), self.controller.home
             if home is not None and np.abs(lengths - home).max() > self.controller.tolerance:
-                raise PositionLost(f"after homing the struts read {lengths.round(6).tolist()} m, [controller] home says {home.round(6).tolist()} m")
+                raise PositionLost(
+                    f"after homing the struts read {lengths.round(6).tolist()} m, [controller] home says "
+                    f"{home.round(6).tolist()} m"
+                )
             self._known, self._homed, self._left = True, state.homed, lengths
             return self._status(state)
 
     def check(self, lengths: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """Lengths (n,) m that may be gone to from start (n,) m: ranges, step, workspace, singularities. Raises Unreachable."""
+        """Lengths (n,) m that may be gone to from start (n,) m: ranges, step, workspace, singularities. Raises
+        Unreachable.
+        """
         lengths = path_check.check_lengths(lengths, self.mechanism)
         path_check.check_path(start, lengths, self.mechanism, self.controller.margin, self.controller.max_step)
         return lengths
 
     def move(self, lengths: np.ndarray, share: float = 1.0) -> Arrival:
-        """Move all struts to lengths (n,) m, together, at a share of their greatest speeds, and wait until the read-back agrees.
+        """Move all struts to lengths (n,) m, together, at a share of their greatest speeds, and wait until the
+        read-back agrees.
 
-        Raises Unreachable before anything moves; PositionLost, ControllerFault, Stalled, LinkLost, NoAnswer, Stopped with the struts
-        stopped. Nothing is clipped.
+        Raises Unreachable before anything moves; PositionLost, ControllerFault, Stalled, LinkLost, NoAnswer, Stopped
+        with the struts stopped. Nothing is clipped.
         """
         if not 0 < share <= 1:
             raise ValueError(f"share must be above 0 and at most 1, got {share}")
@@ -156,7 +182,9 @@ class Driver:
         """(n,) m from which a move may start. Raises PositionLost, ControllerFault."""
         same, state = self._asked(self._protocol.fence), self._state()
         self._known = self._known and same and not (self._homed and state.homed is False)
-        if state.activity != "idle" or state.fault:  # what keeps it from homing, too, is said before what homing would mend
+        if (
+            state.activity != "idle" or state.fault
+        ):  # what keeps it from homing, too, is said before what homing would mend
             raise ControllerFault(f"not ready to move: {self._trouble(state)}")
         if not same:
             raise PositionLost(ANEW)
@@ -165,7 +193,10 @@ class Driver:
         lengths = self._lengths(state)
         if self._left is not None and np.abs(lengths - self._left).max() > self.controller.tolerance:
             self._known = False
-            raise PositionLost(f"the struts read {lengths.round(6).tolist()} m, they were left at {self._left.round(6).tolist()} m; {TRUST}")
+            raise PositionLost(
+                f"the struts read {lengths.round(6).tolist()} m, they were left at "
+                f"{self._left.round(6).tolist()} m; {TRUST}"
+            )
         return lengths
 
     def _go(self, segment: Segment, start: np.ndarray, target: np.ndarray) -> str:
@@ -196,7 +227,11 @@ class Driver:
                 self._same()
             if state.fault or state.activity in ("alarm", "off", "held", "homing"):
                 raise ControllerFault(f"while moving: {self._trouble(state)}{self._lately(begun)}")
-            if state.activity == "idle" and off <= self.controller.tolerance and (off <= STANDING or before - off <= STANDING):
+            if (
+                state.activity == "idle"
+                and off <= self.controller.tolerance
+                and (off <= STANDING or before - off <= STANDING)
+            ):
                 return True
             before = off
             if off < closest - PROGRESS:
@@ -207,10 +242,17 @@ class Driver:
                 lengths = self._lengths(state)
                 if np.abs(lengths - target).max() < closest - PROGRESS:
                     continue
-                if state.activity == "idle" and verdict.accepted is None and np.abs(lengths - start).max() < self.controller.tolerance:
+                if (
+                    state.activity == "idle"
+                    and verdict.accepted is None
+                    and np.abs(lengths - start).max() < self.controller.tolerance
+                ):
                     return False
-                raise Stalled(f"the struts stand at {lengths.round(6).tolist()} m, {1e3 * off:.3f} mm from where they were told to go "
-                              f"({state.said}){self._lately(begun)}")
+                raise Stalled(
+                    f"the struts stand at {lengths.round(6).tolist()} m, {1e3 * off:.3f} mm from where they "
+                    "were told to go "
+                    f"({state.said}){self._lately(begun)}"
+                )
             self.clock.sleep(POLL)
 
     def _same(self) -> None:

@@ -7,8 +7,9 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Status:
-    """activity : as rig.driving.protocols.protocol_interface.State; lengths : (n,) m; known : whether the lengths can be believed; fault, said :
-    text."""
+    """activity : as rig.driving.protocols.protocol_interface.State; lengths : (n,) m; known : whether the lengths can
+    be believed; fault,
+    said : text."""
 
     activity: str
     lengths: np.ndarray
@@ -19,7 +20,9 @@ class Status:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrival:
-    """A move that is done. lengths : (n,) m, as read back; start_time, ended : s on the clock; note : what went wrong on the way, or ""."""
+    """A move that is done. lengths : (n,) m, as read back; start_time, ended : s on the clock; note : what went wrong
+    on the way, or "".
+    """
 
     lengths: np.ndarray
     start_time: float

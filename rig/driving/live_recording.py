@@ -1,9 +1,10 @@
-"""A journal -> the recording that grows with it: commands.csv, frames.csv, sensors.csv, each line added after its row is on disk.
+"""A journal -> the recording that grows with it: commands.csv, frames.csv, sensors.csv, each line added after its row
+is on disk.
 
-The journal is the truth and these files follow from it; a run that goes on writes them anew first. Between a departure and an arrival
-commands.csv has the way as the struts were commanded along it; where that is not known (a move that another process saw the end
-of) they are taken to have moved evenly. All cameras of a frame share its time, the middle of their exposures: the struts
-stand meanwhile, and the journal keeps each camera's own.
+The journal is the truth and these files follow from it; a run that goes on writes them anew first. Between a departure
+and an arrival commands.csv has the way as the struts were commanded along it; where that is not known (a move that
+another process saw the end of) they are taken to have moved evenly. All cameras of a frame share its time, the middle
+of their exposures: the struts stand meanwhile, and the journal keeps each camera's own.
 """
 
 import os
@@ -58,8 +59,15 @@ class Growing:
         if isinstance(row, Arrival):
             return self._way(row)
         if isinstance(row, Exposed):
-            return [*self._command(row.t, self._at),
-                    ("frames.csv", "".join(f"{row.frame},{row.t:.6f},{camera},{image}\n" for camera, image in zip(row.cameras, row.images)))]
+            return [
+                *self._command(row.t, self._at),
+                (
+                    "frames.csv",
+                    "".join(
+                        f"{row.frame},{row.t:.6f},{camera},{image}\n" for camera, image in zip(row.cameras, row.images)
+                    ),
+                ),
+            ]
         if isinstance(row, Readings):
             return self._readings(row)
         return self._command(row.t, self._at) if isinstance(row, Ended) else []
@@ -87,5 +95,7 @@ class Growing:
             self._channels = row.channels
             lines.append(("sensors.csv", ",".join(("t", *row.channels)) + "\n"))
         if row.channels != self._channels:
-            raise RigError(f"sensors.csv has the channels {', '.join(self._channels)}; now {', '.join(row.channels)} were read")
+            raise RigError(
+                f"sensors.csv has the channels {', '.join(self._channels)}; now {', '.join(row.channels)} were read"
+            )
         return [*lines, ("sensors.csv", f"{row.t:.6f}," + ",".join(f"{value:.9g}" for value in row.values) + "\n")]

@@ -3,8 +3,11 @@
 TRUST = "home it (rig home), or, where the struts truly stand as they read, say --trust (rig run: --no-home)"
 ANEW = f"the controller has started anew since it was last spoken to; {TRUST}"
 OUT_OF_RANGE = "is [controller] zero the length, joint centre to joint centre, at which the controller counts 0?"
-CANNOT_HOME = ("[controller] homing = false: this controller cannot home, so nothing was sent; an alarm is cleared with rig jog --unlock, "
-               "and its position is believed with --trust once you have seen that it is true")
+CANNOT_HOME = (
+    "[controller] homing = false: this controller cannot home, so nothing was sent; an alarm is cleared with "
+    "rig jog --unlock, "
+    "and its position is believed with --trust once you have seen that it is true"
+)
 _BY_ACTIVITY = {
     "alarm": "see what is wrong at the machine, then rig home --unlock",
     "off": "see that nobody is in the way, then rig home --unlock, which switches it on",
@@ -15,8 +18,11 @@ _BY_ACTIVITY = {
 
 
 def advice(activity: str, homing: bool) -> str:
-    """"; " and what to do in one of rig.driving.protocols.protocol_interface.ACTIVITIES, or "" where it is ready. homing : whether the controller can
-    home."""
+    """Text "; " and what to do in one of rig.driving.protocols.protocol_interface.ACTIVITIES, or "" where it is ready.
+    homing : whether the controller can home."""
     if activity in ("alarm", "off") and not homing:
-        return "; see what is wrong at the machine, then rig jog --unlock, with --trust where the position it reads is true"
+        return (
+            "; see what is wrong at the machine, then rig jog --unlock, with --trust where the position it reads "
+            "is true"
+        )
     return f"; {_BY_ACTIVITY[activity]}" if activity in _BY_ACTIVITY else ""

@@ -1,4 +1,6 @@
-"""The operator's loop: move, settle, grab, journal; every row is on disk before the next move, and no move is sent twice unread."""
+"""The operator's loop: move, settle, grab, journal; every row is on disk before the next move, and no move is sent
+twice unread.
+"""
 
 import threading
 from collections.abc import Callable
@@ -14,7 +16,18 @@ from rig.driving.cameras.camera_synchronisation import Shutter
 from rig.driving.cameras.settling_check import Settling
 from rig.driving.clock import Clock
 from rig.driving.live_recording import Growing
-from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Journal, Readings, Remark, Resumed, Row, sync_folder
+from rig.driving.run_journal import (
+    Arrival,
+    Departure,
+    Ended,
+    Exposed,
+    Journal,
+    Readings,
+    Remark,
+    Resumed,
+    Row,
+    sync_folder,
+)
 from rig.driving.run_progress import Progress, move_verdict, run_progress
 from rig.driving.run_steps import Step
 from rig.driving.trapezoidal_profile import Way
@@ -60,8 +73,10 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """What a run works with. tolerance : m, of a read-back; time_profile : (start, goal (axes,) m, from, until s) -> share of the way through time
-    readings : {channel: value} of sensors now, or None; limbs : their (6,) m, or None; save : (path, image) puts an image on disk"""
+    """What a run works with. tolerance : m, of a read-back; time_profile : (start, goal (axes,) m, from, until s) ->
+    share of the way through time
+    readings : {channel: value} of sensors now, or None; limbs : their (6,) m, or None; save : (path, image) puts an
+        image on disk"""
 
     machine: Machine
     shutter: Shutter | None
@@ -77,7 +92,15 @@ class Bench:
 class Operator:
     """One process that carries a run on. planned : Steps; origin : s, the clock's time at t = 0 of the recording."""
 
-    def __init__(self, bench: Bench, planned: tuple[Step, ...], journal: Journal, axes: tuple[str, ...], origin: float, watcher: Watcher) -> None:
+    def __init__(
+        self,
+        bench: Bench,
+        planned: tuple[Step, ...],
+        journal: Journal,
+        axes: tuple[str, ...],
+        origin: float,
+        watcher: Watcher,
+    ) -> None:
         self.bench, self.planned, self.watcher = bench, planned, watcher
         self._journal, self._origin, self._folder = journal, origin, journal.path.parent
         self._growing, self._writing = Growing(self._folder, axes, journal.rows), threading.RLock()
@@ -87,7 +110,9 @@ class Operator:
         return self.bench.clock.now() - self._origin
 
     def run(self) -> None:
-        """Carry on to the end of the plan. Whatever ends it early stops the struts, is written down with its reason, and raised."""
+        """Carry on to the end of the plan. Whatever ends it early stops the struts, is written down with its reason,
+        and raised.
+        """
         try:
             state = run_progress(self._journal.rows, self.planned)
             for index in range(state.step, len(self.planned)):
@@ -101,7 +126,8 @@ class Operator:
             raise
 
     def go_on(self, homed: bool = False) -> str:
-        """Read the position after another process ended, and write down what it says of the move that was under way; returns that.
+        """Read the position after another process ended, and write down what it says of the move that was under way;
+        returns that.
 
         homed : whether the struts were homed before, so that their position says nothing of it
         """
@@ -160,7 +186,9 @@ class Operator:
         begun = self.now()
         self.bench.machine.move(goal)
         ended = self.now()
-        self.write(Arrival(ended, index, tuple(goal.tolist()), True, self.bench.time_profile(start, goal, begun, ended)))
+        self.write(
+            Arrival(ended, index, tuple(goal.tolist()), True, self.bench.time_profile(start, goal, begun, ended))
+        )
 
     def _settle(self) -> None:
         bench, shutter = self.bench, self.bench.shutter
@@ -182,10 +210,16 @@ class Operator:
         names = {camera: f"images/{camera}/{number:05d}.png" for camera in frames}
         with ThreadPoolExecutor(max(len(frames), 1)) as pool:  # packing an image takes as long as reading it
             list(pool.map(lambda camera: bench.save(self._folder / names[camera], frames[camera].image), frames))
-        for folder in {place for name in names.values() for place in (self._folder / name).parents if self._folder in place.parents}:
+        for folder in {
+            place for name in names.values() for place in (self._folder / name).parents if self._folder in place.parents
+        }:
             sync_folder(folder)
         t = float(np.mean([frame.t for frame in frames.values()])) - self._origin if frames else self.now()
-        self.write(Exposed(t, index, number, tuple(float(f.t_sigma) for f in frames.values()), tuple(frames), tuple(names.values())))
+        self.write(
+            Exposed(
+                t, index, number, tuple(float(f.t_sigma) for f in frames.values()), tuple(frames), tuple(names.values())
+            )
+        )
         goal = self.planned[index].goal
         self.watcher.seen(Shot(number, index, t, goal, frames))
 

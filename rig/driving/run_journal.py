@@ -1,7 +1,9 @@
-"""What a run did, row by row: an append-only file that is on disk before the next thing moves, and what a torn end means.
+"""What a run did, row by row: an append-only file that is on disk before the next thing moves, and what a torn end
+means.
 
-One JSON object a line, numbered, with a check sum of its own. A last line that is cut off or whose sum is wrong was being
-written when the machine went down: it was never reported, and is taken away before the file goes on. Any other bad line is damage.
+One JSON object a line, numbered, with a check sum of its own. A last line that is cut off or whose sum is wrong was
+being written when the machine went down: it was never reported, and is taken away before the file goes on. Any other
+bad line is damage.
 """
 
 import fcntl
@@ -19,7 +21,9 @@ Lengths = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class Began:
-    """The first row. t : s, run's clock; wall : s since 1970 at t = 0; steps : how many; sha256 : of rig.toml and plan; position : m, or rad"""
+    """The first row. t : s, run's clock; wall : s since 1970 at t = 0; steps : how many; sha256 : of rig.toml and plan;
+    position : m, or rad
+    """
 
     kind: ClassVar[str] = "began"
     t: float
@@ -31,7 +35,9 @@ class Began:
 
 @dataclass(frozen=True, slots=True)
 class Resumed:
-    """Another process goes on. position : m, read before anything moved; found : what that says of the last move, in words."""
+    """Another process goes on. position : m, read before anything moved; found : what that says of the last move, in
+    words.
+    """
 
     kind: ClassVar[str] = "resumed"
     t: float
@@ -52,7 +58,9 @@ class Departure:
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """The struts stand again. position : m, read back; reached : whether that is the goal; way : (s, share of the way) passed between."""
+    """The struts stand again. position : m, read back; reached : whether that is the goal; way : (s, share of the way)
+    passed between.
+    """
 
     kind: ClassVar[str] = "arrival"
     t: float
@@ -64,7 +72,9 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
-    """One camera's image of a frame, which is on disk. t, sigma : s, middle of the exposure and its uncertainty; image : in the folder."""
+    """One camera's image of a frame, which is on disk. t, sigma : s, middle of the exposure and its uncertainty;
+    image : in the folder.
+    """
 
     kind: ClassVar[str] = "exposed"
     t: float
@@ -108,10 +118,14 @@ KINDS = {row.kind: row for row in Row.__args__}
 
 
 class Journal:
-    """The open journal of a run; one process at a time. rows : all so far; torn : bytes of a torn last line that was taken away."""
+    """The open journal of a run; one process at a time. rows : all so far; torn : bytes of a torn last line that was
+    taken away.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Open the journal at a path, made if it is not there. Raises RigError where another process has it, FileError where it is damaged."""
+        """Open the journal at a path, made if it is not there. Raises RigError where another process has it, FileError
+        where it is damaged.
+        """
         self.path = Path(path)
         new = not self.path.exists()
         self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
@@ -160,7 +174,9 @@ def journal_line(number: int, row: Row) -> bytes:
 
 
 def read_journal(path: Path) -> tuple[list[Row], int]:
-    """(rows, bytes that they take) of a journal; what follows those bytes is a torn last line. Raises FileError for damage, with the line."""
+    """(rows, bytes that they take) of a journal; what follows those bytes is a torn last line. Raises FileError for
+    damage, with the line.
+    """
     try:
         data = Path(path).read_bytes()
     except OSError as error:
@@ -172,7 +188,9 @@ def read_journal(path: Path) -> tuple[list[Row], int]:
         row = _row(data[at:end], len(rows)) if end >= 0 else None
         if row is None:
             if end >= 0 and end + 1 < len(data):
-                raise FileError(path, "is damaged: its check sum or its number is wrong, and rows follow", len(rows) + 1)
+                raise FileError(
+                    path, "is damaged: its check sum or its number is wrong, and rows follow", len(rows) + 1
+                )
             break
         rows.append(row)
         at = end + 1

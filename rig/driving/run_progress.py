@@ -1,4 +1,6 @@
-"""How far a run has come by its journal, and what the position read after a crash says of the move that was under way."""
+"""How far a run has come by its journal, and what the position read after a crash says of the move that was under
+way.
+"""
 
 from dataclasses import dataclass
 
@@ -12,8 +14,10 @@ from rig.errors import RigError
 @dataclass(frozen=True, slots=True, eq=False)
 class Progress:
     """step : index of the one that is under way or next; frames : exposures taken at it; number : of the next frame
-    position : (axes,) m, where the struts were last known to stand; pending : the Departure that has no arrival, or None
-    arrived : whether they stand at the step's goal; t : s of the last row; ended : why the run ended, None while it has not"""
+    position : (axes,) m, where the struts were last known to stand; pending : the Departure that has no arrival, or
+        None
+    arrived : whether they stand at the step's goal; t : s of the last row; ended : why the run ended, None while it has
+        not"""
 
     step: int
     frames: int
@@ -38,7 +42,10 @@ def run_progress(rows: list[Row], planned: tuple[Step, ...]) -> Progress:
         if isinstance(row, Departure):
             if row.step != step:  # the one before was done
                 if row.step != step + 1 or frames < planned[step].frames:
-                    raise RigError(f"the journal leaves step {step} with {frames} of {planned[step].frames} frames for step {row.step}")
+                    raise RigError(
+                        f"the journal leaves step {step} with {frames} of {planned[step].frames} frames for "
+                        f"step {row.step}"
+                    )
                 step, frames = row.step, 0
             pending, arrived, position = row, False, np.array(row.start)
         elif isinstance(row, Arrival):
@@ -51,11 +58,15 @@ def run_progress(rows: list[Row], planned: tuple[Step, ...]) -> Progress:
     return Progress(step, frames, number, position, pending, arrived, rows[-1].t, ended)
 
 
-def move_verdict(state: Progress, planned: tuple[Step, ...], position: np.ndarray, tolerance: float) -> tuple[str, bool]:
-    """(what a position (axes,) m, read after a crash, says, in words; whether the step's goal is where the struts stand).
+def move_verdict(
+    state: Progress, planned: tuple[Step, ...], position: np.ndarray, tolerance: float
+) -> tuple[str, bool]:
+    """(what a position (axes,) m, read after a crash, says, in words; whether the step's goal is where the struts
+    stand).
 
     tolerance : m, of a read-back
     """
+
     def near(place: object) -> bool:
         return bool(np.abs(position - np.asarray(place)).max() <= tolerance)
 
@@ -71,4 +82,7 @@ def move_verdict(state: Progress, planned: tuple[Step, ...], position: np.ndarra
         return f"the move of step {state.step} was broken off, {off(goal)} before its goal", False
     if near(state.position):
         return "the struts stand where they were left", state.arrived
-    return f"the struts stand {off(state.position)} from where they were left: somebody moved them", state.arrived and near(goal)
+    return (
+        f"the struts stand {off(state.position)} from where they were left: somebody moved them",
+        state.arrived and near(goal),
+    )

@@ -16,14 +16,18 @@ LONGEST = 4096  # bytes
 
 
 class Sensing:
-    """An open port with sensors. stated : SensorPort of the rig.toml; opener : makes the port, by default the one that it names"""
+    """An open port with sensors. stated : SensorPort of the rig.toml; opener : makes the port, by default the one that
+    it names
+    """
 
     def __init__(self, stated: SensorPort, clock: Clock, opener: Callable[[], Port] | None = None) -> None:
         self._stated, self._clock = stated, clock
         self._port = opener() if opener else SerialPort(stated.port, stated.baudrate, clock)
 
     def read(self) -> dict[str, float]:
-        """{channel: value} of a line that came after this call. Raises NoAnswer where none comes, or one that is not these channels."""
+        """{channel: value} of a line that came after this call. Raises NoAnswer where none comes, or one that is not
+        these channels.
+        """
         stated, rest, end = self._stated, b"", self._clock.now() + WAIT
         self._port.read(self._clock.now())  # what came before is old
         if stated.ask:
@@ -58,5 +62,8 @@ class Sensing:
         except ValueError:
             values = []
         if len(values) != len(self._stated.channels) or not np.isfinite(values).all():
-            raise NoAnswer(f"the sensors at {self._stated.port} sent {line[:80]!r}; [sensors] channels has {len(self._stated.channels)} numbers")
+            raise NoAnswer(
+                f"the sensors at {self._stated.port} sent {line[:80]!r}; [sensors] channels has "
+                f"{len(self._stated.channels)} numbers"
+            )
         return dict(zip(self._stated.channels, values))

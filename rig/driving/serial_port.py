@@ -1,4 +1,6 @@
-"""A port as pyserial's serial_for_url opens it (device, socket://, rfc2217://, loop://), found again after replugging."""
+"""A port as pyserial's serial_for_url opens it (device, socket://, rfc2217://, loop://), found again after
+replugging.
+"""
 
 import fcntl
 import io
@@ -34,10 +36,11 @@ def _there(url: str) -> str:
 
 
 class SerialPort:
-    """See rig.driving.controller_link.Port. url : see rig.model.controller_settings.port_problem; baudrate : for devices; clock : tells until when to
-    wait.
+    """See rig.driving.controller_link.Port. url : see rig.model.controller_settings.port_problem; baudrate : for
+    devices; clock : tells until when to wait.
 
-    A device is opened for this process alone: locked as pyserial and others do, and by TIOCEXCL, which no user but root passes
+    A device is opened for this process alone: locked as pyserial and others do, and by TIOCEXCL, which no user but root
+    passes
     """
 
     def __init__(self, url: str, baudrate: int, clock: Clock) -> None:
@@ -74,7 +77,12 @@ class SerialPort:
                 else:
                     select.select([self._waitable], [], [], left)
             return data
-        except (serial.SerialException, OSError, TypeError, ValueError) as error:  # the last two from a port closed under a read
+        except (
+            serial.SerialException,
+            OSError,
+            TypeError,
+            ValueError,
+        ) as error:  # the last two from a port closed under a read
             raise LinkLost(f"{self._url}: connection lost: {error}") from None
 
     def close(self) -> None:
@@ -87,16 +95,21 @@ class SerialPort:
 
 
 def _ends_with_us(handle: int) -> bool:
-    """Whether TIOCEXCL ends with the process that set it; at a pseudo-terminal it would stay as long as the other end is open."""
+    """Whether TIOCEXCL ends with the process that set it; at a pseudo-terminal it would stay as long as the other end
+    is open.
+    """
     return os.major(os.fstat(handle).st_rdev) not in PSEUDO_TERMINALS
 
 
 def find_port(url: str, usb: str) -> str:
-    """The port under which a USB device is plugged in now. url : its port when nothing else is known; usb : its serial number or a part
-    of its hardware id, "" where none is stated. Raises LinkLost where it is not plugged in, or several answer to it."""
+    """The port under which a USB device is plugged in now. url : its port when nothing else is known; usb : its serial
+    number or a part of its hardware id, "" where none is stated. Raises LinkLost where it is not plugged in, or several
+    answer to it."""
     if not usb:
         return url
-    ports = [port for port in list_ports.comports() if port.serial_number == usb or usb.lower() in (port.hwid or "").lower()]
+    ports = [
+        port for port in list_ports.comports() if port.serial_number == usb or usb.lower() in (port.hwid or "").lower()
+    ]
     if len(ports) != 1:
         raise LinkLost(f"{len(ports)} ports answer to usb = {usb!r}" + "".join(f"; {port.device}" for port in ports))
     return ports[0].device

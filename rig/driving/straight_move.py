@@ -8,8 +8,12 @@ from rig.model.controller_settings import Controller
 from rig.model.design import Hexapod, Planar2
 
 
-def straight_move(start: np.ndarray, target: np.ndarray, share: float, controller: Controller, mechanism: Hexapod | Planar2) -> Segment:
-    """All axes begin and arrive together. start, target : (n,) m, lengths; share : of the greatest speeds, above 0 and at most 1."""
+def straight_move(
+    start: np.ndarray, target: np.ndarray, share: float, controller: Controller, mechanism: Hexapod | Planar2
+) -> Segment:
+    """All axes begin and arrive together. start, target : (n,) m, lengths; share : of the greatest speeds, above 0 and
+    at most 1.
+    """
     way = np.abs(target - start)
     duration = max(float((way / (share * controller.max_speed)).max()), 1e-6)
     acceleration = None

@@ -1,4 +1,6 @@
-"""How far along its way a move was through time: a trapezoid of speed between the moments at which it began and ended."""
+"""How far along its way a move was through time: a trapezoid of speed between the moments at which it began and
+ended.
+"""
 
 import numpy as np
 
@@ -9,8 +11,8 @@ PIECES = 8  # straight pieces to a ramp: they leave the curve by less than a fiv
 def trapezoidal_profile(begun: float, ended: float, cruise: float, ramp: float | None) -> Way:
     """((s, share of the way), ..) between begun and ended (s), first and last left out; straight pieces between them.
 
-    cruise : s that the way would take at full speed alone; ramp : s from standing to full speed, or None where the controller
-    keeps its acceleration to itself: then what the move took beyond `cruise` is taken to be the ramp
+    cruise : s that the way would take at full speed alone; ramp : s from standing to full speed, or None where the
+    controller keeps its acceleration to itself: then what the move took beyond `cruise` is taken to be the ramp
     A move too short for full speed is a triangle. What was not needed is waiting at its end.
     """
     whole = ended - begun

@@ -1,4 +1,6 @@
-"""A table of outside data, from TOML or JSON, that checks what it hands out, and complains with file, line, column and key."""
+"""A table of outside data, from TOML or JSON, that checks what it hands out, and complains with file, line, column and
+key.
+"""
 
 from __future__ import annotations
 
@@ -32,13 +34,19 @@ Shape = tuple[int | None, ...]  # of nested lists; None: any length
 
 
 def slip(word: str, known: Iterable, cutoff: float = 0.7) -> str | None:
-    """The one of some known words that a word is likely a slip of, or None. cutoff : of difflib's ratio, least of what counts as near"""
-    near = difflib.get_close_matches(word[:64], [k for k in list(known)[:SLIPS] if isinstance(k, str) and len(k) <= 64], n=1, cutoff=cutoff)
+    """The one of some known words that a word is likely a slip of, or None. cutoff : of difflib's ratio, least of what
+    counts as near
+    """
+    near = difflib.get_close_matches(
+        word[:64], [k for k in list(known)[:SLIPS] if isinstance(k, str) and len(k) <= 64], n=1, cutoff=cutoff
+    )
     return near[0] if near else None
 
 
 def name_problem(name: str) -> str | None:
-    """What is wrong with the name of a camera, target or channel, in words, or None: it stands in paths, CSV cells, places and figures."""
+    """What is wrong with the name of a camera, target or channel, in words, or None: it stands in paths, CSV cells,
+    places and figures.
+    """
     if NAME.fullmatch(name):
         return None
     better = re.sub(r"[^A-Za-z0-9_.-]+", "_", name).strip("._-")[:64]
@@ -47,7 +55,8 @@ def name_problem(name: str) -> str | None:
 
 @dataclass
 class Entries:
-    """A table that knows where it stands. tree : {key: value}, of a list {0: value, ..}; path : keys and indices that lead to it
+    """A table that knows where it stands. tree : {key: value}, of a list {0: value, ..}; path : keys and indices that
+    lead to it
     places : {path: (line, column)} of the values whose place in the file is known, the path () among them"""
 
     tree: dict
@@ -73,7 +82,9 @@ class Entries:
             return self.tree[key]
         if default is REQUIRED:
             near = slip(key, self.tree) if isinstance(key, str) else None
-            self.fail(f"{self.name(key)} is missing" + (f"; is {near!r} meant?" if near else ""), *([near] if near else []))
+            self.fail(
+                f"{self.name(key)} is missing" + (f"; is {near!r} meant?" if near else ""), *([near] if near else [])
+            )
         return default
 
     def table(self, key: Key, optional: bool = False) -> Entries:
@@ -95,7 +106,9 @@ class Entries:
         value = self.get(key)
         if not isinstance(value, list) or not all(isinstance(item, list) and len(item) == length for item in value):
             self.fail(f"{self.name(key)} must be a list of lists of {length}", key)
-        return [Entries(dict(enumerate(item)), (*self.path, key, i), self.file, self.places) for i, item in enumerate(value)]
+        return [
+            Entries(dict(enumerate(item)), (*self.path, key, i), self.file, self.places) for i, item in enumerate(value)
+        ]
 
     def wholes(self, key: Key, least: int = 0) -> tuple[int, ...]:
         """Whole numbers of at least `least`, as a tuple."""
@@ -139,7 +152,11 @@ class Entries:
         if not isinstance(value, str) or (not choices and not value):
             self.fail(f"{self.name(key)} must be text, not {value_text(value)}", key, value=value)
         if choices and value not in choices:
-            self.fail(f"{self.name(key)} must be one of {', '.join(map(repr, choices))}, not {value_text(value)}", key, value=value)
+            self.fail(
+                f"{self.name(key)} must be one of {', '.join(map(repr, choices))}, not {value_text(value)}",
+                key,
+                value=value,
+            )
         return value
 
     def whole(self, key: Key, least: int, default: Any = REQUIRED, most: int = LARGEST_WHOLE) -> int:
@@ -150,9 +167,19 @@ class Entries:
             self.fail(f"{self.name(key)} must be a whole number of {limits}, not {value_text(value)}", key, value=value)
         return value
 
-    def number(self, key: Key, default: Any = REQUIRED, least: float | None = None, most: float | None = None, above: float | None = None,
-               unit: str = "", nulls: bool = False) -> Any:
-        """A finite number within limits; None where the default says so; nulls : whether it may be null, and then is NaN."""
+    def number(
+        self,
+        key: Key,
+        default: Any = REQUIRED,
+        least: float | None = None,
+        most: float | None = None,
+        above: float | None = None,
+        unit: str = "",
+        nulls: bool = False,
+    ) -> Any:
+        """A finite number within limits; None where the default says so; nulls : whether it may be null, and then is
+        NaN.
+        """
         value = self.get(key, default)
         if value is None and default is None:
             return None
@@ -172,17 +199,37 @@ class Entries:
             self._within(value, (key, i), **limits)
         return values
 
-    def _within(self, value: float, keys: tuple[Key, ...], least: float | None = None, most: float | None = None, above: float | None = None,
-                unit: str = "") -> None:
-        if (least is not None and value < least) or (most is not None and value > most) or (above is not None and value <= above):
-            limits = [f">= {least}" if least is not None else "", f"> {above}" if above is not None else "",
-                      f"<= {most}" if most is not None else ""]
+    def _within(
+        self,
+        value: float,
+        keys: tuple[Key, ...],
+        least: float | None = None,
+        most: float | None = None,
+        above: float | None = None,
+        unit: str = "",
+    ) -> None:
+        if (
+            (least is not None and value < least)
+            or (most is not None and value > most)
+            or (above is not None and value <= above)
+        ):
+            limits = [
+                f">= {least}" if least is not None else "",
+                f"> {above}" if above is not None else "",
+                f"<= {most}" if most is not None else "",
+            ]
             label = self._label(keys[0], keys[1:])
-            self.fail(f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {value_text(value)}", *keys, value=value)
+            self.fail(
+                f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {value_text(value)}",
+                *keys,
+                value=value,
+            )
 
-    def array(self, key: Key, shape: Shape, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False) -> Any:
-        """Numbers nested as shape says (None: any length). length_limit (m) catches figures in another unit; nulls : whether a null
-        may stand for what was not measured, and becomes NaN."""
+    def array(
+        self, key: Key, shape: Shape, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False
+    ) -> Any:
+        """Numbers nested as shape says (None: any length). length_limit (m) catches figures in another unit;
+        nulls : whether a null may stand for what was not measured, and becomes NaN."""
         value = self.get(key, default)
         if value is None and default is None:
             return None
@@ -190,27 +237,55 @@ class Entries:
         found = np.array(value, float)
         return found if found.size else found.reshape([n or 0 for n in shape])
 
-    def numbers(self, value: Any, shape: Shape, key: Key, index: tuple[int, ...], length_limit: float | None = None, nulls: bool = False) -> None:
-        """Check that a value is a number, or numbers nested as shape says; index : where within the key's value it stands."""
+    def numbers(
+        self,
+        value: Any,
+        shape: Shape,
+        key: Key,
+        index: tuple[int, ...],
+        length_limit: float | None = None,
+        nulls: bool = False,
+    ) -> None:
+        """Check that a value is a number, or numbers nested as shape says; index : where within the key's value it
+        stands.
+        """
         if shape:
             if not isinstance(value, list) or (shape[0] is not None and len(value) != shape[0]):
                 got = f"{len(value)} entries" if isinstance(value, list) else value_text(value)
-                self.fail(f"{self._label(key, index)} must have {'x'.join('n' if n is None else str(n) for n in shape)} numbers, got {got}",
-                          key, *index, value=value)
+                self.fail(
+                    f"{self._label(key, index)} must have "
+                    f"{'x'.join('n' if n is None else str(n) for n in shape)} numbers, got {got}",
+                    key,
+                    *index,
+                    value=value,
+                )
             for i, item in enumerate(value):
                 self.numbers(item, shape[1:], key, (*index, i), length_limit, nulls)
         elif isinstance(value, bool) or not isinstance(value, int | float):
             if not (nulls and value is None):
-                self.fail(f"{self._label(key, index)} must be a number, not {value_text(value)}", key, *index, value=value)
+                self.fail(
+                    f"{self._label(key, index)} must be a number, not {value_text(value)}", key, *index, value=value
+                )
         elif nulls and value != value:
             return
         elif not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # true for what is not a number, too
             finite = isinstance(value, int) or math.isfinite(value)
-            self.fail(f"{self._label(key, index)} is {'too large to compute with' if finite else 'not finite'}: {value_text(value)}", key, *index,
-                      value=value)
+            self.fail(
+                f"{self._label(key, index)} is {'too large to compute with' if finite else 'not finite'}: "
+                f"{value_text(value)}",
+                key,
+                *index,
+                value=value,
+            )
         elif length_limit is not None and abs(value) > length_limit:
-            self.fail(f"{self._label(key, index)} = {value_text(value)} m is implausible (more than {length_limit:g} m): lengths are in metres; "
-                      f"is this in millimetres ({value / 1000:g} m)?", key, *index, value=value)
+            self.fail(
+                f"{self._label(key, index)} = {value_text(value)} m is implausible (more than "
+                f"{length_limit:g} m): lengths are in metres; "
+                f"is this in millimetres ({value / 1000:g} m)?",
+                key,
+                *index,
+                value=value,
+            )
 
     def _label(self, key: Key, index: tuple) -> str:
         return self.name(key) + "".join(f"[{i + 1}]" for i in index)
@@ -226,13 +301,22 @@ class Entries:
         """(3,) rad, a rotation vector."""
         value = self.array(key, (3,))
         if np.abs(value).max() > LARGEST_TURN:
-            self.fail(f"{self.name(key)} = {value.tolist()} turns more than once round: it is in radians; is this in degrees?", key, value=value)
+            self.fail(
+                f"{self.name(key)} = {value.tolist()} turns more than once round: it is in radians; is this "
+                "in degrees?",
+                key,
+                value=value,
+            )
         return value
 
     def refuse_misspelt(self, known: Collection[str]) -> None:
-        """Raise FileError at the first key that is not known, with the nearest that is: a figure that nobody reads must not look as if it counted."""
+        """Raise FileError at the first key that is not known, with the nearest that is: a figure that nobody reads must
+        not look as if it counted.
+        """
         for key in self.tree:
             if key not in known:
                 near = slip(str(key), known, NEAREST)
-                hint = f"is {near!r} meant?" if near else f"there {'are' if len(known) > 1 else 'is'} {', '.join(known)}"
+                hint = (
+                    f"is {near!r} meant?" if near else f"there {'are' if len(known) > 1 else 'is'} {', '.join(known)}"
+                )
                 self.fail(f"unknown key {value_text(self.name(key))}; {hint}", key, value=key)

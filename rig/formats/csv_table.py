@@ -58,13 +58,20 @@ class Table:
         raise AssertionError("unreachable: a bad column without a bad cell")
 
     def times(self, column: str, origin: Origin) -> np.ndarray:
-        """(n,) s from a recording's start. Raises FileError at the first cell that is no finite number or cannot be in seconds."""
+        """(n,) s from a recording's start. Raises FileError at the first cell that is no finite number or cannot be in
+        seconds.
+        """
         values, cells = self.numbers(column), self.text(column)
         far = np.flatnonzero(np.abs(values) > LATEST)
         if len(far):
             i = far[0]
-            self.fail(f"column {column!r} is in seconds, and {cells[i]} s is later than any clock shows: is it in {likely_time_unit(values[i])}?", i,
-                      column, cells[i])
+            self.fail(
+                f"column {column!r} is in seconds, and {cells[i]} s is later than any clock shows: is it in "
+                f"{likely_time_unit(values[i])}?",
+                i,
+                column,
+                cells[i],
+            )
         return origin.seconds(cells)
 
     def whole(self, column: str) -> np.ndarray:
@@ -73,7 +80,11 @@ class Table:
         bad = np.flatnonzero((values != np.round(values)) | (values < 0) | (values > LARGEST_WHOLE))
         if len(bad):
             limits = "of at least 0" + (f" and at most {LARGEST_WHOLE}" if values[bad[0]] > LARGEST_WHOLE else "")
-            self.fail(f"column {column!r} must be a whole number {limits}, not {value_text(self.text(column)[bad[0]])}", bad[0], column)
+            self.fail(
+                f"column {column!r} must be a whole number {limits}, not {value_text(self.text(column)[bad[0]])}",
+                bad[0],
+                column,
+            )
         return values.astype(int)
 
     def matrix(self, columns: Iterable[str]) -> np.ndarray:
@@ -111,9 +122,15 @@ def read(path: str | Path, required: tuple[str, ...], optional: tuple[str, ...] 
             if not (row and row[0].strip()) and not any(cell.strip() for cell in row):
                 continue
             if len(row) != len(header):
-                torn = len(row) < len(header) and reader.line_num == text.count("\n") + 1  # the last line, and it does not end
-                raise FileError(path, f"{len(row)} cells in a table of {len(header)} columns{' (cut off?)' if torn else ''}", reader.line_num,
-                                min(len(row), len(header)) or None)
+                torn = (
+                    len(row) < len(header) and reader.line_num == text.count("\n") + 1
+                )  # the last line, and it does not end
+                raise FileError(
+                    path,
+                    f"{len(row)} cells in a table of {len(header)} columns{' (cut off?)' if torn else ''}",
+                    reader.line_num,
+                    min(len(row), len(header)) or None,
+                )
             rows.append(row)
             lines.append(reader.line_num)
     except csv.Error as error:
@@ -137,11 +154,19 @@ def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optiona
     missing = [name for name in required if name not in first]
     if missing:
         other = next((name for name, sign in FOREIGN.items() if len(header) == 1 and sign in header[0]), None)
-        hint = "" if other is None else f"; it is separated by {other}s, and tables here are by commas with decimal points (docs/tables.md)"
-        raise FileError(path, f"column {missing[0]!r} is missing; the header is {value_text(','.join(header))}{hint}", 1)
+        hint = (
+            ""
+            if other is None
+            else f"; it is separated by {other}s, and tables here are by commas with decimal points (docs/tables.md)"
+        )
+        raise FileError(
+            path, f"column {missing[0]!r} is missing; the header is {value_text(','.join(header))}{hint}", 1
+        )
     absent = [name for name in optional if name not in first and len(name) > 2]
     for place, name in enumerate(header, 1):
-        near = difflib.get_close_matches(name[:64], absent, n=1, cutoff=0.8) if name not in (*required, *optional) else ()
+        near = (
+            difflib.get_close_matches(name[:64], absent, n=1, cutoff=0.8) if name not in (*required, *optional) else ()
+        )
         if near:
             raise FileError(path, f"unknown column {value_text(name)}; is {near[0]!r} meant?", 1, place, name)
     return header

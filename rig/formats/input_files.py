@@ -10,8 +10,13 @@ from rig.formats import remote_folders
 
 LARGEST = 1 << 28  # bytes of a text file
 SHOWN = 80  # characters of a value that a message repeats
-KINDS = ((stat.S_ISDIR, "is a folder, not a file"), (stat.S_ISFIFO, "is a pipe, not a file"), (stat.S_ISCHR, "is a device, not a file"),
-         (stat.S_ISBLK, "is a device, not a file"), (stat.S_ISSOCK, "is a socket, not a file"))
+KINDS = (
+    (stat.S_ISDIR, "is a folder, not a file"),
+    (stat.S_ISFIFO, "is a pipe, not a file"),
+    (stat.S_ISCHR, "is a device, not a file"),
+    (stat.S_ISBLK, "is a device, not a file"),
+    (stat.S_ISSOCK, "is a socket, not a file"),
+)
 
 
 def open_file(path: Path, missing: str = "no such file") -> BinaryIO:
@@ -33,8 +38,8 @@ def open_file(path: Path, missing: str = "no such file") -> BinaryIO:
 
 
 def read_bytes(path: Path, most: int = LARGEST, missing: str = "no such file") -> bytes:
-    """All of a file, here or behind a URL. most : bytes. Raises FileError as `open_file` does, for a file larger than `most` and for one that cannot
-    be read."""
+    """All of a file, here or behind a URL. most : bytes. Raises FileError as `open_file` does, for a file larger than
+    `most` and for one that cannot be read."""
     if remote_folders.is_remote(path):
         return _fetched(path, most, missing)
     with open_file(path, missing) as file:
@@ -59,7 +64,9 @@ def _fetched(path: Path, most: int, missing: str) -> bytes:
 
 
 def read_text(path: Path, most: int = LARGEST, missing: str = "no such file") -> str:
-    """The text of a UTF-8 file, a byte order mark left out. Raises FileError as `read_bytes` does, and for what is no text."""
+    """The text of a UTF-8 file, a byte order mark left out. Raises FileError as `read_bytes` does, and for what is no
+    text.
+    """
     data = read_bytes(path, most, missing)
     try:
         text = data.decode("utf-8-sig")
@@ -76,5 +83,9 @@ def value_text(value: Any) -> str:
     try:
         text = repr(value if not isinstance(value, str) else value[: 2 * SHOWN])
     except (ValueError, RecursionError):
-        return "a number of thousands of digits" if isinstance(value, int) else f"a {type(value).__name__} too deep to show"
+        return (
+            "a number of thousands of digits"
+            if isinstance(value, int)
+            else f"a {type(value).__name__} too deep to show"
+        )
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}.."

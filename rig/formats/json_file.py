@@ -20,9 +20,11 @@ LARGEST = 1 << 26  # bytes
 
 
 def load(path: Path, what: str, *schemas: str) -> Entries:
-    """The table that a JSON file holds. what : it should be, as in "calibration"; schemas : of which it must name one; none for any.
+    """The table that a JSON file holds. what : it should be, as in "calibration"; schemas : of which it must name one;
+    none for any.
 
-    Raises FileError for a file that is missing, cut off, no JSON, nested too deep, of another schema, or with a key twice in one table
+    Raises FileError for a file that is missing, cut off, no JSON, nested too deep, of another schema, or with a key
+        twice in one table
     """
     from rig.formats.checked_entries import Entries
 

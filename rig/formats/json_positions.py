@@ -1,4 +1,6 @@
-"""Where each value of a JSON text stands, so that an error can name line and column (json does not say), and which key is there twice."""
+"""Where each value of a JSON text stands, so that an error can name line and column (json does not say), and which key
+is there twice.
+"""
 
 import json
 import re
@@ -13,7 +15,9 @@ Place = tuple[int | None, int | None]
 
 
 class Places(Mapping[Path, Place]):
-    """{path: (line, column)} of every value of a JSON text that json has accepted, looked for once it is asked for. text : JSON"""
+    """{path: (line, column)} of every value of a JSON text that json has accepted, looked for once it is asked for.
+    text : JSON
+    """
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -65,7 +69,9 @@ class RepeatedKey(ValueError):
 
 def _values(text: str) -> Iterator[tuple[Path, int]]:
     """(path, offset) of every value, in the text's order; of a text that json accepts."""
-    above: list[str | int | None] = []  # keys and indices that lead to what is read; None where a table's key is still to come
+    above: list[
+        str | int | None
+    ] = []  # keys and indices that lead to what is read; None where a table's key is still to come
     for token in _TOKEN.finditer(text):
         word = token.group()
         if word in "]}":

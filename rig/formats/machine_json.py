@@ -17,7 +17,12 @@ from rig.model.design import Arm, Camera, Chain, Design
 from rig.model.mechanism_kinds import Mechanism
 from rig.model.pose import pose, pose_to_vector
 
-GEOMETRY = {"hexapod": ("base_joints", "platform_joints", "strut_zeros"), "planar2": ("base_joints", "strut_zeros"), "arm": ("joints",), "chain": ()}
+GEOMETRY = {
+    "hexapod": ("base_joints", "platform_joints", "strut_zeros"),
+    "planar2": ("base_joints", "strut_zeros"),
+    "arm": ("joints",),
+    "chain": (),
+}
 PLACES = ("base", "tool")  # of an arm, as poses
 LIMBS = ("base_joints", "platform_joints", "zeros")
 
@@ -26,9 +31,18 @@ def machine_dict(design: Design, effects: Iterable[Effect]) -> dict:
     """{"effects", geometry by name, "cameras", "insitu" where there are measuring limbs} of a design as it is."""
     m = design.mechanism
     out = {"effects": [effect_to_dict(effect) for effect in effects], **_geometry(m)}
-    out["cameras"] = [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": pose_to_vector(c.pose).tolist()}
-                      for c in design.cameras]
-    return out | ({"insitu": {name: getattr(design.insitu, name).tolist() for name in LIMBS}} if design.insitu is not None else {})
+    out["cameras"] = [
+        {
+            "name": c.name,
+            "matrix": c.matrix.tolist(),
+            "distortion": c.distortion.tolist(),
+            "pose": pose_to_vector(c.pose).tolist(),
+        }
+        for c in design.cameras
+    ]
+    return out | (
+        {"insitu": {name: getattr(design.insitu, name).tolist() for name in LIMBS}} if design.insitu is not None else {}
+    )
 
 
 def _geometry(m: Mechanism) -> dict[str, Any]:
@@ -36,7 +50,11 @@ def _geometry(m: Mechanism) -> dict[str, Any]:
     if isinstance(m, Chain):
         return {"stages": [_geometry(stage) for stage in m.stages]}
     own = {name: getattr(m, name).tolist() for name in GEOMETRY.get(m.kind, ())}
-    return own | {"joints": m.rows.tolist(), **{name: pose_to_vector(getattr(m, name)).tolist() for name in PLACES}} if isinstance(m, Arm) else own
+    return (
+        own | {"joints": m.rows.tolist(), **{name: pose_to_vector(getattr(m, name)).tolist() for name in PLACES}}
+        if isinstance(m, Arm)
+        else own
+    )
 
 
 def load_machine(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> tuple[Design, tuple[Effect, ...]]:
@@ -55,7 +73,9 @@ def load_machine(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> tuple[De
     cameras = tuple(_camera(c, known[c.name]) for c in stated.cameras)
     if limbs is not None and "insitu" in found.tree:
         table = found.table("insitu")
-        limbs = replace(limbs, **{name: table.array(name, getattr(limbs, name).shape, length_limit=LARGEST_RIG) for name in LIMBS})
+        limbs = replace(
+            limbs, **{name: table.array(name, getattr(limbs, name).shape, length_limit=LARGEST_RIG) for name in LIMBS}
+        )
     return replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs), _effects(found, stated, kinds)
 
 
@@ -65,7 +85,8 @@ def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
         parts = table.tables("stages")
         if len(parts) != len(stated.stages):
             table.fail(f"{table.name('stages')} must hold {len(stated.stages)} stages, got {len(parts)}", "stages")
-        return replace(stated, stages=tuple(_mechanism(stage, part) for stage, part in zip(stated.stages, parts)))  # type: ignore[misc]
+        stages = tuple(_mechanism(stage, part) for stage, part in zip(stated.stages, parts))
+        return replace(stated, stages=stages)  # type: ignore[arg-type]
     found = {}
     for name in GEOMETRY.get(stated.kind, ()):
         if name in table.tree:
@@ -79,7 +100,11 @@ def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
 
 def _camera(camera: Camera, table: Entries) -> Camera:
     """A Camera as such a file has it."""
-    matrix, terms, vector_ = table.array("matrix", (3, 3)), table.array("distortion", (len(camera.distortion),)), table.array("pose", (6,))
+    matrix, terms, vector_ = (
+        table.array("matrix", (3, 3)),
+        table.array("distortion", (len(camera.distortion),)),
+        table.array("pose", (6,)),
+    )
     if (np.diag(matrix)[:2] <= 0).any() or (matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] != [0, 0, 0, 0, 1]).any():
         table.fail(f"{table.name('matrix')} is no camera matrix: {matrix.tolist()}", "matrix")
     return replace(camera, matrix=matrix, distortion=terms, pose=pose(vector_[:3], vector_[3:]))

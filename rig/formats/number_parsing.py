@@ -1,4 +1,6 @@
-"""A number as people and programs write it: decimal digits, a point, an exponent. Python takes more (1_0, nan, other scripts' digits, spaces)."""
+"""A number as people and programs write it: decimal digits, a point, an exponent. Python takes more (1_0, nan, other
+scripts' digits, spaces).
+"""
 
 import math
 import re

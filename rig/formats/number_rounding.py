@@ -1,14 +1,22 @@
-"""Numbers as people read them: so many significant digits, no power of ten where digits do, in a unit that makes them short."""
+"""Numbers as people read them: so many significant digits, no power of ten where digits do, in a unit that makes them
+short.
+"""
 
 import math
 from collections.abc import Sequence
 
 MOST = 7  # digits by which two values may be told apart
 PLAIN = 1e6  # from which a power of ten is the shorter
-UNITS = {"m": ((1e6, "µm"), (1e3, "mm"), (1.0, "m")), "rad": ((1e6, "µrad"), (1e3, "mrad"), (1.0, "rad")),
-         "m, rad": ((1e6, "µm, µrad"), (1e3, "mm, mrad"), (1.0, "m, rad")), "s": ((1e6, "µs"), (1e3, "ms"), (1.0, "s")),
-         "N/m": ((1e-6, "N/µm"),), "N m/rad": ((1.0, "N m/rad"), (1e-3, "kN m/rad"), (1e-6, "MN m/rad")),
-         "1": ((1.0, ""),), "1/K": ((1e6, "ppm/K"),)}  # as people read them: the first in which a value is below 1000, or the last
+UNITS = {
+    "m": ((1e6, "µm"), (1e3, "mm"), (1.0, "m")),
+    "rad": ((1e6, "µrad"), (1e3, "mrad"), (1.0, "rad")),
+    "m, rad": ((1e6, "µm, µrad"), (1e3, "mm, mrad"), (1.0, "m, rad")),
+    "s": ((1e6, "µs"), (1e3, "ms"), (1.0, "s")),
+    "N/m": ((1e-6, "N/µm"),),
+    "N m/rad": ((1.0, "N m/rad"), (1e-3, "kN m/rad"), (1e-6, "MN m/rad")),
+    "1": ((1.0, ""),),
+    "1/K": ((1e6, "ppm/K"),),
+}  # as people read them: the first in which a value is below 1000, or the last
 
 
 def round_to_digits(value: float, digits: int = 3) -> str:
@@ -33,8 +41,10 @@ def separating_digits(low: float, high: float, digits: int = 3) -> int:
 def quantity_text(values: float | Sequence[float], unit: str) -> str:
     """One value in an SI unit, or several beside each other, in the unit in which people read the largest.
 
-    >>> quantity_text(2078.46, "s"), quantity_text(4.2e-5, "m"), quantity_text((0.001, -0.0005), "rad"), quantity_text(3, "")
-    ('2080 s', '42 µm', '1 -0.5 mrad', '3')
+    >>> quantity_text(2078.46, "s"), quantity_text(4.2e-5, "m"), quantity_text(3, "")
+    ('2080 s', '42 µm', '3')
+    >>> quantity_text((0.001, -0.0005), "rad")
+    '1 -0.5 mrad'
     """
     numbers = values if isinstance(values, Sequence) else (values,)
     scale, name = _read(max(map(abs, numbers)), unit)
@@ -42,10 +52,13 @@ def quantity_text(values: float | Sequence[float], unit: str) -> str:
 
 
 def range_text(low: float, high: float, unit: str) -> str:
-    """What lies between two values in an SI unit, or in several, each in the unit in which people read it; high may be infinite.
+    """What lies between two values in an SI unit, or in several, each in the unit in which people read it; high may be
+    infinite.
 
-    >>> range_text(5e-6, 2e-4, "m"), range_text(1e-3, 60, "s"), range_text(0, 0.05, "m"), range_text(1e4, float("inf"), "N/m")
-    ('5 to 200 µm', '1 ms to 60 s', '0 to 50 mm', '0.01 N/µm and more')
+    >>> range_text(5e-6, 2e-4, "m"), range_text(1e-3, 60, "s"), range_text(0, 0.05, "m")
+    ('5 to 200 µm', '1 ms to 60 s', '0 to 50 mm')
+    >>> range_text(1e4, float("inf"), "N/m")
+    '0.01 N/µm and more'
     """
     if ", " in unit:
         return ", ".join(range_text(low, high, one) for one in unit.split(", "))

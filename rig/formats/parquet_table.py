@@ -1,4 +1,6 @@
-"""Parquet tables, by pyarrow: read as text cells, as a CSV of the same would have them, and written with typed columns."""
+"""Parquet tables, by pyarrow: read as text cells, as a CSV of the same would have them, and written with typed
+columns.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +20,8 @@ def is_parquet(path: Path) -> bool:
 def read_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
     """(header, rows of texts) of a Parquet file; timestamps become nanoseconds since 1970.
 
-    Raises MissingLibrary without pyarrow, FileError for what is no such file, for other types and for cells that are empty
+    Raises MissingLibrary without pyarrow, FileError for what is no such file, for other types and for cells that are
+        empty
     """
     pa, parquet = _library()
     with open_file(path) as file:
@@ -35,7 +38,10 @@ def read_cells(path: Path) -> tuple[tuple[str, ...], list[list[str]]]:
             raise FileError(path, f"column {name!r} has {column.null_count} empty cells")
         if pa.types.is_timestamp(kind):
             name, column = f"{name} [ns]", column.cast(pa.timestamp("ns", kind.tz)).cast(pa.int64())
-        elif not any(fits(kind) for fits in (pa.types.is_integer, pa.types.is_floating, pa.types.is_string, pa.types.is_large_string)):
+        elif not any(
+            fits(kind)
+            for fits in (pa.types.is_integer, pa.types.is_floating, pa.types.is_string, pa.types.is_large_string)
+        ):
             raise FileError(path, f"column {name!r} is of type {kind}; numbers, texts and timestamps are taken")
         columns.append((name, [value if isinstance(value, str) else repr(value) for value in column.to_pylist()]))
     return tuple(name for name, _ in columns), [list(row) for row in zip(*(values for _, values in columns))]

@@ -2,12 +2,14 @@
 
 import re
 
-UNSEEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]|\r(?!\n)")
+UNSEEN = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]|\r(?!\n)"
+)
 
 
 def escape_unprintable(text: str) -> str:
-    """A text on which a terminal does nothing but show it: control characters, what turns the direction of writing, and bytes of a name that is no
-    UTF-8 are escaped; line ends and tabs stay."""
+    """A text on which a terminal does nothing but show it: control characters, what turns the direction of writing, and
+    bytes of a name that is no UTF-8 are escaped; line ends and tabs stay."""
     return UNSEEN.sub(_escape, text)
 
 

@@ -1,7 +1,9 @@
-"""Folders behind a URL that fsspec knows (s3://, gs://, memory://, https://): a path whose first part is the scheme, as pathlib folds it.
+"""Folders behind a URL that fsspec knows (s3://, gs://, memory://, https://): a path whose first part is the scheme, as
+pathlib folds it.
 
-`Path("s3://bucket/rec") / "frames.csv"` stands for s3://bucket/rec/frames.csv wherever outside data are read. Files come one by one as they are
-read and are kept nowhere; `filecache::s3://bucket/rec` is fsspec's word for keeping them. Nothing is ever written there.
+`Path("s3://bucket/rec") / "frames.csv"` stands for s3://bucket/rec/frames.csv wherever outside data are read. Files
+come one by one as they are read and are kept nowhere; `filecache::s3://bucket/rec` is fsspec's word for keeping them.
+Nothing is ever written there.
 """
 
 import os
@@ -16,7 +18,9 @@ LISTED = 64  # folders whose entries are remembered
 
 
 def is_remote(path: Path) -> bool:
-    """Whether a path stands for a URL: a scheme is among its parts, from which on alone it counts, and no folder here has that name."""
+    """Whether a path stands for a URL: a scheme is among its parts, from which on alone it counts, and no folder here
+    has that name.
+    """
     return _scheme(path) is not None
 
 
@@ -42,7 +46,9 @@ def absolute(path: Path) -> Path:
 
 def exists(path: Path) -> bool:
     """Whether a file is there, or a folder with anything in it. Raises FileError where that cannot be asked."""
-    return path.exists() if not is_remote(path) else path.name in _entries(url(path.parent)) or bool(_entries(url(path)))
+    return (
+        path.exists() if not is_remote(path) else path.name in _entries(url(path.parent)) or bool(_entries(url(path)))
+    )
 
 
 def is_folder(path: Path) -> bool:
@@ -61,7 +67,9 @@ def list_folder(folder: Path) -> list[str]:
 
 
 def file_size(path: Path) -> int | None:
-    """Bytes of a file as its folder's listing says, None where there is no such file. Raises FileError where that cannot be asked."""
+    """Bytes of a file as its folder's listing says, None where there is no such file. Raises FileError where that
+    cannot be asked.
+    """
     if is_remote(path):
         return _entries(url(path.parent)).get(path.name)
     return path.stat().st_size if path.is_file() else None
@@ -70,7 +78,8 @@ def file_size(path: Path) -> int | None:
 def read(path: Path, most: int | None = None) -> bytes:
     """A file behind a URL, or so many of its first bytes.
 
-    Raises FileNotFoundError where it is missing, MissingLibrary without what opens it, FileError for what else goes wrong
+    Raises FileNotFoundError where it is missing, MissingLibrary without what opens it, FileError for what else goes
+        wrong
     """
     system, place = _system(url(path))
     try:

@@ -15,11 +15,22 @@ MOST = 100_000  # values: an alias may stand for many
 DIRECTIVE = re.compile(r"\A%YAML[: ]1\.[0-9][^\n]*")  # as OpenCV writes it, which is no YAML
 WHOLE = re.compile(r"[-+]?[0-9]{1,300}")
 NUMBER = re.compile(r"[-+]?([0-9]{1,300}\.?[0-9]{0,300}|\.[0-9]{1,300})([eE][-+]?[0-9]{1,3})?")
-WORDS = {"true": True, "false": False, "null": None, "~": None, "": None, ".inf": float("inf"), "-.inf": float("-inf"), ".nan": float("nan")}
+WORDS = {
+    "true": True,
+    "false": False,
+    "null": None,
+    "~": None,
+    "": None,
+    ".inf": float("inf"),
+    "-.inf": float("-inf"),
+    ".nan": float("nan"),
+}
 
 
 def load(path: Path) -> Entries:
-    """The table that a YAML file holds. Raises FileError for a file that is missing, cut off, no YAML, no table or larger than such files are."""
+    """The table that a YAML file holds. Raises FileError for a file that is missing, cut off, no YAML, no table or
+    larger than such files are.
+    """
     text = DIRECTIVE.sub("", read_text(path, LARGEST))
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
@@ -53,7 +64,9 @@ def _value(node: yaml.Node, at: tuple, places: dict[tuple, tuple[int, int]], fil
         tree: dict[str, Any] = {}
         for key, inner in node.value:
             if key.value in tree:
-                raise FileError(file, f"{key.value} is there twice", key.start_mark.line + 1, key.start_mark.column + 1, key.value)
+                raise FileError(
+                    file, f"{key.value} is there twice", key.start_mark.line + 1, key.start_mark.column + 1, key.value
+                )
             tree[str(key.value)] = _value(inner, (*at, str(key.value)), places, file)
         return tree
     return node.value if getattr(node, "style", None) in ("'", '"') else _plain(node.value)

@@ -18,16 +18,21 @@ TURN = "turn cube "  # before the name of a cube that may be taken off and put b
 SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator")  # kinds of cameras that a run can open
 DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
     **{f"DICT_{bits}X{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
-    "DICT_ARUCO_ORIGINAL": 1024, "DICT_ARUCO_MIP_36h12": 250, "DICT_APRILTAG_16h5": 30, "DICT_APRILTAG_25h9": 35,
-    "DICT_APRILTAG_36h10": 2320, "DICT_APRILTAG_36h11": 587,
+    "DICT_ARUCO_ORIGINAL": 1024,
+    "DICT_ARUCO_MIP_36h12": 250,
+    "DICT_APRILTAG_16h5": 30,
+    "DICT_APRILTAG_25h9": 35,
+    "DICT_APRILTAG_36h10": 2320,
+    "DICT_APRILTAG_36h11": 587,
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """Who wrote poses.csv. base, tool : "free" (where it stands, its target sits, is unknown and solved for) or "rig"; position_sigma : m, of a
-    coordinate; rotation_sigma : rad, or None for one that sees positions alone (a reflector, a touched ball); kind : "pose", "orientation"
-    (rotations alone, position_sigma infinite) or "distance" (of a wire drawn from the origin of the frame of poses to the target)"""
+    """Who wrote poses.csv. base, tool : "free" (where it stands, its target sits, is unknown and solved for) or "rig";
+    position_sigma : m, of a coordinate; rotation_sigma : rad, or None for one that sees positions alone (a reflector, a
+    touched ball); kind : "pose", "orientation" (rotations alone, position_sigma infinite) or "distance" (of a wire
+    drawn from the origin of the frame of poses to the target)"""
 
     base: str
     tool: str
@@ -38,7 +43,8 @@ class Instrument:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuringLimbs:
-    """Limbs beside the driving struts that measure their own length (sensors.csv, m1..mn, m) and carry nothing: six tell a pose, more check it.
+    """Limbs beside the driving struts that measure their own length (sensors.csv, m1..mn, m) and carry nothing: six
+    tell a pose, more check it.
 
     base_joints : (n, 3) m, base frame; platform_joints : (n, 3) m, platform frame; length_sigma : m, of one reading
     zeros : (n,) m, what a limb is longer than it reads, 0 where they are left out
@@ -65,7 +71,8 @@ class MeasuringLimbs:
 @dataclass(frozen=True, slots=True)
 class SensorPort:
     """Where sensors beside the struts are read. port : device, or URL socket://, rfc2217://; baudrate : bits per second
-    ask : line that makes them answer, "" where they send by themselves; channels : names as in sensors.csv, in the order of the numbers in a line"""
+    ask : line that makes them answer, "" where they send by themselves; channels : names as in sensors.csv, in the
+        order of the numbers in a line"""
 
     port: str
     baudrate: int
@@ -75,8 +82,8 @@ class SensorPort:
 
 @dataclass(frozen=True, slots=True)
 class Permission:
-    """What an owner allows experiments besides moving. may : "payload" (to be asked to load the platform), "wait" (to wait while temperatures
-    change), "turn cube NAME" (to be asked to take that cube off and to put it back turned)"""
+    """What an owner allows experiments besides moving. may : "payload" (to be asked to load the platform), "wait" (to
+    wait while temperatures change), "turn cube NAME" (to be asked to take that cube off and to put it back turned)"""
 
     may: tuple[str, ...] = ()
 
@@ -88,7 +95,9 @@ class Permission:
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """What moves a strut; None where not stated. screw_lead : m per revolution; joints : at base and platform; max_speed : m/s"""
+    """What moves a strut; None where not stated. screw_lead : m per revolution; joints : at base and platform;
+    max_speed : m/s
+    """
 
     screw_lead: float | None
     joints: str | None
@@ -97,7 +106,9 @@ class Actuator:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Platform:
-    """What the struts carry; None where not stated. mass : kg; centre_of_mass, payload_centre_of_mass : (3,) m, platform frame"""
+    """What the struts carry; None where not stated. mass : kg; centre_of_mass, payload_centre_of_mass : (3,) m,
+    platform frame
+    """
 
     mass: float | None
     centre_of_mass: np.ndarray | None
@@ -108,9 +119,12 @@ class Platform:
 class Camera:
     """A camera with an OpenCV lens.
 
-    name : as frames.csv has it; width, height : px; matrix : (3, 3) px, no skew; distortion : (4, 5, 8, 12 or 14,) OpenCV order
-    pose : T_base_camera, OpenCV axes; shutter : "global" or "rolling"; row_time : s, from one row of the image to the next, for a rolling one
-    mount : "fixed", "moving" with a pose of its own in every frame, or "hand": the platform carries it, and pose is T_platform_camera
+    name : as frames.csv has it; width, height : px; matrix : (3, 3) px, no skew; distortion : (4, 5, 8, 12 or 14,)
+        OpenCV order
+    pose : T_base_camera, OpenCV axes; shutter : "global" or "rolling"; row_time : s, from one row of the image to the
+        next, for a rolling one
+    mount : "fixed", "moving" with a pose of its own in every frame, or "hand": the platform carries it, and pose is
+        T_platform_camera
     source : what a run opens it by, for example "uvc:0", or None; see rig.driving.cameras.KINDS
     """
 
@@ -137,7 +151,8 @@ class Sensor:
     """What an image sensor and its optics do to light, for a simulated camera; the defaults do nothing but quantise.
 
     blur : px, standard deviation of the optics' spot; defocus : px, radius of a disc on top of it
-    vignetting : share of the light lost in the image's corners; gain : grey levels of 255 for a white face in full light
+    vignetting : share of the light lost in the image's corners; gain : grey levels of 255 for a white face in full
+        light
     exposure : s; exposures : pictures averaged over it; read_noise : grey levels
     electrons : per grey level, for shot noise (0: none); bits : 8 or 12
     """
@@ -155,7 +170,8 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marker:
-    """One square marker. id : in its target's dictionary; side : m, outer side of the black border; margin : m, white paper beyond the border;
+    """One square marker. id : in its target's dictionary; side : m, outer side of the black border; margin : m, white
+    paper beyond the border;
     pose : T_body_marker, x right, y up, z out of the paper"""
 
     id: int
@@ -168,12 +184,14 @@ class Marker:
 class Target:
     """Markers fixed to one body. A cube has edge, marker, faces and pose; any other target lists its markers.
 
-    name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1"; dictionary : OpenCV's name of
-    the markers'; edge : m, of the cube; marker : m, outer side of the black border; faces : pairs of face and id; pose : T_body_cube, of the
-    cube's centre; listed : the markers of one that is no cube
-    turned : quarter turns about the cube's own z, right-handed, with which it was taken off and put back since its pose was stated: its place is
-    that only to what remounting may do; None for a target that was never taken off
-    shift : added to its identities where it is one of several recordings together (see rig.recording.combined_recordings): the same prints are
+    name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1";
+        dictionary : OpenCV's name of
+    the markers'; edge : m, of the cube; marker : m, outer side of the black border; faces : pairs of face and id;
+    pose : T_body_cube, of the cube's centre; listed : the markers of one that is no cube
+    turned : quarter turns about the cube's own z, right-handed, with which it was taken off and put back since its pose
+    was stated: its place is that only to what remounting may do; None for a target that was never taken off
+    shift : added to its identities where it is one of several recordings together (see
+        rig.recording.combined_recordings): the same prints are
     another target there
     """
 
@@ -199,19 +217,25 @@ class Target:
 
     @property
     def stage(self) -> int:
-        """Number (from 1) of the chain's stage whose platform carries it, below the last; 0 for one on the base or the platform."""
+        """Number (from 1) of the chain's stage whose platform carries it, below the last; 0 for one on the base or the
+        platform.
+        """
         return int(self.body.removeprefix("stage ")) if self.body.startswith("stage ") else 0
 
     @property
     def ids(self) -> tuple[int, ...]:
         """Identities of all its markers."""
-        return tuple(number + self.shift for _, number in self.faces) + tuple(marker.id + self.shift for marker in self.listed)
+        return tuple(number + self.shift for _, number in self.faces) + tuple(
+            marker.id + self.shift for marker in self.listed
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated cameras;
-    insitu : MeasuringLimbs or None; controller : Controller or None where nothing is driven; sensors : SensorPort or None
+    """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated
+    cameras;
+    insitu : MeasuringLimbs or None; controller : Controller or None where nothing is driven; sensors : SensorPort or
+        None
     experiment : Permission."""
 
     name: str
@@ -242,5 +266,7 @@ class Design:
     def driver(self) -> Controller:
         """The Controller. Raises RigError where nothing is driven."""
         if self.controller is None:
-            raise RigError("rig.toml has no [controller], so there is nothing to drive: state its protocol and port there")
+            raise RigError(
+                "rig.toml has no [controller], so there is nothing to drive: state its protocol and port there"
+            )
         return self.controller

@@ -11,14 +11,29 @@ from scipy.spatial.transform import RigidTransform
 from rig.model.design import Camera, Design
 
 SAME = 1e-9  # m, rad, or the figure's own unit; less is how a number was written
-STATED = ("gravity", "mechanism", "instrument", "actuator", "platform", "targets", "insitu")  # what one machine has once
+STATED = (
+    "gravity",
+    "mechanism",
+    "instrument",
+    "actuator",
+    "platform",
+    "targets",
+    "insitu",
+)  # what one machine has once
 FREE = re.compile(r"actuator\.max_speed|targets \d+\.turned")  # what an owner may set otherwise from day to day
 PAYLOAD = "a payload is no part of the platform: log it as payload_mass_kg in sensors.csv"
 
 
 def design_contradictions(a: Design, b: Design) -> list[str]:
-    """What two Designs state of the machine itself that cannot both be true, in words; cameras may be moved, and are not asked for."""
-    found = [text for name in STATED for where, text in _differences(getattr(a, name), getattr(b, name), name) if not FREE.fullmatch(where)]
+    """What two Designs state of the machine itself that cannot both be true, in words; cameras may be moved, and are
+    not asked for.
+    """
+    found = [
+        text
+        for name in STATED
+        for where, text in _differences(getattr(a, name), getattr(b, name), name)
+        if not FREE.fullmatch(where)
+    ]
     return [*found, PAYLOAD] if any(text.startswith("platform.mass") for text in found) else found
 
 
@@ -40,7 +55,9 @@ def _differences(a: Any, b: Any, where: str) -> Iterator[tuple[str, str]]:
             yield where, f"{where}: up to {np.nanmax(np.abs(a - b)):.3g} apart"
     elif is_dataclass(a):
         for field in fields(a):
-            yield from _differences(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}".removeprefix("."))
+            yield from _differences(
+                getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}".removeprefix(".")
+            )
     elif isinstance(a, tuple):
         if len(a) != len(b):
             yield where, f"{where}: {len(a)} and {len(b)}"

@@ -18,7 +18,9 @@ def _array(value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
 
 
 def freeze_array(self: Any, name: str, shape: tuple[int | None, ...]) -> None:
-    """Make a frozen dataclass' field an unwritable float array of a shape. Raises ValueError for another shape or what is not finite."""
+    """Make a frozen dataclass' field an unwritable float array of a shape. Raises ValueError for another shape or what
+    is not finite.
+    """
     object.__setattr__(self, name, _array(getattr(self, name), shape, name))
 
 
@@ -39,7 +41,12 @@ class Hexapod:
     kind: ClassVar[Literal["hexapod"]] = "hexapod"
 
     def __post_init__(self) -> None:
-        for name, shape in (("base_joints", (6, 3)), ("platform_joints", (6, 3)), ("strut_range", (6, 2)), ("strut_zeros", (6,))):
+        for name, shape in (
+            ("base_joints", (6, 3)),
+            ("platform_joints", (6, 3)),
+            ("strut_range", (6, 2)),
+            ("strut_zeros", (6,)),
+        ):
             freeze_array(self, name, shape)
 
     @property
@@ -77,7 +84,8 @@ class Arm:
     joints : (n, 4 or 5) theta (rad), d (m), a (m), alpha (rad), optional Hayati beta (rad): distal Denavit-Hartenberg,
     A_i = Rot_z(theta_i + q_i) Trans_z(d_i) Trans_x(a_i) Rot_x(alpha_i) Rot_y(beta_i); limits : (n, 2) rad
     base : where the arm's own frame 0 stands in the frame of poses; tool : the platform (hand, target) in frame n
-    slides : (n,) bool, joints that are prismatic: Rot_z(theta_i) Trans_z(d_i + q_i), q_i and its limits in m; none by default
+    slides : (n,) bool, joints that are prismatic: Rot_z(theta_i) Trans_z(d_i + q_i), q_i and its limits in m; none by
+        default
     """
 
     joints: np.ndarray
@@ -111,7 +119,9 @@ Stage = Hexapod | Planar2 | Arm
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """Mechanisms one upon the other: the platform of each stage is the base of the next. stages : two or more, from the base up."""
+    """Mechanisms one upon the other: the platform of each stage is the base of the next. stages : two or more, from the
+    base up.
+    """
 
     stages: tuple[Stage, ...]
     kind: ClassVar[Literal["chain"]] = "chain"

@@ -36,7 +36,9 @@ def chain_of(mechanism: Mechanism) -> Chain:
 
 
 def bodies_of(mechanism: Mechanism) -> tuple[str, ...]:
-    """The bodies of a rig that may carry targets: "platform", "base", and of a chain what its stages move below the platform, "stage 1" .."""
+    """The bodies of a rig that may carry targets: "platform", "base", and of a chain what its stages move below the
+    platform, "stage 1" ..
+    """
     return ("platform", "base", *(mechanism.bodies if isinstance(mechanism, Chain) else ()))
 
 

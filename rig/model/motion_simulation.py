@@ -1,4 +1,6 @@
-"""Commands through time, with effects -> poses: the one forward model of motion, for the simulator and the diagnosis alike."""
+"""Commands through time, with effects -> poses: the one forward model of motion, for the simulator and the diagnosis
+alike.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +29,8 @@ class Run:
 
     T_base_platform : RigidTransform (n,); deviation : (n, axes) m or rad the axes stood beyond their command
     rate, curvature : (n, 6) tangent per s and per s^2 at the exposure (on the right), None where not asked for
-    stages : of a chain T_base_stage : RigidTransform (n,) of every stage's platform but the last, which is T_base_platform
+    stages : of a chain T_base_stage : RigidTransform (n,) of every stage's platform but the last, which is
+        T_base_platform
     """
 
     T_base_platform: RigidTransform
@@ -37,13 +40,17 @@ class Run:
     stages: tuple[RigidTransform, ...] = ()
 
 
-def motion_of_commands(design: Design, commands: Commands, t: np.ndarray, effects: Iterable[Effect] = (), sensors: Sensors | None = None) -> Motion:
+def motion_of_commands(
+    design: Design, commands: Commands, t: np.ndarray, effects: Iterable[Effect] = (), sensors: Sensors | None = None
+) -> Motion:
     """Motion of a design (as it really is) at exposures logged at t (n,) s: clock and path as the effects make them.
 
     commands : Commands; effects : Effects; sensors : Sensors or None
     """
     t = np.asarray(t, float)
-    began = np.r_[0.0, commands.starts][np.searchsorted(commands.starts, t, side="right")]  # each recording sets its clocks anew
+    began = np.r_[0.0, commands.starts][
+        np.searchsorted(commands.starts, t, side="right")
+    ]  # each recording sets its clocks anew
     for effect in effects:
         if type(effect).times is not Effect.times:
             t = began + effect.times(t - began)
@@ -53,17 +60,26 @@ def motion_of_commands(design: Design, commands: Commands, t: np.ndarray, effect
     for effect in effects:
         path = effect.follow(path, mechanisms.axis_places(design.mechanism))
     home = mechanisms.kinematics_of(design.mechanism).home(design.mechanism)
-    return Motion(axes_of(design.mechanism), design.platform, design.actuator, design.gravity, t, path, sensors, home, None)
+    return Motion(
+        axes_of(design.mechanism), design.platform, design.actuator, design.gravity, t, path, sensors, home, None
+    )
 
 
-def run_machine(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect] = (), sensors: Sensors | None = None,
-        rates: bool = False) -> Run:
+def run_machine(
+    design: Design,
+    commands: Commands,
+    t: np.ndarray,
+    effects: Sequence[Effect] = (),
+    sensors: Sensors | None = None,
+    rates: bool = False,
+) -> Run:
     """Run of a machine under commands, with effects.
 
-    design : Design as it really is; commands : Commands; t : (n,) s, exposures as logged; effects : Effects, acting together
+    design : Design as it really is; commands : Commands; t : (n,) s, exposures as logged; effects : Effects, acting
+        together
     sensors : Sensors with the channels that some effects need; rates : whether velocities are wanted too
-    Effects that depend on the pose are solved with it as a fixed point. Raises NotConverged where there is none, RigError for an effect
-    that the machine or its recording lacks something for, and what `forward` raises.
+    Effects that depend on the pose are solved with it as a fixed point. Raises NotConverged where there is none,
+    RigError for an effect that the machine or its recording lacks something for, and what `forward` raises.
     """
     if rates:
         return _with_rates(design, commands, np.asarray(t, float), effects, sensors)
@@ -87,26 +103,45 @@ def run_machine(design: Design, commands: Commands, t: np.ndarray, effects: Sequ
         if bound:
             left = np.abs(deviation - before).max(axis=1)
             failed = np.flatnonzero(left >= TOLERANCE)
-            raise NotConverged(f"no balance between pose and {', '.join(e.name for e in bound)} at {len(failed)} exposures", failed,
-                               state.lengths[failed], left[failed])
+            raise NotConverged(
+                f"no balance between pose and {', '.join(e.name for e in bound)} at {len(failed)} exposures",
+                failed,
+                state.lengths[failed],
+                left[failed],
+            )
     sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
     stages = chain.stage_poses(state.lengths + deviation, m)[:-1] if isinstance(m, Chain) else []
     return Run(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
 
 
-def effective_commands(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
-              sensors: Sensors | None = None) -> np.ndarray:
-    """(n, axes) m that commands become under effects at exposures logged at t (n,) s; what depends on the pose is taken at T (n,).
+def effective_commands(
+    design: Design,
+    commands: Commands,
+    t: np.ndarray,
+    T: RigidTransform,
+    effects: Sequence[Effect] = (),
+    sensors: Sensors | None = None,
+) -> np.ndarray:
+    """(n, axes) m that commands become under effects at exposures logged at t (n,) s; what depends on the pose is taken
+    at T (n,).
 
-    Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as `motion_of_commands`
+    Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as
+    `motion_of_commands`
     """
     out, sway = effective_commands_and_sway(design, commands, t, T, effects, sensors)
     return out + apparent_strut_lengths(design, T, sway) if sway.any() else out
 
 
-def effective_commands_and_sway(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
-            sensors: Sensors | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """((n, axes) m or rad that commands become, (n, 6) sway of the platform beyond that) under effects, taken at T (n,) as in `effective_commands`.
+def effective_commands_and_sway(
+    design: Design,
+    commands: Commands,
+    t: np.ndarray,
+    T: RigidTransform,
+    effects: Sequence[Effect] = (),
+    sensors: Sensors | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """((n, axes) m or rad that commands become, (n, 6) sway of the platform beyond that) under effects, taken at T (n,)
+    as in `effective_commands`.
 
     What joints hold is displaced along with them in ways that no joint may make up for. Raises as `motion_of_commands`
     """
@@ -116,7 +151,9 @@ def effective_commands_and_sway(design: Design, commands: Commands, t: np.ndarra
 
 
 def apparent_strut_lengths(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
-    """(n, axes) m by which struts seem longer where the platform at T (n,) is displaced by tangents (n, 6). Raises RigError without struts."""
+    """(n, axes) m by which struts seem longer where the platform at T (n,) is displaced by tangents (n, 6). Raises
+    RigError without struts.
+    """
     m = design.mechanism
     if isinstance(m, Hexapod):
         return np.einsum("nij,nj->ni", hexapod.jacobian(T, m), sway)
@@ -126,11 +163,15 @@ def apparent_strut_lengths(design: Design, T: RigidTransform, sway: np.ndarray) 
 
 
 def has_rolling_shutter(design: Design, effects: Iterable[Effect]) -> bool:
-    """Whether the rows of some camera's images are exposed one after the other, so that velocities matter to what is seen."""
+    """Whether the rows of some camera's images are exposed one after the other, so that velocities matter to what is
+    seen.
+    """
     return any(camera.shutter == "rolling" for camera in design.cameras) or any(effect.rolls for effect in effects)
 
 
-def _with_rates(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect], sensors: Sensors | None) -> Run:
+def _with_rates(
+    design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect], sensors: Sensors | None
+) -> Run:
     around = np.concatenate([t - ABOUT, t, t + ABOUT])
     order = np.argsort(around, kind="stable")
     done = run_machine(design, commands, around[order], effects, sensors)
@@ -138,10 +179,14 @@ def _with_rates(design: Design, commands: Commands, t: np.ndarray, effects: Sequ
     back[order] = np.arange(len(order))
     before, at, after = np.split(back, 3)
     T = done.T_base_platform
-    return Run(T[at], done.deviation[at], *pose_rates(T[at], T[before], T[after]), tuple(stage[at] for stage in done.stages))
+    return Run(
+        T[at], done.deviation[at], *pose_rates(T[at], T[before], T[after]), tuple(stage[at] for stage in done.stages)
+    )
 
 
 def pose_rates(T: RigidTransform, before: RigidTransform, after: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
-    """(rate (n, 6) tangent per s, curvature (n, 6) per s^2) of poses (n,), and where they were ABOUT s before and after."""
+    """(rate (n, 6) tangent per s, curvature (n, 6) per s^2) of poses (n,), and where they were ABOUT s before and
+    after.
+    """
     minus, plus = pose_difference(T, before), pose_difference(T, after)
     return (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2

@@ -1,4 +1,5 @@
-"""The few things SciPy's RigidTransform lacks: a tangent with translation first, covariances on the right, and the way to another process unrounded.
+"""The few things SciPy's RigidTransform lacks: a tangent with translation first, covariances on the right, and the way
+to another process unrounded.
 
 Frames: T_a_b maps b's coordinates to a. Tangent xi = (x, y, z, rx, ry, rz) in m and rad stands on the right:
 T = T_mean * exp(xi), so it lives in b's frame.
@@ -15,11 +16,14 @@ LOCKED = 1e-9  # cosine of a pitch below which roll and yaw turn about the same 
 
 
 def _as_it_is(matrix: np.ndarray) -> RigidTransform:
-    """RigidTransform (...) of matrices (..., 4, 4) that are rigid to the last bit that they have: nothing is made orthogonal once more."""
+    """RigidTransform (...) of matrices (..., 4, 4) that are rigid to the last bit that they have: nothing is made
+    orthogonal once more.
+    """
     return RigidTransform(matrix, normalize=False)
 
 
-# by itself it would be made orthogonal again wherever it comes to, and what is computed from it there would be other bytes
+# by itself it would be made orthogonal again wherever it comes to, and what is computed from it there would be other
+# bytes
 copyreg.pickle(RigidTransform, lambda T: (_as_it_is, (T.as_matrix(),)))
 
 
@@ -52,7 +56,8 @@ def pose_entry_text(T: RigidTransform) -> dict[str, list[float]]:
 
 
 def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
-    """(..., 6) position (m) and rotation vector (rad) of T_from^-1 T_to: how far apart two poses are, seen in the first.
+    """(..., 6) position (m) and rotation vector (rad) of T_from^-1 T_to: how far apart two poses are, seen in the
+    first.
 
     The parts are taken separately (no coupling of rotation into position), the definition used for every pose error.
     """
@@ -72,9 +77,11 @@ def adjoint(T: RigidTransform) -> np.ndarray:
 
 
 def roll_pitch_yaw(T: RigidTransform) -> np.ndarray:
-    """(..., 3) rad of a RigidTransform (...): turned by roll about x, then pitch about y, then yaw about z, the axes of the static frame.
+    """(..., 3) rad of a RigidTransform (...): turned by roll about x, then pitch about y, then yaw about z, the axes of
+    the static frame.
 
-    R = Rz(yaw) Ry(pitch) Rx(roll). At a pitch of a quarter turn roll and yaw turn alike: all of it is told as roll, yaw is 0
+    R = Rz(yaw) Ry(pitch) Rx(roll). At a pitch of a quarter turn roll and yaw turn alike: all of it is told as roll, yaw
+    is 0
     """
     R = T.rotation.as_matrix()
     pitch = np.arctan2(-R[..., 2, 0], np.hypot(R[..., 0, 0], R[..., 1, 0]))
@@ -84,13 +91,20 @@ def roll_pitch_yaw(T: RigidTransform) -> np.ndarray:
 
 
 def angle_sigmas(T: RigidTransform, covariance: np.ndarray) -> np.ndarray:
-    """(..., 3) rad, standard deviations of roll, pitch and yaw of poses (...) with covariance (..., 6, 6), tangent on the right; infinite where
-    roll and yaw cannot be told apart."""
+    """(..., 3) rad, standard deviations of roll, pitch and yaw of poses (...) with covariance (..., 6, 6), tangent on
+    the right; infinite where roll and yaw cannot be told apart."""
     roll, pitch, _ = np.moveaxis(roll_pitch_yaw(T), -1, 0)
     sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
     cp = np.where(np.abs(cp) < LOCKED, np.nan, cp)
     zero, one = np.zeros(np.shape(roll)), np.ones(np.shape(roll))
-    rates = np.stack([np.stack([one, sr * sp / cp, cr * sp / cp], -1), np.stack([zero, cr, -sr], -1), np.stack([zero, sr / cp, cr / cp], -1)], -2)
+    rates = np.stack(
+        [
+            np.stack([one, sr * sp / cp, cr * sp / cp], -1),
+            np.stack([zero, cr, -sr], -1),
+            np.stack([zero, sr / cp, cr / cp], -1),
+        ],
+        -2,
+    )
     spread = np.einsum("...ij,...jk,...ik->...i", rates, np.asarray(covariance)[..., 3:, 3:], rates)
     return np.sqrt(np.where(np.isnan(spread), np.inf, spread))
 

@@ -1,8 +1,11 @@
-"""The order of a plan's configurations, and the side from which each is approached, so that neither time nor direction is a function of place.
+"""The order of a plan's configurations, and the side from which each is approached, so that neither time nor direction
+is a function of place.
 
-A correction fitted to place absorbs whatever goes with place. A Sobol sequence in its own order comes to the upper half of a stroke from below and
-to the lower half from above, so that play looks like a map; a grid in serpentine order goes with time, so that drift does.
-Source: Box, Hunter and Hunter, Statistics for Experimenters, 2nd ed., ch. 4 and 5 (randomise what cannot be blocked, balance what can)
+A correction fitted to place absorbs whatever goes with place. A Sobol sequence in its own order comes to the upper half
+of a stroke from below and to the lower half from above, so that play looks like a map; a grid in serpentine order goes
+with time, so that drift does.
+Source: Box, Hunter and Hunter, Statistics for Experimenters, 2nd ed., ch. 4 and 5 (randomise what cannot be blocked,
+    balance what can)
 """
 
 from collections.abc import Sequence
@@ -21,10 +24,12 @@ SMALL = 1e-9  # of a sum of squared correlations, below which an exchange gains 
 
 
 def balanced_order(values: np.ndarray, rng: np.random.Generator, start: np.ndarray | None = None) -> np.ndarray:
-    """(n,) indices of configurations values (n, axes), m or rad, shuffled, then exchanged two by two until time goes with place the least.
+    """(n,) indices of configurations values (n, axes), m or rad, shuffled, then exchanged two by two until time goes
+    with place the least.
 
-    start : (axes,) from which the first is reached, where the axes go straight from one to the next: then direction of approach goes with place the
-    least as well; None where sides are chosen apart (see `balanced_approaches`). The least: the sum of squared correlations over all axes
+    start : (axes,) from which the first is reached, where the axes go straight from one to the next: then direction of
+    approach goes with place the least as well; None where sides are chosen apart (see `balanced_approaches`). The
+    least: the sum of squared correlations over all axes
     """
     n = len(values)
     order = rng.permutation(n)
@@ -53,25 +58,38 @@ def balanced_order(values: np.ndarray, rng: np.random.Generator, start: np.ndarr
     return order
 
 
-def balanced_approaches(values: np.ndarray, rng: np.random.Generator, strokes: np.ndarray, others: Sequence[np.ndarray] = ()) -> np.ndarray:
-    """(n, axes) m or rad by which each axis moves last before configurations values (n, axes), in their order: from below where positive.
+def balanced_approaches(
+    values: np.ndarray, rng: np.random.Generator, strokes: np.ndarray, others: Sequence[np.ndarray] = ()
+) -> np.ndarray:
+    """(n, axes) m or rad by which each axis moves last before configurations values (n, axes), in their order: from
+    below where positive.
 
-    Sides are those of `balanced_sides`; lengths are drawn from REACHES of the strokes (axes, 2), evenly on a logarithmic scale, so that what follows
-    the size of a move differs from what follows its direction, and end before the stroke does. others : as there
+    Sides are those of `balanced_sides`; lengths are drawn from REACHES of the strokes (axes, 2), evenly on a
+    logarithmic scale, so that what follows the size of a move differs from what follows its direction, and end before
+    the stroke does. others : as there
     """
     extent = np.ptp(strokes, axis=1)
     sides = balanced_sides(values, rng, REACHES[0] * extent, strokes, others)
     drawn = extent * REACHES[0] * (REACHES[1] / REACHES[0]) ** rng.random(values.shape)
-    return np.asarray(sides * np.minimum(drawn, ROOM * np.where(sides > 0, values - strokes[:, 0], strokes[:, 1] - values)))
+    return np.asarray(
+        sides * np.minimum(drawn, ROOM * np.where(sides > 0, values - strokes[:, 0], strokes[:, 1] - values))
+    )
 
 
-def balanced_sides(values: np.ndarray, rng: np.random.Generator, reach: np.ndarray, strokes: np.ndarray,
-                   others: Sequence[np.ndarray] = ()) -> np.ndarray:
-    """(n, axes) sides from which each axis comes to configurations values (n, axes), m or rad, in their order: 1 from below, -1 from above.
+def balanced_sides(
+    values: np.ndarray,
+    rng: np.random.Generator,
+    reach: np.ndarray,
+    strokes: np.ndarray,
+    others: Sequence[np.ndarray] = (),
+) -> np.ndarray:
+    """(n, axes) sides from which each axis comes to configurations values (n, axes), m or rad, in their order: 1 from
+    below, -1 from above.
 
-    At random, then turned one by one until place, time, others (n,) and the sides of other axes together explain the least of the side, axis by axis.
-    reach : (axes,) m or rad, by which an axis moves last at least; strokes : (axes, 2), which it does not leave: at an end an
-    axis comes from within
+    At random, then turned one by one until place, time, others (n,) and the sides of other axes together explain the
+    least of the side, axis by axis.
+    reach : (axes,) m or rad, by which an axis moves last at least; strokes : (axes, 2), which it does not leave: at an
+    end an axis comes from within
     """
     n, axes = values.shape
     place, own = _place(values)
@@ -87,16 +105,24 @@ def balanced_sides(values: np.ndarray, rng: np.random.Generator, reach: np.ndarr
 
 
 def _turned(side: np.ndarray, columns: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Sides (n,) of which the free ones are turned, one or two at a time, while the squared sums with columns (n, p) become less."""
+    """Sides (n,) of which the free ones are turned, one or two at a time, while the squared sums with columns (n, p)
+    become less.
+    """
     own = (columns**2).sum(axis=1)
     if not free.any():
         return side
     sums = columns.T @ side
     for _ in range(ROUNDS):
-        change = np.where(free, 4 * own - 4 * side * (columns @ sums), np.inf)  # |sums - 2 side_k columns_k|^2 - |sums|^2
+        change = np.where(
+            free, 4 * own - 4 * side * (columns @ sums), np.inf
+        )  # |sums - 2 side_k columns_k|^2 - |sums|^2
         best = int(np.argmin(change))
         if change[best] >= -SMALL:  # none gains alone: two at once
-            pair = change[:, None] + change + 8 * np.outer(side, side) * (columns @ columns.T) if len(side) <= TRIED else np.full((1, 1), np.inf)
+            pair = (
+                change[:, None] + change + 8 * np.outer(side, side) * (columns @ columns.T)
+                if len(side) <= TRIED
+                else np.full((1, 1), np.inf)
+            )
             np.fill_diagonal(pair, np.inf)
             if not pair.min() < -SMALL:
                 break
@@ -109,8 +135,8 @@ def _turned(side: np.ndarray, columns: np.ndarray, free: np.ndarray) -> np.ndarr
 
 
 def _place(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(functions of place (n, 3 axes), standardised: every axis, its square and the half of its stroke; (axes, 3 axes) bool which count for the
-    direction of an axis: all axes' places, and of its own the square and the half)."""
+    """(functions of place (n, 3 axes), standardised: every axis, its square and the half of its stroke; (axes, 3 axes)
+    bool which count for the direction of an axis: all axes' places, and of its own the square and the half)."""
     axes = values.shape[1]
     span = np.ptp(values, axis=0)
     unit = 2 * (values - values.min(axis=0)) / np.where(span > 0, span, 1.0) - 1
@@ -126,18 +152,25 @@ def _standard(columns: np.ndarray) -> np.ndarray:
 
 
 def _worst_first(shares: np.ndarray) -> np.ndarray:
-    """(...) what the axes' (..., axes) squared sums with directions cost: those of all, and most of all the worst axis'."""
+    """(...) what the axes' (..., axes) squared sums with directions cost: those of all, and most of all the worst
+    axis'.
+    """
     return np.asarray(shares.sum(axis=-1) + WORST * shares.max(axis=-1))
 
 
 def _apart(columns: np.ndarray) -> np.ndarray:
-    """Columns (n, p) made nearly uncorrelated: of a side their squared sums over n^2 are the share that all together explain."""
+    """Columns (n, p) made nearly uncorrelated: of a side their squared sums over n^2 are the share that all together
+    explain.
+    """
     size, vectors = np.linalg.eigh(columns.T @ columns / len(columns))
     return np.asarray(columns @ vectors / np.sqrt(size + RIDGE))
 
 
-def _directions(visited: np.ndarray, place: np.ndarray, start: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(sums (axes, p) of directions times functions of place (n, p) in an order, (k, axes, p) by which exchanging a (k,) and b (k,) changes them).
+def _directions(
+    visited: np.ndarray, place: np.ndarray, start: np.ndarray, a: np.ndarray, b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(sums (axes, p) of directions times functions of place (n, p) in an order, (k, axes, p) by which exchanging a
+    (k,) and b (k,) changes them).
 
     visited : (n, axes) configurations in their order; no a is next to its b
     """

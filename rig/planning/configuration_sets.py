@@ -1,4 +1,6 @@
-"""Which configurations to visit: evenly over a configuration space, on its grids and simplices, along and about the axes of space."""
+"""Which configurations to visit: evenly over a configuration space, on its grids and simplices, along and about the
+axes of space.
+"""
 
 from collections.abc import Sequence
 from itertools import product
@@ -21,12 +23,15 @@ DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its pose
 
 
 def low_discrepancy(strokes: np.ndarray, count: int, fill: float = FILL, seed: int = 0) -> np.ndarray:
-    """(count, axes) configurations that cover the middle `fill` of the strokes (axes, 2) evenly (scrambled Sobol points)."""
+    """(count, axes) configurations that cover the middle `fill` of the strokes (axes, 2) evenly (scrambled Sobol
+    points).
+    """
     return scale_to_strokes(strokes, 2 * sobol_points.sobol_points(len(strokes), count, seed) - 1, fill)
 
 
 def grid(strokes: np.ndarray, per_axis: int, fill: float = FILL) -> np.ndarray:
-    """(per_axis ** axes, axes) vertices of an even cube grid in configuration space (patent [0031], [0032]), serpentine.
+    """(per_axis ** axes, axes) vertices of an even cube grid in configuration space (patent [0031], [0032]),
+    serpentine.
 
     Raises RigError for less than two points an axis.
     """
@@ -51,12 +56,16 @@ def _vertices(levels: Sequence[np.ndarray]) -> list[tuple]:
 def grid_division(strokes: np.ndarray, text: str) -> np.ndarray:
     """(vertices, axes) of the grid that divides every actuator's interval into Q parts, a sample set PM, serpentine.
 
-    strokes : (axes, 2); text : "3", parts of every axis, or "3x3x2x3x3x2", of each, evenly over the middle FILL of the strokes, or over
-    another share of them, "3@0.5"; or the name of a table axis,level with the levels of each axis, evenly or not, m or rad
-    Raises RigError for a text that is no division, FileError for a table with levels twice, beyond the strokes, or fewer than two of an axis
+    strokes : (axes, 2); text : "3", parts of every axis, or "3x3x2x3x3x2", of each, evenly over the middle FILL of the
+    strokes, or over another share of them, "3@0.5"; or the name of a table axis,level with the levels of each axis,
+    evenly or not, m or rad
+    Raises RigError for a text that is no division, FileError for a table with levels twice, beyond the strokes, or
+        fewer than two of an axis
     Source: configuration-space patent, [0028], [0031], [0032], [0126], [0127], [0145]
     """
-    return np.array(_vertices(_levels_of_file(strokes, Path(text)) if text.endswith(".csv") else _levels_of_text(strokes, text)))
+    return np.array(
+        _vertices(_levels_of_file(strokes, Path(text)) if text.endswith(".csv") else _levels_of_text(strokes, text))
+    )
 
 
 def parse_division(axes: int, text: str) -> tuple[list[int], float]:
@@ -69,8 +78,11 @@ def parse_division(axes: int, text: str) -> tuple[list[int], float]:
     except ValueError:
         fill = 0.0
     if not whole or len(found) not in (1, axes) or not 0 < fill <= 1:
-        raise RigError(f"a division is the parts of every axis (3), of each of the {axes} (3x2x..), with a share of the strokes (3@0.5) up to 1 or "
-                       f"not, or a table axis,level (FILE.csv), not {value_text(text)}")
+        raise RigError(
+            f"a division is the parts of every axis (3), of each of the {axes} (3x2x..), with a share of the "
+            "strokes (3@0.5) up to 1 or "
+            f"not, or a table axis,level (FILE.csv), not {value_text(text)}"
+        )
     return [int(one) for one in (found * axes if len(found) == 1 else found)], fill
 
 
@@ -90,7 +102,11 @@ def _levels_of_file(strokes: np.ndarray, path: Path) -> list[np.ndarray]:
             rows.fail(f"the level {level[k]:g} of axis {i + 1} is beyond its stroke, {low:g} to {high:g}", int(k))
         levels = np.unique(level[mine])
         if len(levels) < 2 or len(levels) < len(mine):
-            raise FileError(path, f"axis {i + 1} must have two levels or more, each once; it has {len(mine)}, {len(levels)} of them different")
+            raise FileError(
+                path,
+                f"axis {i + 1} must have two levels or more, each once; it has {len(mine)}, {len(levels)} of "
+                "them different",
+            )
         out.append(levels)
     for k in np.flatnonzero(~np.isin(axis, np.arange(1, len(strokes) + 1))):
         rows.fail(f"there is no axis {axis[k]:g}: axes are 1 to {len(strokes)}", int(k))
@@ -98,31 +114,39 @@ def _levels_of_file(strokes: np.ndarray, path: Path) -> list[np.ndarray]:
 
 
 def simplices(strokes: np.ndarray, shells: int = 2, fill: float = FILL) -> np.ndarray:
-    """(n, axes) vertices of simplices that fill the configuration space (patent [0033], [0034]): the centre and, on each shell, the
-    axes' ends and the corners of a half fraction of the cube, which together split it into simplices. strokes : (axes, 2) m or rad"""
+    """(n, axes) vertices of simplices that fill the configuration space (patent [0033], [0034]): the centre and, on
+    each shell, the axes' ends and the corners of a half fraction of the cube, which together split it into simplices.
+    strokes : (axes, 2) m or rad"""
     axes = len(strokes)
     ends = np.concatenate([np.eye(axes), -np.eye(axes)])
     corners = np.array([signs for signs in product((-1, 1), repeat=axes) if np.prod(signs) > 0])
     shell = np.concatenate([ends, corners])
-    return scale_to_strokes(strokes, np.concatenate([np.zeros((1, axes)), *[shell * (k + 1) / shells for k in range(shells)]]), fill)
+    return scale_to_strokes(
+        strokes, np.concatenate([np.zeros((1, axes)), *[shell * (k + 1) / shells for k in range(shells)]]), fill
+    )
 
 
 def axis_moves(design: Design, per_axis: int = 9) -> np.ndarray:
-    """(6 per_axis, 6) commands of the translations along and rotations about X, Y and Z through home, as far as the struts reach
-    (on-line learning patent, [0011]-[0015]). Raises RigError for a mechanism that is no hexapod."""
+    """(6 per_axis, 6) commands of the translations along and rotations about X, Y and Z through home, as far as the
+    struts reach (on-line learning patent, [0011]-[0015]). Raises RigError for a mechanism that is no hexapod."""
     mechanism = _hexapod(design, "axes plans are for hexapods")
     return _through_home(mechanism, np.eye(6), per_axis)
 
 
 def combined_moves(design: Design, per_pair: int = 6) -> np.ndarray:
-    """(18 per_pair, 6) commands through home that turn about X, Y or Z while they move along X, Y or Z, both ways: each pair on two diagonals, as far
-    as the struts reach; a turn of a radian goes with as many m as each reaches alone (on-line learning patent, [0015]).
+    """(18 per_pair, 6) commands through home that turn about X, Y or Z while they move along X, Y or Z, both ways: each
+    pair on two diagonals, as far as the struts reach; a turn of a radian goes with as many m as each reaches alone
+    (on-line learning patent, [0015]).
 
     Raises RigError for a mechanism that is no hexapod
     """
     mechanism = _hexapod(design, "combined plans are for hexapods")
     alone = np.diag(_reach(mechanism, np.eye(6)))
-    return _through_home(mechanism, np.array([along + sign * about for along in alone[:3] for about in alone[3:] for sign in (1, -1)]), per_pair)
+    return _through_home(
+        mechanism,
+        np.array([along + sign * about for along in alone[:3] for about in alone[3:] for sign in (1, -1)]),
+        per_pair,
+    )
 
 
 def _hexapod(design: Design, what: str) -> Hexapod:
@@ -133,13 +157,19 @@ def _hexapod(design: Design, what: str) -> Hexapod:
 
 
 def _through_home(mechanism: Hexapod, ways: np.ndarray, count: int) -> np.ndarray:
-    """(k count, 6) m, commands along ways (k, 6) m, rad through home, one after the other, as far as the struts reach on either side."""
+    """(k count, 6) m, commands along ways (k, 6) m, rad through home, one after the other, as far as the struts reach
+    on either side.
+    """
     steps = np.linspace(-_reach(mechanism, -ways), _reach(mechanism, ways), count, axis=1)
-    return mechanisms.kinematics_of(mechanism).inverse(_shifted(mechanism, (steps[..., None] * ways[:, None]).reshape(-1, 6)), mechanism)
+    return mechanisms.kinematics_of(mechanism).inverse(
+        _shifted(mechanism, (steps[..., None] * ways[:, None]).reshape(-1, 6)), mechanism
+    )
 
 
 def _reach(mechanism: Hexapod, ways: np.ndarray) -> np.ndarray:
-    """(k,) how many times each way (k, 6) m, rad from home the struts reach, within the middle part FILL of their strokes; at most FARTHEST."""
+    """(k,) how many times each way (k, 6) m, rad from home the struts reach, within the middle part FILL of their
+    strokes; at most FARTHEST.
+    """
     module, middle = mechanisms.kinematics_of(mechanism), mechanism.strut_range.mean(axis=1)
     low, high = np.zeros(len(ways)), np.full(len(ways), FARTHEST)
     for _ in range(40):
@@ -151,20 +181,29 @@ def _reach(mechanism: Hexapod, ways: np.ndarray) -> np.ndarray:
 
 
 def iso9283_test_poses(design: Design) -> np.ndarray:
-    """(5, 6) commands of ISO 9283's test poses: P1 in the middle of the largest cube of positions that the struts reach about home, P2 to P5 on the
-    diagonals of a plane through four of its corners, a tenth of the diagonal from each. Raises RigError for a mechanism that is no hexapod."""
+    """(5, 6) commands of ISO 9283's test poses: P1 in the middle of the largest cube of positions that the struts reach
+    about home, P2 to P5 on the diagonals of a plane through four of its corners, a tenth of the diagonal from each.
+    Raises RigError for a mechanism that is no hexapod."""
     mechanism = _hexapod(design, "ISO 9283's poses are planned for hexapods")
     corners = np.pad(list(product((-1.0, 1.0), repeat=3)), ((0, 0), (0, 3)))
     half = _reach(mechanism, corners).min()
     plane = corners[corners[:, 1] == corners[:, 2]]
-    return mechanisms.kinematics_of(mechanism).inverse(_shifted(mechanism, half * np.concatenate([np.zeros((1, 6)), DIAGONAL * plane])), mechanism)
+    return mechanisms.kinematics_of(mechanism).inverse(
+        _shifted(mechanism, half * np.concatenate([np.zeros((1, 6)), DIAGONAL * plane])), mechanism
+    )
 
 
 def _shifted(mechanism: Hexapod, offset: np.ndarray) -> RigidTransform:
     """Home moved and turned by offsets (k, 6) m, rad."""
-    return pose(offset[:, :3], np.zeros((len(offset), 3))) * mechanism.home * pose(np.zeros((len(offset), 3)), offset[:, 3:])
+    return (
+        pose(offset[:, :3], np.zeros((len(offset), 3)))
+        * mechanism.home
+        * pose(np.zeros((len(offset), 3)), offset[:, 3:])
+    )
 
 
 def scale_to_strokes(strokes: np.ndarray, unit: np.ndarray, fill: float) -> np.ndarray:
-    """(count, axes) configurations (m or rad) of numbers -1..1 (count, axes), which span the middle `fill` of the strokes (axes, 2)."""
+    """(count, axes) configurations (m or rad) of numbers -1..1 (count, axes), which span the middle `fill` of the
+    strokes (axes, 2).
+    """
     return strokes.mean(axis=1) + fill * np.ptp(strokes, axis=1) / 2 * unit

@@ -53,30 +53,38 @@ def settled_plan(configurations: np.ndarray, start: np.ndarray, speed: float | n
     return writer.plan()
 
 
-def build_plan(design: Design, text: str, seed: int = 0, one_sided: bool = False, own: Mapping[str, np.ndarray] | None = None) -> Plan:
-    """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD. one_sided : whether every
-    configuration at which the struts settle is reached from shorter struts; own : {part: configurations (n, axes) that it visits in that order},
-    besides these
+def build_plan(
+    design: Design, text: str, seed: int = 0, one_sided: bool = False, own: Mapping[str, np.ndarray] | None = None
+) -> Plan:
+    """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD.
+    one_sided : whether every configuration at which the struts settle is reached from shorter struts; own : {part:
+        configurations
+    (n, axes) that it visits in that order}, besides these
 
-    Scattered configurations (sobol, division, grid, simplices, axes, combined, payload, warmup, repeat) are shuffled and approached from sides so
-    that neither time nor direction is a function of place (see rig.planning.approach_balance). A ladder, iso9283 and commands keep their order and go
-    straight.
-    Parts: sobol:N, division:Q (see rig.planning.configuration_sets.grid_division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR,
-    ladder:STEPS,
-    payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, turn:CUBE (before all others: the cube is taken off and
-    put back turned by a quarter turn from where its pose is stated)
-    and commands:FILE (a table frame,l1..l6 as `rig correct` writes it; one with a column t is a plan by itself, in its own time)
+    Scattered configurations (sobol, division, grid, simplices, axes, combined, payload, warmup, repeat) are shuffled
+    and approached from sides so that neither time nor direction is a function of place (see
+    rig.planning.approach_balance). A ladder, iso9283 and commands keep their order and go straight.
+    Parts: sobol:N, division:Q (see rig.planning.configuration_sets.grid_division), grid:PER_AXIS, simplices:SHELLS,
+    axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
+    payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, turn:CUBE (before all
+    others: the cube is taken off and put back turned by a quarter turn from where its pose is stated)
+    and commands:FILE (a table frame,l1..l6 as `rig correct` writes it; one with a column t is a plan by itself, in its
+    own time)
     Raises RigError for a part that is not known.
     """
     if not design.mechanism.axes:
-        raise RigError(f"a mechanism of kind {design.mechanism.kind!r} cannot be planned for: there is nothing to command")
+        raise RigError(
+            f"a mechanism of kind {design.mechanism.kind!r} cannot be planned for: there is nothing to command"
+        )
     if text.startswith("commands:") and "," not in text:
         found = plan_of_time_table(design, text.removeprefix("commands:"))
         if found is not None:
             return found
     strokes = axis_strokes(design)
     below = BELOW * np.ptp(strokes, axis=1) if one_sided else None
-    approach = Approach(strokes, below, np.random.default_rng((seed, 1)))  # apart from rng: which configurations a part visits stays the same
+    approach = Approach(
+        strokes, below, np.random.default_rng((seed, 1))
+    )  # apart from rng: which configurations a part visits stays the same
     writer = Writer(strokes.mean(axis=1), plan_speed(design), approach)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
@@ -85,9 +93,13 @@ def build_plan(design: Design, text: str, seed: int = 0, one_sided: bool = False
             writer.follow(np.asarray(own[part.strip()]))
             continue
         if name not in PARTS:
-            raise RigError(f"plan {value_text(text)}: there is no part {value_text(name)}; there are {', '.join(PARTS)}")
+            raise RigError(
+                f"plan {value_text(text)}: there is no part {value_text(name)}; there are {', '.join(PARTS)}"
+            )
         if name not in TEXTS and count and not (count.isascii() and count.isdigit() and count.strip("0")):
-            raise RigError(f"plan {value_text(text)}: {name} takes a whole number of at least 1, not {value_text(count)}")
+            raise RigError(
+                f"plan {value_text(text)}: {name} takes a whole number of at least 1, not {value_text(count)}"
+            )
         if name not in TEXTS:
             _refuse_endless(name, int(count.lstrip("0")[:12] or 0), len(strokes), len(writer.exposures), text)
         PARTS[name](writer, design, count if name in TEXTS else int(count or 0), rng)
@@ -98,18 +110,29 @@ def build_plan(design: Design, text: str, seed: int = 0, one_sided: bool = False
 
 def _refuse_endless(name: str, count: int, axes: int, before: int, text: str) -> None:
     """Raise RigError for a part that would make a plan of more than MOST exposures."""
-    each = {"grid": float(count) ** axes, "simplices": count * (2.0 * axes + 2.0 ** (axes - 1)), "axes": 6.0 * count, "combined": 18.0 * count,
-            "ladder": 4.0 * axes * count,
-            "payload": 3.0 * count, "iso9283": 5.0 * count}.get(name, count)
+    each = {
+        "grid": float(count) ** axes,
+        "simplices": count * (2.0 * axes + 2.0 ** (axes - 1)),
+        "axes": 6.0 * count,
+        "combined": 18.0 * count,
+        "ladder": 4.0 * axes * count,
+        "payload": 3.0 * count,
+        "iso9283": 5.0 * count,
+    }.get(name, count)
     _refuse_beyond(name, str(count), each, before, text)
 
 
 def _refuse_beyond(name: str, count: str, each: float, before: int, text: str) -> None:
     if before + each > MOST:
-        raise RigError(f"plan {value_text(text)}: with {name}:{count} it exposes {before + each:.3g} times; a plan may {MOST} times")
+        raise RigError(
+            f"plan {value_text(text)}: with {name}:{count} it exposes {before + each:.3g} times; a plan may "
+            f"{MOST} times"
+        )
 
 
-def _visit(configurations: Callable[[Design, int, np.random.Generator], np.ndarray]) -> Callable[[Writer, Design, int, np.random.Generator], None]:
+def _visit(
+    configurations: Callable[[Design, int, np.random.Generator], np.ndarray],
+) -> Callable[[Writer, Design, int, np.random.Generator], None]:
     def part(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
         writer.visit(configurations(design, count, rng))
 
@@ -164,7 +187,9 @@ def _moving(writer: Writer, design: Design, count: int, rng: np.random.Generator
 
 
 def _zigzag(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
-    """Exposures soon after all struts have turned round at full speed: what lags shows there, what only reads the clock wrong does not."""
+    """Exposures soon after all struts have turned round at full speed: what lags shows there, what only reads the clock
+    wrong does not.
+    """
     strokes = axis_strokes(design)
     leg = EXPOSE_EVERY * writer.speed * rng.choice([-1, 1], len(strokes))
     writer.go(strokes.mean(axis=1) - leg / 2)
@@ -178,14 +203,18 @@ def _zigzag(writer: Writer, design: Design, count: int, rng: np.random.Generator
 def _warmup(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """One configuration in twelve comes back all along, minutes apart: four hours in all."""
     goals = low_discrepancy(axis_strokes(design), 11, seed=int(rng.integers(1 << 30)))
-    route = np.array([axis_strokes(design).mean(axis=1) if k % 2 else goals[k // 2 % len(goals)] for k in range(count or 48)])
+    route = np.array(
+        [axis_strokes(design).mean(axis=1) if k % 2 else goals[k // 2 % len(goals)] for k in range(count or 48)]
+    )
     for goal, last in zip(route, writer.approaches(route)):
         writer.settle(goal, last)
         writer.dwell(4 * 3600 / (count or 48))
 
 
 def _dwell(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
-    """From one end to the other at once, and exposures during ten minutes there, often at first: what arrives late, and what only goes with time."""
+    """From one end to the other at once, and exposures during ten minutes there, often at first: what arrives late, and
+    what only goes with time.
+    """
     strokes = axis_strokes(design)
     middle, half = strokes.mean(axis=1), FILL * np.ptp(strokes, axis=1) / 2
     sides = rng.choice([-1, 1], len(strokes))
@@ -203,7 +232,9 @@ def _wait(writer: Writer, design: Design, minutes: int, rng: np.random.Generator
 
 
 def _repeat(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
-    """Three configurations approached again and again from everywhere, by every axis as often from below as from above: what repeatability is."""
+    """Three configurations approached again and again from everywhere, by every axis as often from below as from above:
+    what repeatability is.
+    """
     strokes = axis_strokes(design)
     goals = low_discrepancy(strokes, 3, seed=1)
     route = goals[np.arange(count or 30) % 3]
@@ -213,7 +244,9 @@ def _repeat(writer: Writer, design: Design, count: int, rng: np.random.Generator
 
 
 def _turn(writer: Writer, design: Design, cube: str, rng: np.random.Generator) -> None:
-    """A cube put back turned by a quarter turn before the plan begins. Raises RigError for a cube that there is not, or a plan that has begun."""
+    """A cube put back turned by a quarter turn before the plan begins. Raises RigError for a cube that there is not, or
+    a plan that has begun.
+    """
     name, problem = cube_named(cube, design.targets)
     if problem:
         raise RigError(f"a plan cannot turn it: {problem}")
@@ -247,14 +280,25 @@ def _division(writer: Writer, design: Design, text: str, rng: np.random.Generato
 
 
 PARTS: dict[str, Callable[..., None]] = {
-    "sobol": _visit(lambda design, count, rng: low_discrepancy(axis_strokes(design), count or 100, seed=int(rng.integers(1 << 30)))),
+    "sobol": _visit(
+        lambda design, count, rng: low_discrepancy(axis_strokes(design), count or 100, seed=int(rng.integers(1 << 30)))
+    ),
     "grid": _visit(lambda design, count, rng: grid(axis_strokes(design), count or 2)),
     "simplices": _visit(lambda design, count, rng: simplices(axis_strokes(design), count or 2)),
     "axes": _visit(lambda design, count, rng: axis_moves(design, count or 9)),
     "combined": _visit(lambda design, count, rng: combined_moves(design, count or 6)),
-    "ladder": _ladder, "payload": _payload, "moving": _moving, "zigzag": _zigzag, "warmup": _warmup, "repeat": _repeat, "dwell": _dwell,
-    "wait": _wait, "turn": _turn, "commands": _commands,
-    "division": _division, "iso9283": _iso9283,
+    "ladder": _ladder,
+    "payload": _payload,
+    "moving": _moving,
+    "zigzag": _zigzag,
+    "warmup": _warmup,
+    "repeat": _repeat,
+    "dwell": _dwell,
+    "wait": _wait,
+    "turn": _turn,
+    "commands": _commands,
+    "division": _division,
+    "iso9283": _iso9283,
 }
 TEXTS = ("commands", "division", "turn")  # parts that take more than a number
 
@@ -265,9 +309,16 @@ def axis_strokes(design: Design) -> np.ndarray:
 
 
 def plan_speed(design: Design) -> np.ndarray:
-    """(axes,) m/s or rad/s at which a plan moves the axes of a design. The top speed that a rig.toml states is that of struts and slides."""
+    """(axes,) m/s or rad/s at which a plan moves the axes of a design. The top speed that a rig.toml states is that of
+    struts and slides.
+    """
     top = design.actuator.max_speed
-    return np.array([SPEED * top if top and unit == "m" else UNSTATED_SPEED[unit] for unit in mechanisms.axis_units(design.mechanism)])
+    return np.array(
+        [
+            SPEED * top if top and unit == "m" else UNSTATED_SPEED[unit]
+            for unit in mechanisms.axis_units(design.mechanism)
+        ]
+    )
 
 
 def add_payload_channel(plan: Plan, sensors: Sensors) -> Sensors:

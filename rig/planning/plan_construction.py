@@ -17,7 +17,8 @@ FIRST = 0.5  # s from a move's end to the first exposure of a long dwell
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """commands : Commands; t : (frames,) s, the exposures; payload : (k, 2) s and kg, steps of what the platform carries
+    """commands : Commands; t : (frames,) s, the exposures; payload : (k, 2) s and kg, steps of what the platform
+    carries
     origin : by which its times are written down
     turned : (cube, quarter turns) of cubes that are put back so before it begins; others stand as they stood"""
 
@@ -30,8 +31,9 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Approach:
-    """How configurations are approached. strokes : (axes, 2) m or rad, which are not left; below : (axes,) m or rad from which every axis always
-    comes up, where the plan is one-sided, else None; rng : numpy Generator, for order and sides"""
+    """How configurations are approached. strokes : (axes, 2) m or rad, which are not left; below : (axes,) m or rad
+    from which every axis always comes up, where the plan is one-sided, else None; rng : numpy Generator, for order and
+    sides"""
 
     strokes: np.ndarray
     below: np.ndarray | None
@@ -39,7 +41,9 @@ class Approach:
 
 
 class Writer:
-    """A plan being written: where the struts are, when, and what has been exposed. approach : of configurations, None for straight ways"""
+    """A plan being written: where the struts are, when, and what has been exposed. approach : of configurations, None
+    for straight ways
+    """
 
     def __init__(self, start: np.ndarray, speed: float | np.ndarray, approach: Approach | None = None) -> None:
         self.t, self.values, self.payload = [0.0, 1.0], [start, start], [(0.0, 0.0)]
@@ -60,8 +64,8 @@ class Writer:
         self.values.append(self.values[-1])
 
     def settle(self, goal: np.ndarray, last: np.ndarray | None = None) -> None:
-        """Go there, dwell, expose once settled. last : (axes,) m or rad by which each axis moves last, None straight; where the plan is one-sided
-        every axis comes from below"""
+        """Go there, dwell, expose once settled. last : (axes,) m or rad by which each axis moves last, None straight;
+        where the plan is one-sided every axis comes from below"""
         if self.approach is not None and self.approach.below is not None:
             last = self.approach.below
         if last is not None:
@@ -85,7 +89,9 @@ class Writer:
         return np.asarray(goals)[balanced_order(goals, self._sided().rng)]
 
     def approaches(self, goals: np.ndarray, others: Sequence[np.ndarray] = ()) -> np.ndarray:
-        """(n, axes) m or rad, last moves to configurations in their order, whose sides are no function of place, time and others (n,)."""
+        """(n, axes) m or rad, last moves to configurations in their order, whose sides are no function of place, time
+        and others (n,).
+        """
         approach = self._sided()
         return balanced_approaches(goals, approach.rng, approach.strokes, others)
 
@@ -103,5 +109,9 @@ class Writer:
     def plan(self) -> Plan:
         """What was written so far, exposures in order of time."""
         order = np.argsort(self.exposures)
-        return Plan(Commands(np.round(self.t, 4), np.round(self.values, 7)), np.round(np.array(self.exposures)[order], 4), np.round(self.payload, 4),
-                    turned=tuple(self.turned.items()))
+        return Plan(
+            Commands(np.round(self.t, 4), np.round(self.values, 7)),
+            np.round(np.array(self.exposures)[order], 4),
+            np.round(self.payload, 4),
+            turned=tuple(self.turned.items()),
+        )

@@ -1,8 +1,9 @@
-"""Sobol points, scrambled: what SciPy's own engine draws, to the last bit, without its statistics, which take a third of a second to load.
+"""Sobol points, scrambled: what SciPy's own engine draws, to the last bit, without its statistics, which take a third
+of a second to load.
 
-Direction numbers of Joe and Kuo for the first dimensions, scrambled by random lower triangular matrices and a shift. Source: Joe and Kuo,
-Constructing Sobol sequences with better two-dimensional projections, SIAM J. Sci. Comput. 30, 2008; Matousek, On the L2-discrepancy
-for anchored boxes, J. Complexity 14, 1998 (the scrambling)
+Direction numbers of Joe and Kuo for the first dimensions, scrambled by random lower triangular matrices and a shift.
+Source: Joe and Kuo, Constructing Sobol sequences with better two-dimensional projections, SIAM J. Sci. Comput. 30,
+2008; Matousek, On the L2-discrepancy for anchored boxes, J. Complexity 14, 1998 (the scrambling)
 """
 
 import numpy as np
@@ -10,8 +11,19 @@ import scipy
 
 BITS = 30
 # polynomials, their ends included, and first direction numbers of the dimensions from the second on
-KNOWN = ((3, (1,)), (7, (1, 3)), (11, (1, 3, 1)), (13, (1, 1, 1)), (19, (1, 1, 3, 3)), (25, (1, 3, 5, 13)), (37, (1, 1, 5, 5, 17)),
-         (41, (1, 1, 5, 5, 5)), (47, (1, 1, 7, 11, 19)), (55, (1, 1, 5, 1, 1)), (59, (1, 1, 1, 3, 11)))
+KNOWN = (
+    (3, (1,)),
+    (7, (1, 3)),
+    (11, (1, 3, 1)),
+    (13, (1, 1, 1)),
+    (19, (1, 1, 3, 3)),
+    (25, (1, 3, 5, 13)),
+    (37, (1, 1, 5, 5, 17)),
+    (41, (1, 1, 5, 5, 5)),
+    (47, (1, 1, 7, 11, 19)),
+    (55, (1, 1, 5, 1, 1)),
+    (59, (1, 1, 1, 3, 11)),
+)
 
 
 def sobol_points(axes: int, count: int, seed: int) -> np.ndarray:
@@ -19,7 +31,9 @@ def sobol_points(axes: int, count: int, seed: int) -> np.ndarray:
     whole = int(np.ceil(np.log2(max(count, 2))))
     if axes > len(KNOWN) + 1:
         return np.asarray(scipy.stats.qmc.Sobol(axes, rng=np.random.default_rng(seed)).random_base2(whole)[:count])
-    directions, shift = _scrambled(np.stack([_directions(i) for i in range(axes)]), np.random.default_rng(seed).spawn(1)[0])
+    directions, shift = _scrambled(
+        np.stack([_directions(i) for i in range(axes)]), np.random.default_rng(seed).spawn(1)[0]
+    )
     out = np.empty((count, axes), np.uint64)
     out[0] = shift
     change = np.array([(k & -k).bit_length() - 1 for k in range(1, count)], int)  # of Gray codes, the bit that differs
@@ -49,6 +63,8 @@ def _scrambled(directions: np.ndarray, rng: np.random.Generator) -> tuple[np.nda
     shift = rng.integers(2, size=(axes, BITS), dtype=np.uint32).astype(np.uint64) @ powers
     lower = np.tril(rng.integers(2, size=(axes, BITS, BITS), dtype=np.uint32)).astype(np.uint64)
     lower[:, np.arange(BITS), np.arange(BITS)] = 1
-    bits = directions[..., None] >> np.arange(BITS - 1, -1, -1, dtype=np.uint64) & np.uint64(1)  # (axes, BITS, place), highest first
+    bits = directions[..., None] >> np.arange(BITS - 1, -1, -1, dtype=np.uint64) & np.uint64(
+        1
+    )  # (axes, BITS, place), highest first
     mixed = np.einsum("apk,ajk->ajp", lower, bits) & np.uint64(1)
     return mixed @ powers[::-1], shift

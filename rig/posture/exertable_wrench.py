@@ -1,9 +1,11 @@
-"""What a posture can exert: torques for a wanted wrench, what they leave of the joints' limits, and the greatest force before a joint gives out.
+"""What a posture can exert: torques for a wanted wrench, what they leave of the joints' limits, and the greatest force
+before a joint gives out.
 
-Torques within their limits, less what the arm's own weight takes, are a box; forces that map into it by J^T are a polytope, so that the
-greatest force along a direction is where the ray leaves it, the least greatest force the radius of the ball inside it, and the greatest of all a
-corner. Source: patent on force measurement and generation with redundant manipulators, [0005], [0014]; Chiacchio, Bouffard-Vercelli and
-Pierrot, Force polytope and force ellipsoid for redundant manipulators, 1997.
+Torques within their limits, less what the arm's own weight takes, are a box; forces that map into it by J^T are a
+polytope, so that the greatest force along a direction is where the ray leaves it, the least greatest force the radius
+of the ball inside it, and the greatest of all a corner. Source: patent on force measurement and generation with
+redundant manipulators, [0005], [0014]; Chiacchio, Bouffard-Vercelli and Pierrot, Force polytope and force ellipsoid for
+redundant manipulators, 1997.
 """
 
 from dataclasses import dataclass
@@ -23,7 +25,8 @@ DIFFERENCE = 1e-6  # rad or m, of the slope
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strength:
-    """What bounds an arm of n joints. limits : (n,) N m, of slides N; links : Links, or None for an arm whose weight is not stated
+    """What bounds an arm of n joints. limits : (n,) N m, of slides N; links : Links, or None for an arm whose weight is
+    not stated
     gravity : (3,) m/s^2 in the axes of poses"""
 
     limits: np.ndarray
@@ -47,7 +50,8 @@ class Strength:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exertion:
-    """A posture is chosen for the greatest multiple of a wrench (6,) N, Nm that it can exert, at the hand's origin, in the axes of poses.
+    """A posture is chosen for the greatest multiple of a wrench (6,) N, Nm that it can exert, at the hand's origin, in
+    the axes of poses.
 
     strength : Strength. Raises ValueError for a wrench of nothing
     """
@@ -60,25 +64,36 @@ class Exertion:
             raise ValueError(f"expected a wrench (6,) that is not nothing, got {np.asarray(self.wrench).tolist()}")
 
     def value(self, q: np.ndarray, arm: Arm) -> np.ndarray:
-        """(...,) the multiple at joint values q (..., n) rad; negative, by how much of a limit, where the arm's own weight is too much."""
+        """(...,) the multiple at joint values q (..., n) rad; negative, by how much of a limit, where the arm's own
+        weight is too much.
+        """
         low, high = self.strength.box(q, arm)
-        return np.where((low <= 0).all(axis=-1) & (high >= 0).all(axis=-1), greatest_load_multiple(joint_loads(q, arm, self.wrench), low, high),
-                        (np.minimum(high, -low) / self.strength.limits).min(axis=-1))
+        return np.where(
+            (low <= 0).all(axis=-1) & (high >= 0).all(axis=-1),
+            greatest_load_multiple(joint_loads(q, arm, self.wrench), low, high),
+            (np.minimum(high, -low) / self.strength.limits).min(axis=-1),
+        )
 
     def slope(self, q: np.ndarray, arm: Arm) -> np.ndarray:
-        """(..., n) derivative of the value with the joint values, by differences: where two joints give out at once it has a corner."""
+        """(..., n) derivative of the value with the joint values, by differences: where two joints give out at once it
+        has a corner.
+        """
         steps = DIFFERENCE * np.eye(np.shape(q)[-1])
         ahead, behind = (self.value(np.asarray(q)[..., None, :] + way * steps, arm) for way in (1, -1))
         return (ahead - behind) / (2 * DIFFERENCE)
 
 
 def joint_loads(q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
-    """(..., n) N m with which the joints exert a wrench (6,) N, Nm on the surroundings, weight aside, at joint values q (..., n) rad."""
+    """(..., n) N m with which the joints exert a wrench (6,) N, Nm on the surroundings, weight aside, at joint values q
+    (..., n) rad.
+    """
     return np.swapaxes(mechanism.jacobian(q, arm, "base"), -1, -2) @ wrench
 
 
 def greatest_load_multiple(load: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(...,) greatest multiple of loads (..., n) within boxes low, high (..., n) N m about nothing; infinite where no joint is loaded."""
+    """(...,) greatest multiple of loads (..., n) within boxes low, high (..., n) N m about nothing; infinite where no
+    joint is loaded.
+    """
     size = np.abs(load)
     loaded = size > FELT * size.max(axis=-1, keepdims=True)
     room = np.where(load > 0, high, -low)
@@ -92,8 +107,11 @@ def force_polytope_corners(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
     """
     if np.linalg.matrix_rank(A, tol=FELT * np.abs(A).max()) < 3:
         blind = np.linalg.svd(A)[2][-1]
-        raise RigError(f"the posture bears any force along ({', '.join(f'{part:+.2f}' for part in blind)}): it loads no joint, and there is no "
-                       "greatest one")
+        raise RigError(
+            f"the posture bears any force along ({', '.join(f'{part:+.2f}' for part in blind)}): it loads no "
+            "joint, and there is no "
+            "greatest one"
+        )
     found = []
     for rows in combinations(range(len(A)), 3):
         part = A[list(rows)]
@@ -108,7 +126,9 @@ def force_polytope_corners(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
 
 
 def weakest_force_direction(A: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, np.ndarray]:
-    """(N that can be exerted in every direction, (3,) the direction in which no more can). A (n, 3) m; low, high (n,) N m"""
+    """(N that can be exerted in every direction, (3,) the direction in which no more can). A (n, 3) m; low, high (n,) N
+    m
+    """
     size = np.linalg.norm(A, axis=1)
     bearing = np.where(size > FELT * size.max(), np.minimum(high, -low) / np.maximum(size, 1e-300), np.inf)
     i = int(bearing.argmin())

@@ -1,4 +1,6 @@
-"""What a posture can exert, drawn: its force polytope and ellipsoid in the three planes of the axes of poses, with the wanted force."""
+"""What a posture can exert, drawn: its force polytope and ellipsoid in the three planes of the axes of poses, with the
+wanted force.
+"""
 
 from io import BytesIO
 
@@ -13,18 +15,23 @@ ROUND = 181  # points of an ellipse
 
 
 def force_polytope_svg(A: np.ndarray, limits: np.ndarray, corners: np.ndarray, wanted: np.ndarray) -> str:
-    """SVG of forces alone, no moment. A : (n, 3) m, torques per force; limits : (n,) N m; corners : (k, 3) N of the polytope, weight borne
+    """SVG of forces alone, no moment. A : (n, 3) m, torques per force; limits : (n,) N m; corners : (k, 3) N of the
+    polytope, weight borne
     wanted : (3,) N"""
     figure = Figure(figsize=(11, 3.9), layout="constrained")
     shape = np.linalg.inv((A / limits[:, None]).T @ (A / limits[:, None]))  # |torques over their limits| = 1
     for axes, plane in zip(figure.subplots(1, 3), PLANES):
         flat = corners[:, plane]
         around = flat[ConvexHull(flat).vertices]
-        axes.fill(*around.T, facecolor="tab:blue", alpha=0.15, edgecolor="tab:blue", label="every torque within its limit")
+        axes.fill(
+            *around.T, facecolor="tab:blue", alpha=0.15, edgecolor="tab:blue", label="every torque within its limit"
+        )
         angle = np.linspace(0, 2 * np.pi, ROUND)
         ellipse = np.linalg.cholesky(shape[np.ix_(plane, plane)]) @ np.stack([np.cos(angle), np.sin(angle)])
         axes.plot(*ellipse, color="tab:green", lw=1.2, label="torques together as large as one limit")
-        axes.plot([0, wanted[plane[0]]], [0, wanted[plane[1]]], color="tab:red", marker="o", markevery=[1], label="wanted")
+        axes.plot(
+            [0, wanted[plane[0]]], [0, wanted[plane[1]]], color="tab:red", marker="o", markevery=[1], label="wanted"
+        )
         axes.plot(0, 0, "k+")
         axes.set(xlabel=f"{NAMES[plane[0]]}, N", ylabel=f"{NAMES[plane[1]]}, N")
         axes.set_aspect("equal")

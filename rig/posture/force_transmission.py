@@ -1,7 +1,8 @@
-"""How well a posture maps forces and moments at the hand to joint torques: norms of columns of the Jacobian's transpose.
+"""How well a posture maps forces and moments at the hand to joint torques: norms of columns of the Jacobian's
+transpose.
 
-tau = J^T f, so a direction whose column of J^T is small is hardly felt and hardly pushed in. Directions are those of the frame
-of poses. Source: patent on force measurement with redundant manipulators, [0011]-[0020], [0037]-[0041].
+tau = J^T f, so a direction whose column of J^T is small is hardly felt and hardly pushed in. Directions are those of
+the frame of poses. Source: patent on force measurement with redundant manipulators, [0011]-[0020], [0037]-[0041].
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,8 @@ class Wish:
 
     directions : of force and moment ("fx" .. "mz"), none for all of them together
     norm : 2 or inf, of a column of J^T; with several directions the smallest column counts, so that none is lost
-    whole : with no directions, "det" for det(J J^T), "norm" for the matrix norm ||J^T|| that goes with `norm` (2: largest singular
+    whole : with no directions, "det" for det(J J^T), "norm" for the matrix norm ||J^T|| that goes with `norm` (2:
+        largest singular
     value, inf: largest sum over a joint's entries); the determinant alone keeps every direction from zero
     length : m; a moment's column (dimensionless) counts like a force's (m) times this
     """
@@ -34,9 +36,14 @@ class Wish:
     def __post_init__(self) -> None:
         unknown = [name for name in self.directions if name not in DIRECTIONS]
         if unknown or len(set(self.directions)) < len(self.directions):
-            raise ValueError(f"directions must be distinct ones of {', '.join(DIRECTIONS)}, not {', '.join(self.directions)}")
+            raise ValueError(
+                f"directions must be distinct ones of {', '.join(DIRECTIONS)}, not {', '.join(self.directions)}"
+            )
         if self.norm not in (2, np.inf) or self.whole not in ("det", "norm") or not self.length > 0:
-            raise ValueError(f"expected norm 2 or inf, whole 'det' or 'norm' and a positive length, got {self.norm}, {self.whole!r}, {self.length}")
+            raise ValueError(
+                f"expected norm 2 or inf, whole 'det' or 'norm' and a positive length, got {self.norm}, "
+                f"{self.whole!r}, {self.length}"
+            )
 
     @property
     def rows(self) -> list[int]:
@@ -63,7 +70,9 @@ def direction_norms(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
 
 
 def transmission_gradient(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> np.ndarray:
-    """(..., n) derivative of the measure with the joint angles, analytic (of the smallest column, where several are chosen)."""
+    """(..., n) derivative of the measure with the joint angles, analytic (of the smallest column, where several are
+    chosen).
+    """
     if isinstance(wish, Exertion):
         return wish.slope(q, arm)
     J = scaled_jacobian(q, arm, wish)

@@ -1,9 +1,12 @@
-"""The wrench on a moving arm's hand from its momentum: no acceleration, and a covariance that says how far it is to be trusted.
+"""The wrench on a moving arm's hand from its momentum: no acceleration, and a covariance that says how far it is to be
+trusted.
 
-A Kalman filter whose state is (joint values, momentum, error of the last torques, wrench): a torque's error acts before and after its reading.
+A Kalman filter whose state is (joint values, momentum, error of the last torques, wrench): a torque's error acts before
+and after its reading.
 The wrench wanders like a random walk whose rate is stated or the likeliest.
-Sources: patent on force measurement with redundant manipulators, [0009] (momentum observer); Wahrburg, Boes, Listmann, Dai, Matthias and Ding,
-Motor-current-based estimation of Cartesian contact forces and torques for robotic manipulators, T-ASE 2018 (as a filter).
+Sources: patent on force measurement with redundant manipulators, [0009] (momentum observer); Wahrburg, Boes, Listmann,
+Dai, Matthias and Ding, Motor-current-based estimation of Cartesian contact forces and torques for robotic manipulators,
+T-ASE 2018 (as a filter).
 """
 
 from dataclasses import dataclass
@@ -41,7 +44,8 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """What the filter takes of a Motion, computed once. inverse : (m, k, n, n) of the mass matrices; push : (m, k, n) N m that changes momentum
+    """What the filter takes of a Motion, computed once. inverse : (m, k, n, n) of the mass matrices; push : (m, k, n) N
+    m that changes momentum
     jacobian : (m, k, 6, n) in the axes of poses; torque, angle, speed : (n,) variances of readings"""
 
     motion: Motion
@@ -55,8 +59,10 @@ class Model:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
-    """value : (m, k, 6) fx fy fz (N), mx my mz (Nm) on the hand, at its origin, in the axes of poses; covariance : (m, k, 6, 6)
-    likelihood : logarithm of that of all readings; innovation : RMS of readings less what was expected, in standard deviations"""
+    """value : (m, k, 6) fx fy fz (N), mx my mz (Nm) on the hand, at its origin, in the axes of poses; covariance : (m,
+    k, 6, 6)
+    likelihood : logarithm of that of all readings; innovation : RMS of readings less what was expected, in standard
+        deviations"""
 
     value: np.ndarray
     covariance: np.ndarray
@@ -64,8 +70,12 @@ class Observed:
     innovation: float
 
 
-def observer_model(motion: Motion, arm: Arm, links: Links, gravity: np.ndarray, sigmas: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Model:
-    """Model of a Motion. gravity : (3,) m/s^2 in the axes of poses; sigmas : (n,) each of torque (N m), angle (rad) and speed (rad/s) readings"""
+def observer_model(
+    motion: Motion, arm: Arm, links: Links, gravity: np.ndarray, sigmas: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> Model:
+    """Model of a Motion. gravity : (3,) m/s^2 in the axes of poses; sigmas : (n,) each of torque (N m), angle (rad) and
+    speed (rad/s) readings
+    """
     inverse = np.linalg.inv(arm_momentum.mass_matrix(motion.q, arm, links))
     push = motion.torque + arm_momentum.momentum_drift(motion.q, motion.speed, arm, links, gravity)
     torque, angle, speed = (np.square(sigma) for sigma in sigmas)
@@ -73,7 +83,9 @@ def observer_model(motion: Motion, arm: Arm, links: Links, gravity: np.ndarray, 
 
 
 def observe_wrench(m: Model, rates: np.ndarray) -> Observed:
-    """Observed of a Model. rates : (6,) N/sqrt(s), Nm/sqrt(s), by which the wrench wanders: its spread after a second"""
+    """Observed of a Model. rates : (6,) N/sqrt(s), Nm/sqrt(s), by which the wrench wanders: its spread after a
+    second
+    """
     records, count, n = m.motion.q.shape
     size = 3 * n + 6
     state = np.zeros((records, size))
@@ -96,7 +108,9 @@ def observe_wrench(m: Model, rates: np.ndarray) -> Observed:
 
 
 def _moved(m: Model, k: int, state: np.ndarray, P: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """State (records, 3 n + 6) and covariance a step on. Between two readings torques, their errors, the wrench and speeds are their mean."""
+    """State (records, 3 n + 6) and covariance a step on. Between two readings torques, their errors, the wrench and
+    speeds are their mean.
+    """
     n, dt, size = m.motion.q.shape[2], m.motion.t[k] - m.motion.t[k - 1], state.shape[1]
     q, p, w, f = slice(0, n), slice(n, 2 * n), slice(2 * n, 3 * n), slice(3 * n, size)
     felt, push = np.swapaxes(m.jacobian[:, k - 1] + m.jacobian[:, k], 1, 2) / 2, (m.push[:, k - 1] + m.push[:, k]) / 2
@@ -115,8 +129,12 @@ def _moved(m: Model, k: int, state: np.ndarray, P: np.ndarray, rates: np.ndarray
     return state, F @ P @ np.swapaxes(F, 1, 2) + (G * np.concatenate([m.torque, rates * dt])) @ np.swapaxes(G, 1, 2)
 
 
-def _corrected(m: Model, k: int, state: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
-    """(state, covariance, (log likelihood, squares) of the readings) with the angles, and the speeds where they were read."""
+def _corrected(
+    m: Model, k: int, state: np.ndarray, P: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+    """(state, covariance, (log likelihood, squares) of the readings) with the angles, and the speeds where they were
+    read.
+    """
     n = m.motion.q.shape[2]
     H = np.zeros((len(state), 2 * n if m.motion.measured else n, state.shape[1]))
     H[:, :n, :n] = np.eye(n)
@@ -136,13 +154,26 @@ def _corrected(m: Model, k: int, state: np.ndarray, P: np.ndarray) -> tuple[np.n
 
 
 def most_likely_rates(m: Model) -> np.ndarray:
-    """(6,) N/sqrt(s), Nm/sqrt(s): the rates, moments' over forces' being LENGTH, under which a Model's readings are likeliest."""
+    """(6,) N/sqrt(s), Nm/sqrt(s): the rates, moments' over forces' being LENGTH, under which a Model's readings are
+    likeliest.
+    """
     motion = m.motion
     part = slice(0, PART)
-    short = Model(Motion(motion.t[part], motion.q[:, part], motion.speed[:, part], motion.measured, motion.torque[:, part]), m.inverse[:, part],
-                  m.push[:, part], m.jacobian[:, part], m.torque, m.angle, m.speed)
-    found = scipy.optimize.minimize_scalar(lambda decades: -observe_wrench(short, _rates(decades)).likelihood, bounds=RATES, method="bounded",
-                                           options={"xatol": 0.05})
+    short = Model(
+        Motion(motion.t[part], motion.q[:, part], motion.speed[:, part], motion.measured, motion.torque[:, part]),
+        m.inverse[:, part],
+        m.push[:, part],
+        m.jacobian[:, part],
+        m.torque,
+        m.angle,
+        m.speed,
+    )
+    found = scipy.optimize.minimize_scalar(
+        lambda decades: -observe_wrench(short, _rates(decades)).likelihood,
+        bounds=RATES,
+        method="bounded",
+        options={"xatol": 0.05},
+    )
     return _rates(float(found.x))
 
 

@@ -1,7 +1,7 @@
 """Searches in the null space: the hand stays where it is, joint limits are kept, the measure grows.
 
-Three ways: along the gradient, projected on the null space; over postures sampled at random; and over the whole self-motion,
-traced densely from end to end, which says how good the others' answer is.
+Three ways: along the gradient, projected on the null space; over postures sampled at random; and over the whole
+self-motion, traced densely from end to end, which says how good the others' answer is.
 Source: patent on force measurement with redundant manipulators, [0016], [0018]-[0020], [0024].
 """
 
@@ -19,21 +19,27 @@ from rig.posture import force_transmission
 from rig.posture.exertable_wrench import Exertion
 from rig.posture.force_transmission import Wish
 
-HELD = {"pose": slice(0, 6), "position": slice(0, 3), "orientation": slice(3, 6)}  # rows of the Jacobian that must not move
+HELD = {
+    "pose": slice(0, 6),
+    "position": slice(0, 3),
+    "orientation": slice(3, 6),
+}  # rows of the Jacobian that must not move
 STILL = 1e-11  # m and rad, to which the hand is brought back after a step
 ITERATIONS = 400
 LONGEST = 0.15  # rad, of slides m; largest step of the gradient search
 SHORTEST = 1e-7  # rad; where steps have become smaller than this, the search has arrived
 TRACE = 0.02  # rad between postures of a traced self-motion
 LAPS = 3000  # postures at most in each direction
-DAMPING = 1e-12  # m^2 and rad^2; keeps the step finite at a singularity, where the hand then is not brought back and the step is refused
+# m^2 and rad^2; keeps the step finite at a singularity, where the hand then is not brought back and the step is refused
+DAMPING = 1e-12
 RANK = 1e-7  # of the largest singular value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
     """m searches. q : (m, n) rad; value, start : (m,) the measure reached and that of the start
-    moved : (m, 2) by how much the hand moved, m and rad; at_limit : (m, n) bool, joints at a limit; steps : taken in all"""
+    moved : (m, 2) by how much the hand moved, m and rad; at_limit : (m, n) bool, joints at a limit; steps : taken in
+        all"""
 
     q: np.ndarray
     value: np.ndarray
@@ -44,16 +50,22 @@ class Found:
 
 
 def given_postures(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> Found:
-    """Found : postures q (m, n) rad as they are, where there is nothing to search about them. Raises RigError outside the joint limits"""
+    """Found : postures q (m, n) rad as they are, where there is nothing to search about them. Raises RigError outside
+    the joint limits
+    """
     q = np.array(q, float, ndmin=2)
     value = force_transmission.transmission_measure(q, arm, wish)
     return _found(q, value, value, q, arm, 0)
 
 
-def gradient_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "pose", above: float | None = None) -> Found:
-    """Found : steepest ascent from postures q (m, n) rad, projected on the null space, the hand brought back after each step.
+def gradient_search(
+    q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "pose", above: float | None = None
+) -> Found:
+    """Found : steepest ascent from postures q (m, n) rad, projected on the null space, the hand brought back after each
+    step.
 
-    held : "pose", "position" where the hand may turn, "orientation" where it may move; above : a limit at which it suffices to stop
+    held : "pose", "position" where the hand may turn, "orientation" where it may move; above : a limit at which it
+        suffices to stop
     Raises RigError where a start lies outside the joint limits, or where the arm has no freedom to spare
     """
     q = _starts(q, arm, held)
@@ -83,9 +95,17 @@ def gradient_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = 
     return _found(q, now, start, first, arm, steps)
 
 
-def sampled_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, rng: np.random.Generator, held: str = "pose", count: int = 200,
-                   spread: float = 0.6) -> Found:
-    """Found : the best of `count` postures simulated about each start (m, n) rad by random steps in the null space, kept where
+def sampled_search(
+    q: np.ndarray,
+    arm: Arm,
+    wish: Wish | Exertion,
+    rng: np.random.Generator,
+    held: str = "pose",
+    count: int = 200,
+    spread: float = 0.6,
+) -> Found:
+    """Found : the best of `count` postures simulated about each start (m, n) rad by random steps in the null space,
+    kept where
     joint limits and hand are. spread : rad, of one step; rng : numpy Generator"""
     q = _starts(q, arm, held)
     target, start = mechanism.frames(q, arm)[:, -1], force_transmission.transmission_measure(q, arm, wish)
@@ -93,7 +113,9 @@ def sampled_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, rng: np.rando
     for _ in range(count):
         N = null_space(walker, arm, held)
         way = np.einsum("mij,mj->mi", N, rng.normal(size=q.shape))
-        trial = walker + spread * rng.uniform(size=(len(q), 1)) * way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
+        trial = walker + spread * rng.uniform(size=(len(q), 1)) * way / np.maximum(
+            np.linalg.norm(way, axis=1, keepdims=True), 1e-300
+        )
         trial = return_hand_to_target(trial, target, arm, held)
         ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (hand_deviation(trial, target, arm, held) < STILL)
         walker[ok] = trial[ok]
@@ -104,13 +126,18 @@ def sampled_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, rng: np.rando
 
 
 def global_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "pose") -> Found:
-    """Found : the best posture of the whole self-motion through each start (m, n) rad, traced between the joint limits or round.
+    """Found : the best posture of the whole self-motion through each start (m, n) rad, traced between the joint limits
+    or round.
 
-    Steps of TRACE rad; the best one is polished by the gradient. Raises RigError where the null space is not one-dimensional
+    Steps of TRACE rad; the best one is polished by the gradient. Raises RigError where the null space is not
+    one-dimensional
     """
     q = _starts(q, arm, held)
     if redundant_joint_count(arm, held) != 1:
-        raise RigError(f"the self-motion has {redundant_joint_count(arm, held)} dimensions; it is traced where it has one; take the sampled search")
+        raise RigError(
+            f"the self-motion has {redundant_joint_count(arm, held)} dimensions; it is traced where it has "
+            "one; take the sampled search"
+        )
     start = force_transmission.transmission_measure(q, arm, wish)
     best, now, steps = q.copy(), start.copy(), 0
     for side in (1.0, -1.0):
@@ -130,14 +157,17 @@ def trace_self_motion(q: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray
 
 
 def _walk(q: np.ndarray, arm: Arm, held: str, side: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield (index (k,), postures (k, n)) of the walkers still under way along the self-motion; the last few steps shrink towards
-    the joint limit that ends it."""
+    """Yield (index (k,), postures (k, n)) of the walkers still under way along the self-motion; the last few steps
+    shrink towards the joint limit that ends it."""
     target, index, walker = mechanism.frames(q, arm)[:, -1], np.arange(len(q)), q.copy()
     size, before = np.full(len(q), TRACE), None
     for count in range(LAPS):
         way = _tangent(walker, arm, held)
-        way *= (side * np.sign(way[np.arange(len(way)), np.abs(way).argmax(axis=1)]) if before is None else
-                np.where(np.einsum("mi,mi->m", way, before) < 0, -1.0, 1.0))[:, None]
+        way *= (
+            side * np.sign(way[np.arange(len(way)), np.abs(way).argmax(axis=1)])
+            if before is None
+            else np.where(np.einsum("mi,mi->m", way, before) < 0, -1.0, 1.0)
+        )[:, None]
         trial = return_hand_to_target(walker + size[:, None] * way, target[index], arm, held)
         ok = (mechanism.limits(trial, arm) == 0).all(axis=1) & (hand_deviation(trial, target[index], arm, held) < STILL)
         ok &= np.linalg.norm(trial - walker, axis=1) < 2 * TRACE  # no jump to another branch
@@ -160,20 +190,25 @@ def _starts(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     if held not in HELD:
         raise ValueError(f"held must be one of {', '.join(HELD)}, not {held!r}")
     if redundant_joint_count(arm, held) < 1:
-        raise RigError(f"{q.shape[1]} joints hold the hand's {held} with none to spare: there is no other posture nearby")
+        raise RigError(
+            f"{q.shape[1]} joints hold the hand's {held} with none to spare: there is no other posture nearby"
+        )
     outside = np.argwhere(mechanism.limits(q, arm) != 0)
     if len(outside):
         i, j = outside[0]
         scale, unit = (1e3, "mm") if arm.slides[j] else (np.degrees(1), "degrees")
         low, high = scale * arm.limits[j]
         raise RigError(
-            f"posture {i} has {mechanisms.axis_places(arm)[j]} at {scale * q[i, j]:.3f} {unit}, outside its limits {low:.3f} .. {high:.3f}"
+            f"posture {i} has {mechanisms.axis_places(arm)[j]} at {scale * q[i, j]:.3f} {unit}, outside its "
+            f"limits {low:.3f} .. {high:.3f}"
         )
     return q
 
 
 def redundant_joint_count(arm: Arm, held: str) -> int:
-    """How many joints an arm has beyond those that hold what of the hand is held; 0 or less where no other posture is nearby."""
+    """How many joints an arm has beyond those that hold what of the hand is held; 0 or less where no other posture is
+    nearby.
+    """
     return len(arm.axes) - (HELD[held].stop - HELD[held].start)
 
 

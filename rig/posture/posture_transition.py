@@ -17,7 +17,9 @@ THERE = 1e-9  # rad; end of a motion
 
 
 def motion_with_hand_still(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
-    """(k, n) rad: the motion from q (n,) to goal (n,), what is held of the hand still. Raises RigError where none within the limits leads there."""
+    """(k, n) rad: the motion from q (n,) to goal (n,), what is held of the hand still. Raises RigError where none
+    within the limits leads there.
+    """
     if np.abs(goal - q).max() < THERE:
         return np.array([q])
     if null_space_search.redundant_joint_count(arm, held) != 1:
@@ -27,27 +29,45 @@ def motion_with_hand_still(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str 
     far = np.linalg.norm(path - goal, axis=1)
     stop = int(far.argmin())
     if far[stop] > 2 * null_space_search.TRACE:
-        raise RigError(f"no motion of the elbow alone leads to the posture: it comes no nearer than {_told(path[stop] - goal, arm)}; "
-                       "take it on the way")
+        raise RigError(
+            "no motion of the elbow alone leads to the posture: it comes no nearer than "
+            f"{_told(path[stop] - goal, arm)}; "
+            "take it on the way"
+        )
     rows = path[start : stop + 1] if stop >= start else path[stop : start + 1][::-1]
     return np.vstack([rows, goal])
 
 
 def _within(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str) -> np.ndarray:
-    """(k, n) rad from q (n,) to goal (n,): as straight as what is held of the hand allows, brought back after every step."""
+    """(k, n) rad from q (n,) to goal (n,): as straight as what is held of the hand allows, brought back after every
+    step.
+    """
     target, rows = mechanism.frames(q[None], arm)[:, -1], [np.array(q, float)]
     for k in range(STEPS):
         now = rows[-1][None]
         pull = (null_space_search.null_space(now, arm, held)[0] @ (goal - now[0])) / (STEPS - k)
         new = null_space_search.return_hand_to_target(now + pull, target, arm, held)
         beyond = np.abs(mechanism.limits(new[0], arm))
-        if null_space_search.hand_deviation(new, target, arm, held)[0] > 1e-9 or beyond.any() or np.abs(new - now).max() > 0.5:
-            where = f"leaves the limits of {mechanisms.axis_places(arm)[int(beyond.argmax())]}" if beyond.any() else "is near a singularity"
-            raise RigError(f"the motion to the posture, the hand's {held} held, {where} at {k / STEPS:.0%} of the way; take it on the way")
+        if (
+            null_space_search.hand_deviation(new, target, arm, held)[0] > 1e-9
+            or beyond.any()
+            or np.abs(new - now).max() > 0.5
+        ):
+            where = (
+                f"leaves the limits of {mechanisms.axis_places(arm)[int(beyond.argmax())]}"
+                if beyond.any()
+                else "is near a singularity"
+            )
+            raise RigError(
+                f"the motion to the posture, the hand's {held} held, {where} at {k / STEPS:.0%} of the way; "
+                "take it on the way"
+            )
         rows.append(new[0])
     if np.abs(rows[-1] - goal).max() > 2 * null_space_search.TRACE:
-        raise RigError(f"no motion with the hand's {held} held leads to the posture: it comes no nearer than "
-                       f"{_told(rows[-1] - goal, arm)}; take it on the way")
+        raise RigError(
+            f"no motion with the hand's {held} held leads to the posture: it comes no nearer than "
+            f"{_told(rows[-1] - goal, arm)}; take it on the way"
+        )
     return np.vstack([*rows, goal])
 
 
@@ -59,26 +79,36 @@ def _told(apart: np.ndarray, arm: Arm) -> str:
 
 
 def motion_with_straight_hand(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: int = STEPS) -> np.ndarray:
-    """(k, n) rad from q (n,) to goal (n,): the hand goes straight and turns evenly, the elbow turns towards the goal meanwhile.
+    """(k, n) rad from q (n,) to goal (n,): the hand goes straight and turns evenly, the elbow turns towards the goal
+    meanwhile.
 
-    What the elbow has not done when the hand arrives, it does at the end. Raises RigError where the way leaves the joint limits
-    or passes too near a singularity to be followed
+    What the elbow has not done when the hand arrives, it does at the end. Raises RigError where the way leaves the
+    joint limits or passes too near a singularity to be followed
     """
     start, end = mechanism.forward(q, arm), mechanism.forward(goal, arm)
     share = np.linspace(0, 1, steps + 1)
     turns = Slerp([0, 1], type(start.rotation).concatenate([start.rotation, end.rotation]))(share)
-    hands = RigidTransform.from_components(start.translation + share[:, None] * (end.translation - start.translation), turns).as_matrix()
+    hands = RigidTransform.from_components(
+        start.translation + share[:, None] * (end.translation - start.translation), turns
+    ).as_matrix()
     rows = [np.array(q, float)]
     for k in range(1, steps + 1):
         now = rows[-1][None]
         pull = (null_space_search.null_space(now, arm, "pose")[0] @ (goal - now[0])) / (steps - k + 1)
         new = null_space_search.return_hand_to_target(now + pull, hands[k : k + 1], arm, "pose")
         beyond = mechanism.limits(new[0], arm)
-        if null_space_search.hand_deviation(new, hands[k : k + 1], arm, "pose")[0] > 1e-9 or np.abs(new - now).max() > 0.5:
-            raise RigError(f"the straight way cannot be followed beyond {share[k]:.0%}: the arm is near a singularity there")
+        if (
+            null_space_search.hand_deviation(new, hands[k : k + 1], arm, "pose")[0] > 1e-9
+            or np.abs(new - now).max() > 0.5
+        ):
+            raise RigError(
+                f"the straight way cannot be followed beyond {share[k]:.0%}: the arm is near a singularity there"
+            )
         if beyond.any():
             j = int(np.abs(beyond).argmax())
-            raise RigError(f"the straight way leaves the limits of {mechanisms.axis_places(arm)[j]} at {share[k]:.0%} of it")
+            raise RigError(
+                f"the straight way leaves the limits of {mechanisms.axis_places(arm)[j]} at {share[k]:.0%} of it"
+            )
         rows.append(new[0])
     return np.vstack([rows, motion_with_hand_still(rows[-1], goal, arm)[1:]])
 

@@ -1,4 +1,6 @@
-"""A table of an arm's torques, or motor currents, with its joint values in time -> what a wrench is worked out from, each reading's error too."""
+"""A table of an arm's torques, or motor currents, with its joint values in time -> what a wrench is worked out from,
+each reading's error too.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +24,8 @@ REVERSAL = 1e-3  # rad/s or m/s below which Coulomb friction has not its full si
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TorqueRecord:
-    """k readings of an arm of n joints. motion : Motion of one record, (1, k, n); acceleration : (k, n) rad/s^2, by slopes
+    """k readings of an arm of n joints. motion : Motion of one record, (1, k, n); acceleration : (k, n) rad/s^2, by
+    slopes
     acceleration_sigma : (n,) rad/s^2 of these; current : whether torques were told as motor currents"""
 
     motion: Motion
@@ -34,8 +37,8 @@ class TorqueRecord:
 def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path) -> TorqueRecord:
     """TorqueRecord of a table t, q1.., tau1.. (N m) or i1.. (A), and speeds v1.. (rad/s) where there are any.
 
-    source : the arm's file, for what its [dynamics] lacks. Raises FileError with line and column for what cannot be used, RigError
-    where currents come without torque_constants
+    source : the arm's file, for what its [dynamics] lacks. Raises FileError with line and column for what cannot be
+    used, RigError where currents come without torque_constants
     """
     header, n = csv_table.read(path, ("t", *arm.axes)), len(arm.axes)
     current = "i1" in header.columns
@@ -56,7 +59,9 @@ def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path)
     beyond = np.argwhere(np.abs(mechanism.limits(q, arm)) > 0.01 * np.ptp(arm.limits, axis=1))
     if len(beyond):
         i, j = beyond[0].tolist()
-        rows.fail(f"{arm.axes[j]} is outside the joint's limits: angles are in rad, slides in m", i, arm.axes[j], q[i, j])
+        rows.fail(
+            f"{arm.axes[j]} is outside the joint's limits: angles are in rad, slides in m", i, arm.axes[j], q[i, j]
+        )
     if current:
         torque = torque * dynamics.need("torque_constants", source)
     speed = rows.matrix(speeds) if speeds else _slope(path, t, q, 1)
@@ -77,11 +82,16 @@ def _acceleration(path: Path, motion: Motion, dynamics: ArmDynamics, source: Pat
 
 
 def _slope(path: Path, t: np.ndarray, values: np.ndarray, order: int) -> np.ndarray:
-    """(k, n) first or second derivative of values (k, n), of parabolas or cubics through WINDOW readings. Source: Savitzky and Golay 1964"""
+    """(k, n) first or second derivative of values (k, n), of parabolas or cubics through WINDOW readings. Source:
+    Savitzky and Golay 1964
+    """
     steps = np.diff(t)
     uneven = np.flatnonzero(np.abs(steps - np.median(steps)) > EVEN * np.median(steps))
     if len(uneven):
         i = int(uneven[0])
-        raise RigError(f"{path}: readings {i + 1} and {i + 2} are {steps[i]:.6g} s apart, others {np.median(steps):.6g} s; slopes are taken of even "
-                       "ones: resample it")
+        raise RigError(
+            f"{path}: readings {i + 1} and {i + 2} are {steps[i]:.6g} s apart, others {np.median(steps):.6g} "
+            "s; slopes are taken of even "
+            "ones: resample it"
+        )
     return scipy.signal.savgol_filter(values, WINDOW, 1 + order, deriv=order, delta=float(np.median(steps)), axis=0)

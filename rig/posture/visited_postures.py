@@ -1,4 +1,5 @@
-"""The empirical way to a posture: those that an arm really took are compared, and the best is gone back to along the way it came.
+"""The empirical way to a posture: those that an arm really took are compared, and the best is gone back to along the
+way it came.
 
 Source: patent on force measurement with redundant manipulators, [0023].
 """
@@ -23,8 +24,10 @@ SAME = np.repeat([1e-3, 2e-3], 3)  # m, rad; a hand that is off by less, as cont
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visited:
-    """k postures taken with the hand where it is wanted. frame, t : (k,) number and s; q : (k, n) rad; value : (k,) the measure; best : index
-    elsewhere : how many more the recording has, with the hand elsewhere; back : (j, n) rad, the way from where the recording ends to the best"""
+    """k postures taken with the hand where it is wanted. frame, t : (k,) number and s; q : (k, n) rad; value : (k,) the
+    measure; best : index
+    elsewhere : how many more the recording has, with the hand elsewhere; back : (j, n) rad, the way from where the
+        recording ends to the best"""
 
     frame: np.ndarray
     t: np.ndarray
@@ -35,8 +38,11 @@ class Visited:
     back: np.ndarray
 
 
-def best_visited_posture(recording: Recording, arm: Arm, wish: Wish | Exertion, held: str, wanted: RigidTransform | None = None) -> Visited:
-    """Visited of the postures commanded at a recording's exposures. held : what of the hand must be the same, as of rig.posture.null_space_search
+def best_visited_posture(
+    recording: Recording, arm: Arm, wish: Wish | Exertion, held: str, wanted: RigidTransform | None = None
+) -> Visited:
+    """Visited of the postures commanded at a recording's exposures. held : what of the hand must be the same, as of
+    rig.posture.null_space_search
     wanted : T_base_platform of the hand, by default that of the first exposure
 
     Raises RigError for an arm of other joints, without commands, and where no posture, or one alone, has the hand there
@@ -48,10 +54,15 @@ def best_visited_posture(recording: Recording, arm: Arm, wish: Wish | Exertion, 
     apart = np.abs(pose_difference(T[0] if wanted is None else wanted, T))
     there = (apart <= SAME)[:, HELD[held]].all(axis=1)
     if there.sum() < 2:
-        raise RigError(f"{recording.folder}: {there.sum()} of {len(q)} postures have the hand's {held} where it is wanted; comparing takes two")
+        raise RigError(
+            f"{recording.folder}: {there.sum()} of {len(q)} postures have the hand's {held} where it is "
+            "wanted; comparing takes two"
+        )
     value = force_transmission.transmission_measure(q[there], arm, wish)
     best = int(value.argmax())
-    return Visited(frames[there], t[there], q[there], value, best, int((~there).sum()), _back(recording, float(t[there][best])))
+    return Visited(
+        frames[there], t[there], q[there], value, best, int((~there).sum()), _back(recording, float(t[there][best]))
+    )
 
 
 def _back(recording: Recording, t: float) -> np.ndarray:

@@ -1,7 +1,9 @@
-"""Several recordings of one rig -> one Recording: one machine, one timeline, cameras that moved and cubes put back as ones of their own.
+"""Several recordings of one rig -> one Recording: one machine, one timeline, cameras that moved and cubes put back as
+ones of their own.
 
-What the machine is stays shared. Each recording keeps its own poses, its log and its own beginning: effects that remember (a play's side, a
-lag, how long it has been warm, how far a clock has run) know nothing of the recording before.
+What the machine is stays shared. Each recording keeps its own poses, its log and its own beginning: effects that
+remember (a play's side, a lag, how long it has been warm, how far a clock has run) know nothing of the recording
+before.
 """
 
 from collections.abc import Sequence
@@ -20,11 +22,15 @@ from rig.recording.recording_folder import PAYLOAD, Commands, Part, Recording, S
 
 GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning
 HELD = 30.0  # s of it for which the axes are where the next recording begins
-Owners = tuple[dict[str, int], ...]  # of each recording: {camera, or target: number (from 0) of the recording in which it came to stand there}
+Owners = tuple[
+    dict[str, int], ...
+]  # of each recording: {camera, or target: number (from 0) of the recording in which it came to stand there}
 
 
 def require_one_rig(recordings: Sequence[Recording]) -> None:
-    """Raise RigError for recordings that are not of one rig, each of whose contradictions is named, or not of one kind of data."""
+    """Raise RigError for recordings that are not of one rig, each of whose contradictions is named, or not of one kind
+    of data.
+    """
     first = recordings[0]
     seen: set[str] = set()
     for recording in recordings:
@@ -34,20 +40,35 @@ def require_one_rig(recordings: Sequence[Recording]) -> None:
         seen.add(place)
         found = design_contradictions(first.design, recording.design)
         if found:
-            raise RigError(f"{recording.folder} is not of the rig of {first.folder}, as their rig.toml state it; these differ:\n"
-                           + "\n".join(f"  {text}" for text in found))
+            raise RigError(
+                f"{recording.folder} is not of the rig of {first.folder}, as their rig.toml state it; these differ:\n"
+                + "\n".join(f"  {text}" for text in found)
+            )
         if (recording.commands is None) != (first.commands is None):
             lacks = recording if recording.commands is None else first
-            raise RigError(f"{lacks.folder} has no commands.csv, and the other has: of what is not commanded nothing of the machine can be shared")
+            raise RigError(
+                f"{lacks.folder} has no commands.csv, and the other has: of what is not commanded nothing of "
+                "the machine can be shared"
+            )
         if _data(recording) != _data(first):
-            raise RigError(f"{first.folder} has {_data(first)} and {recording.folder} {_data(recording)}: let rig measure make the same of both")
+            raise RigError(
+                f"{first.folder} has {_data(first)} and {recording.folder} {_data(recording)}: let rig "
+                "measure make the same of both"
+            )
 
 
 def stated_camera_owners(recordings: Sequence[Recording]) -> Owners:
-    """Owners by what is stated alone: a camera of another lens, sensor or mount than the recordings before it is a camera of its own."""
+    """Owners by what is stated alone: a camera of another lens, sensor or mount than the recordings before it is a
+    camera of its own.
+    """
     out: list[dict[str, int]] = []
     for k, recording in enumerate(recordings):
-        out.append({c.name: next((j for j in range(k) if _is(recordings[j], c, out[j], j)), k) for c in recording.design.cameras})
+        out.append(
+            {
+                c.name: next((j for j in range(k) if _is(recordings[j], c, out[j], j)), k)
+                for c in recording.design.cameras
+            }
+        )
     return tuple(out)
 
 
@@ -59,7 +80,8 @@ def _is(recording: Recording, camera: Camera, owners: dict[str, int], number: in
 def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recording:
     """One Recording of several, whose `parts` they are.
 
-    Frames of the k-th (from 0) count on from k times a power of ten, its cameras and cubes with a place of their own are called "NAME@k+1"
+    Frames of the k-th (from 0) count on from k times a power of ten, its cameras and cubes with a place of their own
+    are called "NAME@k+1"
     Raises RigError as `require_one_rig`
     """
     require_one_rig(recordings)
@@ -77,9 +99,18 @@ def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recordin
     seats = target_seats([recording.design for recording in recordings])
     design = replace(first.design, cameras=tuple(cameras.values()), targets=_targets(recordings, seats))
     skipped = tuple(one for r in recordings for one in r.skipped)
-    return replace(first, design=design, commands=_commands(parts), exposures=_exposures(parts, owners), sensors=_sensors(parts),
-                   corners=_corners(parts, owners, seats), poses=_poses(parts, None), skipped=skipped, parts=tuple(parts),
-                   stages={k: poses for k in first.stages if (poses := _poses(parts, k)) is not None})
+    return replace(
+        first,
+        design=design,
+        commands=_commands(parts),
+        exposures=_exposures(parts, owners),
+        sensors=_sensors(parts),
+        corners=_corners(parts, owners, seats),
+        poses=_poses(parts, None),
+        skipped=skipped,
+        parts=tuple(parts),
+        stages={k: poses for k in first.stages if (poses := _poses(parts, k)) is not None},
+    )
 
 
 def camera_name(camera: str, owners: dict[str, int]) -> str:
@@ -89,7 +120,9 @@ def camera_name(camera: str, owners: dict[str, int]) -> str:
 
 def is_measured_by_instrument(recording: Recording) -> bool:
     """Whether poses of an outside instrument are what measures a recording."""
-    return recording.poses is not None and (recording.design.instrument is not None or (recording.corners is None and not recording.has_images))
+    return recording.poses is not None and (
+        recording.design.instrument is not None or (recording.corners is None and not recording.has_images)
+    )
 
 
 def _data(recording: Recording) -> str:
@@ -103,8 +136,11 @@ def _data(recording: Recording) -> str:
 
 def _span(recording: Recording) -> tuple[float, float]:
     """(s, s) from the earliest to the latest that a recording tells."""
-    parts = [recording.exposures.t, *([recording.commands.t] if recording.commands is not None else []),
-             *([recording.sensors.t] if recording.sensors is not None else [])]
+    parts = [
+        recording.exposures.t,
+        *([recording.commands.t] if recording.commands is not None else []),
+        *([recording.sensors.t] if recording.sensors is not None else []),
+    ]
     return float(min(t.min() for t in parts)), float(max(t.max() for t in parts))
 
 
@@ -115,7 +151,9 @@ def _commands(parts: Sequence[Part]) -> Commands | None:
         if own is None:
             return None
         if k:
-            t.append(np.array([part.t + own.t[0] - HELD]))  # an exposure told too early by the clock finds the axes where they begin
+            t.append(
+                np.array([part.t + own.t[0] - HELD])
+            )  # an exposure told too early by the clock finds the axes where they begin
             values.append(own.values[:1])
             starts.append(part.t + own.t[0])
         t.append(part.t + own.t)
@@ -125,20 +163,30 @@ def _commands(parts: Sequence[Part]) -> Commands | None:
 
 def _exposures(parts: Sequence[Part], owners: Owners) -> Exposures:
     seen = [(part, part.recording.exposures) for part in parts]
-    return Exposures(np.concatenate([part.frames + e.frame for part, e in seen]), np.concatenate([part.t + e.t for part, e in seen]),
-                     [camera_name(name, own) if name else "" for (_, e), own in zip(seen, owners) for name in e.camera],
-                     [str(remote_folders.absolute(part.recording.folder) / name) if name else "" for part, e in seen for name in e.image])
+    return Exposures(
+        np.concatenate([part.frames + e.frame for part, e in seen]),
+        np.concatenate([part.t + e.t for part, e in seen]),
+        [camera_name(name, own) if name else "" for (_, e), own in zip(seen, owners) for name in e.camera],
+        [
+            str(remote_folders.absolute(part.recording.folder) / name) if name else ""
+            for part, e in seen
+            for name in e.image
+        ],
+    )
 
 
 def target_seats(designs: Sequence[Design]) -> Owners:
-    """Of each recording {target: number (from 0) of the recording in which it was put where it stands}: a cube that stands otherwise turned than
-    in the recording before was taken off and put back between them; one that no rig.toml says was taken off stands where it stood."""
+    """Of each recording {target: number (from 0) of the recording in which it was put where it stands}: a cube that
+    stands otherwise turned than in the recording before was taken off and put back between them; one that no rig.toml
+    says was taken off stands where it stood."""
     out: list[dict[str, int]] = []
     for k, design in enumerate(designs):
         own = {}
         for target in design.targets:
             before = None if not k else next(t.turned for t in designs[k - 1].targets if t.name == target.name)
-            own[target.name] = 0 if target.turned is None or not k else out[-1][target.name] if target.turned == before else k
+            own[target.name] = (
+                0 if target.turned is None or not k else out[-1][target.name] if target.turned == before else k
+            )
         out.append(own)
     return tuple(out)
 
@@ -194,12 +242,17 @@ def _poses(parts: Sequence[Part], stage: int | None) -> Poses | None:
         lacks = next(part for part, p in seen if p.covariance is None)
         name = "poses.csv" if stage is None else f"poses_stage{stage}.csv"
         raise RigError(f"{lacks.recording.folder / name} states no covariance, and another recording's does")
-    return Poses(np.concatenate([part.frames + p.frame for part, p in seen]),
-                 RigidTransform.concatenate([p.T_base_platform for _, p in seen]), np.concatenate(covariance) if covariance else None)
+    return Poses(
+        np.concatenate([part.frames + p.frame for part, p in seen]),
+        RigidTransform.concatenate([p.T_base_platform for _, p in seen]),
+        np.concatenate(covariance) if covariance else None,
+    )
 
 
 def dropped_channels(recordings: Sequence[Recording]) -> list[str]:
-    """Channels that some recordings logged and others did not, which can be asked of none; a payload that was not logged is none."""
+    """Channels that some recordings logged and others did not, which can be asked of none; a payload that was not
+    logged is none.
+    """
     own = [set(r.sensors.channels) if r.sensors is not None else set() for r in recordings]
     return sorted(name for name in set[str]().union(*own) - {PAYLOAD} if any(name not in one for one in own))
 
@@ -208,15 +261,27 @@ def _sensors(parts: Sequence[Part]) -> Sensors | None:
     """The logs one after the other, of the channels that all have."""
     recordings = [part.recording for part in parts]
     lost = dropped_channels(recordings)
-    names = [n for n in dict.fromkeys(n for r in recordings if r.sensors is not None for n in r.sensors.channels) if n not in lost]
+    names = [
+        n
+        for n in dict.fromkeys(n for r in recordings if r.sensors is not None for n in r.sensors.channels)
+        if n not in lost
+    ]
     if not names:
         return None
     t, values, starts = [], [], []
     for part in parts:
         log = part.recording.sensors or Sensors(part.recording.exposures.times()[1][:1], {PAYLOAD: np.zeros(1)})
         low, high = _span(part.recording)
-        own = np.union1d(log.t, [low, high]) if log.t[0] > low or log.t[-1] < high else log.t  # the nearest row stands beyond a log
+        own = (
+            np.union1d(log.t, [low, high]) if log.t[0] > low or log.t[-1] < high else log.t
+        )  # the nearest row stands beyond a log
         starts.append(part.t + own[0])
         t.append(part.t + own)
-        values.append([np.interp(own, log.t, log.channels[n]) if n in log.channels else np.zeros(len(own)) for n in names])
-    return Sensors(np.concatenate(t), {n: np.concatenate([v[k] for v in values]) for k, n in enumerate(names)}, np.array(starts[1:]))
+        values.append(
+            [np.interp(own, log.t, log.channels[n]) if n in log.channels else np.zeros(len(own)) for n in names]
+        )
+    return Sensors(
+        np.concatenate(t),
+        {n: np.concatenate([v[k] for v in values]) for k, n in enumerate(names)},
+        np.array(starts[1:]),
+    )

@@ -56,18 +56,31 @@ def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | 
     markers = {number for target in design.targets for number in target.ids}
     exposed = set(zip(exposures.frame.tolist(), exposures.camera))
     keys = list(zip(frame.tolist(), camera, marker.tolist(), corner.tolist()))
-    sound = len(set(keys)) == len(keys) and set(camera) <= cameras and set(marker.tolist()) <= markers and set(zip(frame.tolist(), camera)) <= exposed
+    sound = (
+        len(set(keys)) == len(keys)
+        and set(camera) <= cameras
+        and set(marker.tolist()) <= markers
+        and set(zip(frame.tolist(), camera)) <= exposed
+    )
     if not sound or corner.max() > 3:
         _refuse(rows, keys, cameras, markers, exposed)
     return Corners(frame, camera, marker, corner, uv, _corner_covariance(rows))
 
 
-def _refuse(rows: Table, keys: list[tuple[int, str, int, int]], cameras: set[str], markers: set[int], exposed: set[tuple[int, str]]) -> NoReturn:
+def _refuse(
+    rows: Table,
+    keys: list[tuple[int, str, int, int]],
+    cameras: set[str],
+    markers: set[int],
+    exposed: set[tuple[int, str]],
+) -> NoReturn:
     """Raise FileError at the first corner, by (frame, camera, marker, corner), that cannot be or is there twice."""
     seen: dict = {}
     for i, key in enumerate(keys):
         if key[1] not in cameras:
-            rows.fail(f"unknown camera {key[1]!r}; rig.toml has {', '.join(sorted(cameras)) or 'none'}", i, "camera", key[1])
+            rows.fail(
+                f"unknown camera {key[1]!r}; rig.toml has {', '.join(sorted(cameras)) or 'none'}", i, "camera", key[1]
+            )
         if key[2] not in markers:
             rows.fail(f"unknown marker {key[2]}: no target of rig.toml has it", i, "marker", key[2])
         if key[3] > 3:
@@ -75,8 +88,14 @@ def _refuse(rows: Table, keys: list[tuple[int, str, int, int]], cameras: set[str
         if key[:2] not in exposed:
             rows.fail(f"frame {key[0]} of camera {key[1]!r} is not in frames.csv", i, "frame", key[0])
         if key in seen:
-            rows.fail(f"corner {key[3]} of marker {key[2]} is listed twice in frame {key[0]}, camera {key[1]!r}, first in line "
-                      f"{rows.lines[seen[key]]}", i, "marker", key[2])
+            rows.fail(
+                f"corner {key[3]} of marker {key[2]} is listed twice in frame {key[0]}, camera {key[1]!r}, "
+                "first in line "
+                f"{rows.lines[seen[key]]}",
+                i,
+                "marker",
+                key[2],
+            )
         seen[key] = i
     raise AssertionError("unreachable: bad corners without a bad one")
 
@@ -97,11 +116,14 @@ def _corner_covariance(rows: Table) -> np.ndarray | None:
     return sigma[:, None, None] ** 2 * np.eye(2)
 
 
-def load_poses(path: str | Path, known_frames: set[int] | None = None, positions_alone: bool = False, commanded: bool = False) -> Poses:
+def load_poses(
+    path: str | Path, known_frames: set[int] | None = None, positions_alone: bool = False, commanded: bool = False
+) -> Poses:
     """Poses of a poses.csv: measured ones, or wanted ones for `rig correct`.
 
-    known_frames : set of frame numbers that there are, or None; positions_alone : rotations and covariances, if there are any,
-    mean nothing: the poses are unrotated; commanded : a covariance may be 0 in directions in which the machine has no freedom
+    known_frames : set of frame numbers that there are, or None; positions_alone : rotations and covariances, if there
+    are any, mean nothing: the poses are unrotated; commanded : a covariance may be 0 in directions in which the machine
+    has no freedom
     Raises FileError with line and column.
     """
     rows = csv_table.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_alone else 6]), COVARIANCE_COLUMNS)
@@ -109,11 +131,14 @@ def load_poses(path: str | Path, known_frames: set[int] | None = None, positions
     values = np.zeros((len(rows), 6))
     values[:, : 3 if positions_alone else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_alone else 6])
     _plausible(rows, values[:, :3], POSE_COLUMNS[:3])
-    return Poses(frame, pose(values[:, :3], values[:, 3:]), None if positions_alone else _pose_covariance(rows, commanded))
+    return Poses(
+        frame, pose(values[:, :3], values[:, 3:]), None if positions_alone else _pose_covariance(rows, commanded)
+    )
 
 
 def load_measured(path: Path, known_frames: set[int], instrument: Instrument | None) -> Poses:
-    """Poses of a recording's poses.csv, as far as its Instrument sees them: orientations at the origin, a wire's lengths along x.
+    """Poses of a recording's poses.csv, as far as its Instrument sees them: orientations at the origin, a wire's
+    lengths along x.
 
     Raises FileError with line and column
     """
@@ -129,7 +154,9 @@ def load_measured(path: Path, known_frames: set[int], instrument: Instrument | N
     _plausible(rows, values, columns)
     short = np.flatnonzero(values[:, 0] <= 0)
     if len(short):
-        rows.fail(f"a wire's length must be positive, not {values[short[0], 0]:g} m", short[0], DISTANCE, values[short[0], 0])
+        rows.fail(
+            f"a wire's length must be positive, not {values[short[0], 0]:g} m", short[0], DISTANCE, values[short[0], 0]
+        )
     return Poses(frame, pose(np.pad(values, ((0, 0), (0, 2))), nothing), None)
 
 
@@ -151,7 +178,12 @@ def _plausible(rows: Table, values: np.ndarray, columns: tuple[str, ...]) -> Non
     far = np.argwhere(np.abs(values) > LARGEST_RIG)
     if len(far):
         i, j = far[0]
-        rows.fail(f"{columns[j]} = {values[i, j]:g} m is implausible: poses are in metres (millimetres?)", i, columns[j], values[i, j])
+        rows.fail(
+            f"{columns[j]} = {values[i, j]:g} m is implausible: poses are in metres (millimetres?)",
+            i,
+            columns[j],
+            values[i, j],
+        )
 
 
 def _pose_covariance(rows: Table, commanded: bool) -> np.ndarray | None:
@@ -160,7 +192,9 @@ def _pose_covariance(rows: Table, commanded: bool) -> np.ndarray | None:
         return None
     if len(given) < len(COVARIANCE_COLUMNS):
         missing = next(name for name in COVARIANCE_COLUMNS if name not in given)
-        raise FileError(rows.path, f"column {missing!r} is missing: a covariance has all of {','.join(COVARIANCE_COLUMNS)}", 1)
+        raise FileError(
+            rows.path, f"column {missing!r} is missing: a covariance has all of {','.join(COVARIANCE_COLUMNS)}", 1
+        )
     covariance = covariance_from_triangle(rows.matrix(COVARIANCE_COLUMNS))
     scale = np.sqrt(np.abs(np.einsum("nii->ni", covariance)))
     whitened = covariance / np.maximum(scale[:, :, None] * scale[:, None, :], 1e-300)

@@ -1,14 +1,16 @@
 """Which data something was learnt from, so that it is neither learnt twice nor held against what came of it.
 
-What one camera saw in one frame is marked by its content: the image file's bytes, the corners found in it (marker, corner, u, v), or, of
-an outside instrument, the pose's numbers; what measuring limbs read at it likewise. Neither the frame's number, nor its time, nor the
-camera's name, nor the rest of rig.toml is part of a mark: data that are copied, renumbered, cut short or told by another clock are the
-same data. What occurs twice within one recording (a black image, a pose told to few digits) tells it from nothing and is no mark.
+What one camera saw in one frame is marked by its content: the image file's bytes, the corners found in it (marker,
+corner, u, v), or, of an outside instrument, the pose's numbers; what measuring limbs read at it likewise. Neither the
+frame's number, nor its time, nor the camera's name, nor the rest of rig.toml is part of a mark: data that are copied,
+renumbered, cut short or told by another clock are the same data. What occurs twice within one recording (a black image,
+a pose told to few digits) tells it from nothing and is no mark.
 
-Marks go on through every step. A folder that `rig measure` made keeps, frame by frame, the marks of what it was measured from, in its
-manifest; so the raw recording is known again in what was measured from it, and the other way round. A calibration and an on-line
-state keep the marks of all that they were learnt from. Two things hold the same data where they share a mark: what was measured
-anew of the same machine differs in every image by its noise, so that chance does not do that.
+Marks go on through every step. A folder that `rig measure` made keeps, frame by frame, the marks of what it was
+measured from, in its manifest; so the raw recording is known again in what was measured from it, and the other way
+round. A calibration and an on-line state keep the marks of all that they were learnt from. Two things hold the same
+data where they share a mark: what was measured anew of the same machine differs in every image by its noise, so that
+chance does not do that.
 """
 
 from collections import Counter, defaultdict
@@ -31,17 +33,21 @@ Marks = dict[int, frozenset[str]]  # of each frame that has any
 
 
 def content_marks(recording: Recording) -> Marks:
-    """The marks of a recording's frames, its own and those of what it was measured from. Raises FileError for an image that cannot be read."""
+    """The marks of a recording's frames, its own and those of what it was measured from. Raises FileError for an image
+    that cannot be read.
+    """
     if recording.parts:
-        return {part.frames + frame: own for part in recording.parts for frame, own in content_marks(part.recording).items()}
+        return {
+            part.frames + frame: own for part in recording.parts for frame, own in content_marks(part.recording).items()
+        }
     with content_marks_in_background(recording) as marked:
         return marked()
 
 
 @contextmanager
 def content_marks_in_background(recording: Recording) -> Iterator[Callable[[], Marks]]:
-    """A function that gives the `content_marks` of one recording, whose images threads beside this one begin to read at once, where it may have
-    any."""
+    """A function that gives the `content_marks` of one recording, whose images threads beside this one begin to read at
+    once, where it may have any."""
     paths = [recording.folder / name for name in recording.exposures.image if name]
     if worker_count() < 2:
         yield lambda: _marks(recording, dict(zip(paths, map(file_digest, paths))))
@@ -56,7 +62,10 @@ def content_marks_in_background(recording: Recording) -> Iterator[Callable[[], M
 
 def _marks(recording: Recording, digests: dict[Path, str]) -> Marks:
     """digests : of the images' files"""
-    found = [*_images(recording, digests), *((frame, mark) for part in (_corners, _poses, _limbs) for frame, mark in part(recording))]
+    found = [
+        *_images(recording, digests),
+        *((frame, mark) for part in (_corners, _poses, _limbs) for frame, mark in part(recording)),
+    ]
     often = Counter(mark for _, mark in found)
     out = defaultdict(set)
     for frame, mark in found:
@@ -102,7 +111,9 @@ def _corners(recording: Recording) -> list[tuple[int, str]]:
     if c is None:
         return []
     seen = defaultdict(list)
-    for frame, camera, marker, corner, (u, v) in zip(c.frame.tolist(), c.camera, c.marker.tolist(), c.corner.tolist(), c.uv):
+    for frame, camera, marker, corner, (u, v) in zip(
+        c.frame.tolist(), c.camera, c.marker.tolist(), c.corner.tolist(), c.uv
+    ):
         seen[frame, camera].append((marker, corner, f"{u:.5f} {v:.5f}"))
     return [(frame, _mark("corners", sorted(rows))) for (frame, _), rows in seen.items()]
 
@@ -117,13 +128,20 @@ def _poses(recording: Recording) -> list[tuple[int, str]]:
 
 def _limbs(recording: Recording) -> list[tuple[int, str]]:
     log = recording.sensors
-    names = sorted((name for name in log.channels if LIMB.fullmatch(name)), key=lambda name: int(name[1:])) if log is not None else []
+    names = (
+        sorted((name for name in log.channels if LIMB.fullmatch(name)), key=lambda name: int(name[1:]))
+        if log is not None
+        else []
+    )
     if log is None or not names:
         return []
     frames, t = recording.exposures.times()
     within = (log.t[0] <= t) & (t <= log.t[-1])
     lengths = np.stack([np.interp(t[within], log.t, log.channels[name]) for name in names], axis=1)
-    return [(frame, _mark("limbs", [f"{value:.8f}" for value in row])) for frame, row in zip(frames[within].tolist(), lengths)]
+    return [
+        (frame, _mark("limbs", [f"{value:.8f}" for value in row]))
+        for frame, row in zip(frames[within].tolist(), lengths)
+    ]
 
 
 def _mark(kind: str, content: list) -> str:

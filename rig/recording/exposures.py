@@ -1,4 +1,6 @@
-"""frames.csv -> exposures; and their images, checked before anybody decodes them: which cannot be used is said of all at once."""
+"""frames.csv -> exposures; and their images, checked before anybody decodes them: which cannot be used is said of all
+at once.
+"""
 
 from dataclasses import dataclass
 from io import BytesIO
@@ -46,8 +48,12 @@ class Unreadable:
 
 def unusable_images_error(bad: list[Unreadable]) -> FileError:
     """The error that names all of some images, at most LISTED of them."""
-    more = [f"  {b.path}: {b.problem}" for b in bad[1:LISTED]] + ([f"  and {len(bad) - LISTED} more"] if len(bad) > LISTED else [])
-    first = bad[0].problem + (f"; {len(bad)} images cannot be used (--skip-unreadable leaves them out):" if more else "")
+    more = [f"  {b.path}: {b.problem}" for b in bad[1:LISTED]] + (
+        [f"  and {len(bad) - LISTED} more"] if len(bad) > LISTED else []
+    )
+    first = bad[0].problem + (
+        f"; {len(bad)} images cannot be used (--skip-unreadable leaves them out):" if more else ""
+    )
     return FileError(bad[0].path, "\n".join([first, *more]))
 
 
@@ -69,9 +75,12 @@ def _undecodable(path: Path) -> str | None:
     return None
 
 
-def load_exposures(folder: Path, design: Design, rows: Table, origin: Origin, skip: bool = False) -> tuple[Exposures, list[Unreadable]]:
-    """(Exposures, [Unreadable]) of a frames.csv, as a Table. skip : whether images that cannot be used are left out, which takes decoding
-    every one; else they are errors, all of them named in one. Raises FileError with line and column."""
+def load_exposures(
+    folder: Path, design: Design, rows: Table, origin: Origin, skip: bool = False
+) -> tuple[Exposures, list[Unreadable]]:
+    """(Exposures, [Unreadable]) of a frames.csv, as a Table. skip : whether images that cannot be used are left out,
+    which takes decoding every one; else they are errors, all of them named in one. Raises FileError with line and
+    column."""
     written = rows.text("t")
     frame, t, camera, image = rows.whole("frame"), rows.times("t", origin), rows.text("camera"), rows.text("image")
     cameras = {c.name: c for c in design.cameras}
@@ -80,47 +89,75 @@ def load_exposures(folder: Path, design: Design, rows: Table, origin: Origin, sk
     last = (-1, -np.inf, "")
     for i in range(len(rows)):
         if camera[i] and camera[i] not in cameras:
-            rows.fail(f"unknown camera {camera[i]!r}; rig.toml has {', '.join(map(repr, cameras)) or 'none'}", i, "camera", camera[i])
+            rows.fail(
+                f"unknown camera {camera[i]!r}; rig.toml has {', '.join(map(repr, cameras)) or 'none'}",
+                i,
+                "camera",
+                camera[i],
+            )
         if image[i] and not camera[i]:
             rows.fail(f"image {image[i]!r} without a camera", i, "camera")
         if (frame[i], camera[i]) in seen:
-            rows.fail(f"frame {frame[i]} of camera {camera[i]!r} is listed twice, first in line {seen[frame[i], camera[i]]}", i, "frame")
+            rows.fail(
+                f"frame {frame[i]} of camera {camera[i]!r} is listed twice, first in line {seen[frame[i], camera[i]]}",
+                i,
+                "frame",
+            )
         seen[frame[i], camera[i]] = rows.lines[i]
         if frame[i] in start:
             if abs(t[i] - start[frame[i]]) > SIMULTANEOUS:
-                rows.fail(f"frame {frame[i]} at t = {written[i]} s, but its first exposure was at {origin.text(start[frame[i]])} s: "
-                          "exposures of one frame are simultaneous", i, "t", written[i])
+                rows.fail(
+                    f"frame {frame[i]} at t = {written[i]} s, but its first exposure was at "
+                    f"{origin.text(start[frame[i]])} s: "
+                    "exposures of one frame are simultaneous",
+                    i,
+                    "t",
+                    written[i],
+                )
             continue
         if frame[i] < last[0]:
             rows.fail(f"frame {frame[i]} follows frame {last[0]}: frames must come in order", i, "frame", frame[i])
         if t[i] < last[1]:
             rows.fail(f"time runs backwards: t = {written[i]} s follows {last[2]} s", i, "t", written[i])
         start[frame[i]], last = t[i], (frame[i], t[i], written[i])
-    looked_at = (_unusable(folder, image[i], frame[i], cameras[camera[i]], rows.lines[i], skip) for i in range(len(rows)) if image[i])
+    looked_at = (
+        _unusable(folder, image[i], frame[i], cameras[camera[i]], rows.lines[i], skip)
+        for i in range(len(rows))
+        if image[i]
+    )
     bad = [found for found in looked_at if found]
     if bad and (not skip or len(bad) == sum(map(bool, image))):
         raise unusable_images_error(bad)
     out = {(b.frame, b.camera) for b in bad}
-    return Exposures(frame, t, camera, ["" if (f, c) in out else name for f, c, name in zip(frame.tolist(), camera, image)]), bad
+    return Exposures(
+        frame, t, camera, ["" if (f, c) in out else name for f, c, name in zip(frame.tolist(), camera, image)]
+    ), bad
 
 
 def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, decode: bool) -> Unreadable | None:
     """Unreadable of an image named in a line of frames.csv, or None. decode : whether it is decoded too"""
     look = _listed if remote_folders.is_remote(folder) else check_image
-    problem = check_image_path(folder, name) or look(folder / name, camera) or (_undecodable(folder / name) if decode else None)
+    problem = (
+        check_image_path(folder, name)
+        or look(folder / name, camera)
+        or (_undecodable(folder / name) if decode else None)
+    )
     if problem is None:
         return None
     return Unreadable(int(frame), camera.name, folder / name, f"{problem} (frames.csv, line {line})")
 
 
 def _listed(path: Path, _: Camera) -> str | None:
-    """What is wrong with an image behind a URL, as far as its folder's listing tells; the rest is seen when it is fetched to be measured."""
+    """What is wrong with an image behind a URL, as far as its folder's listing tells; the rest is seen when it is
+    fetched to be measured.
+    """
     size = remote_folders.file_size(path)
     return "no such image" if size is None else "is an empty file" if not size else None
 
 
 def read_image(path: Path, most: int = MOST_PIXELS) -> np.ndarray:
-    """Image (rows, columns) or (rows, columns, 3) as stored, decoded once its size has been looked at. most : px that it may have.
+    """Image (rows, columns) or (rows, columns, 3) as stored, decoded once its size has been looked at. most : px that
+    it may have.
 
     Raises FileError for one that cannot be decoded
     """

@@ -1,4 +1,6 @@
-"""A recording without some of its frames: what an operator knows to be spoilt is left out before anything looks at it."""
+"""A recording without some of its frames: what an operator knows to be spoilt is left out before anything looks at
+it.
+"""
 
 import re
 from dataclasses import replace
@@ -25,9 +27,11 @@ def parse_frame_ranges(text: str) -> tuple[tuple[int, int], ...]:
 
 
 def remove_frames(recording: Recording, text: str) -> Recording:
-    """The Recording without the frames that a list like 3,7-9 names; what was commanded then stays, since it moved the rig.
+    """The Recording without the frames that a list like 3,7-9 names; what was commanded then stays, since it moved the
+    rig.
 
-    Raises RigError for what is no such list and for what names no frame of the recording, NotEnoughData where no frame is left
+    Raises RigError for what is no such list and for what names no frame of the recording, NotEnoughData where no frame
+        is left
     """
     frames, gone = recording.exposures.times()[0], []
     for first, last in parse_frame_ranges(text):
@@ -43,7 +47,9 @@ def remove_frames(recording: Recording, text: str) -> Recording:
 
 
 def select_frames(recording: Recording, frames: np.ndarray) -> Recording:
-    """The Recording with these frames (f,) alone; what was commanded then stays. Raises NotEnoughData where it has none of them."""
+    """The Recording with these frames (f,) alone; what was commanded then stays. Raises NotEnoughData where it has none
+    of them.
+    """
     every = recording.exposures.times()[0]
     if not np.isin(every, frames).any():
         raise NotEnoughData(f"{recording.folder} has none of the {len(frames)} frames that are asked for")
@@ -54,18 +60,40 @@ def _without(recording: Recording, out: np.ndarray) -> Recording:
     """The Recording without frames (k,)."""
     seen, corners = recording.exposures, recording.corners
     keep = ~np.isin(seen.frame, out)
-    seen = replace(seen, frame=seen.frame[keep], t=seen.t[keep], camera=list(compress(seen.camera, keep)), image=list(compress(seen.image, keep)))
+    seen = replace(
+        seen,
+        frame=seen.frame[keep],
+        t=seen.t[keep],
+        camera=list(compress(seen.camera, keep)),
+        image=list(compress(seen.image, keep)),
+    )
     if corners is not None:
         keep = ~np.isin(corners.frame, out)
-        corners = replace(corners, frame=corners.frame[keep], camera=list(compress(corners.camera, keep)), marker=corners.marker[keep],
-                          corner=corners.corner[keep], uv=corners.uv[keep],
-                          covariance=None if corners.covariance is None else corners.covariance[keep])
+        corners = replace(
+            corners,
+            frame=corners.frame[keep],
+            camera=list(compress(corners.camera, keep)),
+            marker=corners.marker[keep],
+            corner=corners.corner[keep],
+            uv=corners.uv[keep],
+            covariance=None if corners.covariance is None else corners.covariance[keep],
+        )
     poses = None if recording.poses is None else _others(recording.poses, out)
-    return replace(recording, exposures=seen, corners=corners, poses=poses, stages={k: _others(own, out) for k, own in recording.stages.items()})
+    return replace(
+        recording,
+        exposures=seen,
+        corners=corners,
+        poses=poses,
+        stages={k: _others(own, out) for k, own in recording.stages.items()},
+    )
 
 
 def _others(poses: Poses, out: np.ndarray) -> Poses:
     """Poses of other frames than these (k,)."""
     keep = ~np.isin(poses.frame, out)
-    return replace(poses, frame=poses.frame[keep], T_base_platform=poses.T_base_platform[keep],
-                   covariance=None if poses.covariance is None else poses.covariance[keep])
+    return replace(
+        poses,
+        frame=poses.frame[keep],
+        T_base_platform=poses.T_base_platform[keep],
+        covariance=None if poses.covariance is None else poses.covariance[keep],
+    )

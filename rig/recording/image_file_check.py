@@ -1,4 +1,6 @@
-"""What an image file is, looked at before it is decoded: its format, the size it claims, whether it is whole, where it lies."""
+"""What an image file is, looked at before it is decoded: its format, the size it claims, whether it is whole, where it
+lies.
+"""
 
 import os
 import re
@@ -24,8 +26,8 @@ PNM = re.compile(rb"P[2356](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\
 def check_image(path: Path, camera: Camera | None = None) -> str | None:
     """What is wrong with an image file, in words, or None.
 
-    path : file; camera : the Camera that took it, whose size it must have, or None for any. A PNG must end with its end chunk, a JPEG
-    with its end marker. Nothing is decoded
+    path : file; camera : the Camera that took it, whose size it must have, or None for any. A PNG must end with its end
+    chunk, a JPEG with its end marker. Nothing is decoded
     """
     try:
         with open_file(path, "no such image") as file:
@@ -62,7 +64,9 @@ def check_open_image(file: BinaryIO, camera: Camera | None = None, most: int = M
 
 
 def claimed_size(path: Path) -> tuple[int, int] | None:
-    """(width, height) px that an image file claims, or None for what is none. Raises FileError where it cannot be opened."""
+    """(width, height) px that an image file claims, or None for what is none. Raises FileError where it cannot be
+    opened.
+    """
     with open_file(path, "no such image") as file:
         try:
             return _size(file, file.read(HEAD))
@@ -113,11 +117,17 @@ def _size_of_tiff(file: BinaryIO, order: str, head: bytes) -> tuple[int, int] | 
 
 
 def check_image_path(folder: Path, name: str) -> str | None:
-    """What is wrong with the name of an image of a recording, in words, or None: its file lies in the folder, links followed."""
+    """What is wrong with the name of an image of a recording, in words, or None: its file lies in the folder, links
+    followed.
+    """
     if not name.isprintable() or len(name) > 1000:
         return "is no name of a file"
     if remote_folders.is_remote(folder):
-        return "lies outside the recording, whose images are in its folder" if ".." in Path(name).parts or name.startswith("/") else None
+        return (
+            "lies outside the recording, whose images are in its folder"
+            if ".." in Path(name).parts or name.startswith("/")
+            else None
+        )
     try:
         away = Path(name).is_absolute() or not (folder / name).resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError) as error:  # a ring of links

@@ -28,8 +28,10 @@ LAST_DWELL = 0.25  # share of frames that may follow the last command, in its dw
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commands:
-    """t : (n,) s, increasing; values : (n, axes) m or rad; between two rows every axis moves linearly, after the last it dwells
-    starts : (k,) s, rows at which another recording of the same machine begins (see rig.recording.combined_recordings): nothing before them is
+    """t : (n,) s, increasing; values : (n, axes) m or rad; between two rows every axis moves linearly, after the last
+    it dwells
+    starts : (k,) s, rows at which another recording of the same machine begins (see rig.recording.combined_recordings):
+        nothing before them is
     remembered."""
 
     t: np.ndarray
@@ -46,8 +48,8 @@ class Commands:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensors:
-    """t : (n,) s; channels : {name: (n,) values in the unit its name says}, linear between rows; reading a recording sees to it that
-    the log covers the exposures to within the distance of its rows, over which the nearest row stands
+    """t : (n,) s; channels : {name: (n,) values in the unit its name says}, linear between rows; reading a recording
+    sees to it that the log covers the exposures to within the distance of its rows, over which the nearest row stands
     starts : (k,) s, rows at which another recording's log begins"""
 
     t: np.ndarray
@@ -55,17 +57,21 @@ class Sensors:
     starts: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def at(self, t: np.ndarray | Sequence[float], *names: str) -> np.ndarray:
-        """(n,) values at times t (n,) s of the first of these channels that there is. Raises RigError where there is none."""
+        """(n,) values at times t (n,) s of the first of these channels that there is. Raises RigError where there is
+        none.
+        """
         for name in names:
             if name in self.channels:
                 return np.interp(t, self.t, self.channels[name])
-        raise RigError(f"the model needs a sensor channel {' or '.join(map(repr, names))}, which the recording does not have")
+        raise RigError(
+            f"the model needs a sensor channel {' or '.join(map(repr, names))}, which the recording does not have"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A whole recording; parts that the folder lacks are None. All times are s from the recording's start: its first command,
-    or where nothing was commanded its first exposure; origin : of the owner's clock, to write them
+    """A whole recording; parts that the folder lacks are None. All times are s from the recording's start: its first
+    command, or where nothing was commanded its first exposure; origin : of the owner's clock, to write them
     skipped : images that cannot be used and were left out, as asked
     parts : (Part, ..) where it is several recordings of one rig together (see rig.recording.combined_recordings)
     stages : {number (from 1): Poses} of a chain's stages below the last, where the folder has them"""
@@ -95,11 +101,24 @@ class Recording:
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
         frames, t = self.exposures.times()
-        parts = [name for name, part in (("commands", self.commands), ("sensors", self.sensors), ("corners", self.corners), ("poses", self.poses))
-                 if part is not None] + (["images"] if self.has_images else [])
+        parts = [
+            name
+            for name, part in (
+                ("commands", self.commands),
+                ("sensors", self.sensors),
+                ("corners", self.corners),
+                ("poses", self.poses),
+            )
+            if part is not None
+        ] + (["images"] if self.has_images else [])
         cameras = ", ".join(f"{c.name} ({c.width} x {c.height})" for c in self.design.cameras) or "none"
-        return result_html(f"{self.folder.name}: {len(frames)} frames over {np.ptp(t):.4g} s", [
-            f"a {self.design.mechanism.kind}; cameras: {cameras}; {len(self.design.targets)} targets", f"it has {', '.join(parts) or 'nothing'}"])
+        return result_html(
+            f"{self.folder.name}: {len(frames)} frames over {np.ptp(t):.4g} s",
+            [
+                f"a {self.design.mechanism.kind}; cameras: {cameras}; {len(self.design.targets)} targets",
+                f"it has {', '.join(parts) or 'nothing'}",
+            ],
+        )
 
     @property
     def has_images(self) -> bool:
@@ -116,7 +135,9 @@ class Recording:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """One of several recordings together. recording : as it stands; frames : added to its frames' numbers; t : s, added to its times."""
+    """One of several recordings together. recording : as it stands; frames : added to its frames' numbers; t : s, added
+    to its times.
+    """
 
     recording: Recording
     frames: int
@@ -124,7 +145,8 @@ class Part:
 
 
 def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
-    """Recording of a folder, here or behind a URL (s3://..). skip_unreadable : whether images that cannot be used are left out, into `skipped`.
+    """Recording of a folder, here or behind a URL (s3://..). skip_unreadable : whether images that cannot be used are
+    left out, into `skipped`.
 
     Raises FileError naming file, line and column of the first thing that cannot be used; of images, all that cannot be
 
@@ -136,7 +158,9 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     folder = Path(folder)
     remote_folders.clear_listing_cache()
     if not remote_folders.is_folder(folder):
-        raise FileError(folder, "is a file, not a recording folder" if remote_folders.exists(folder) else "no such folder")
+        raise FileError(
+            folder, "is a file, not a recording folder" if remote_folders.exists(folder) else "no such folder"
+        )
     require_complete(folder)
     if remote_folders.is_empty(folder):
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
@@ -148,13 +172,30 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     commands = None if commanded is None else _commands(commanded, design, exposures, origin)
     corners = load_corners(folder / "corners.csv", design, exposures)
     known = set(exposures.frame.tolist())
-    poses = load_measured(folder / "poses.csv", known, design.instrument) if remote_folders.exists(folder / "poses.csv") else None
+    poses = (
+        load_measured(folder / "poses.csv", known, design.instrument)
+        if remote_folders.exists(folder / "poses.csv")
+        else None
+    )
     sensors = _sensors(folder / "sensors.csv", origin, exposures)
-    return Recording(folder, design, commands, exposures, sensors, corners, poses, origin, tuple(skipped), stages=_stages(folder, design, known))
+    return Recording(
+        folder,
+        design,
+        commands,
+        exposures,
+        sensors,
+        corners,
+        poses,
+        origin,
+        tuple(skipped),
+        stages=_stages(folder, design, known),
+    )
 
 
 def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
-    """{number: Poses} of a folder's poses_stage1.csv .. Raises FileError for one of a stage that rig.toml does not have below the last."""
+    """{number: Poses} of a folder's poses_stage1.csv .. Raises FileError for one of a stage that rig.toml does not have
+    below the last.
+    """
     bodies = bodies_of(design.mechanism)
     out = {}
     for name in remote_folders.list_folder(folder):
@@ -162,14 +203,17 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
             continue
         body = name.removesuffix(".csv").replace("poses_stage", "stage ")
         if body not in bodies:
-            raise FileError(folder / name, f"rig.toml has no {body!r} below a last platform; there are {', '.join(bodies)}")
+            raise FileError(
+                folder / name, f"rig.toml has no {body!r} below a last platform; there are {', '.join(bodies)}"
+            )
         out[int(body.removeprefix("stage "))] = load_measured(folder / name, known, design.instrument)
     return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wanted:
-    """Poses that a machine is to take. poses : Poses; t : (n,) s from the first, when each is to be held, or None where nobody says
+    """Poses that a machine is to take. poses : Poses; t : (n,) s from the first, when each is to be held, or None where
+    nobody says
     origin : of the owner's clock, by which times are told"""
 
     poses: Poses
@@ -187,7 +231,9 @@ def load_wanted_poses(path: str | Path) -> Wanted:
 
 
 def load_sensors(path: str | Path, origin: Origin) -> Sensors:
-    """Sensors of a sensors.csv beside no recording, its times told by an Origin. Raises FileError with line and column."""
+    """Sensors of a sensors.csv beside no recording, its times told by an Origin. Raises FileError with line and
+    column.
+    """
     return _sensor_rows(csv_table.read(path, ("t",)), origin)
 
 
@@ -208,15 +254,34 @@ def _command_rows(path: Path, design: Design) -> Table | None:
 def _commands(rows: Table, design: Design, exposures: Exposures, origin: Origin) -> Commands:
     path, t = rows.path, _increasing(rows, origin)
     for column in rows.columns:
-        if column not in ("t", *design.mechanism.axes) and column[:1] == design.mechanism.axes[0][0] and column[1:].isdigit():
-            raise FileError(path, f"column {column!r}: rig.toml has only {len(design.mechanism.axes)} axes", 1, rows.columns.index(column) + 1)
+        if (
+            column not in ("t", *design.mechanism.axes)
+            and column[:1] == design.mechanism.axes[0][0]
+            and column[1:].isdigit()
+        ):
+            raise FileError(
+                path,
+                f"column {column!r}: rig.toml has only {len(design.mechanism.axes)} axes",
+                1,
+                rows.columns.index(column) + 1,
+            )
     frames, times = exposures.times()
     if times[0] < t[0]:
-        rows.fail(f"frame {frames[0]} was exposed at t = {origin.text(times[0])} s, before the first command (t = {origin.text(t[0])} s)", 0, "t")
+        rows.fail(
+            f"frame {frames[0]} was exposed at t = {origin.text(times[0])} s, before the first command (t = "
+            f"{origin.text(t[0])} s)",
+            0,
+            "t",
+        )
     after = np.flatnonzero(times > t[-1])
     if len(after) > 1 and len(after) > LAST_DWELL * len(times):
-        rows.fail(f"{len(after)} of {len(times)} frames, from frame {frames[after[0]]} at t = {origin.text(times[after[0]])} s on, were exposed "
-                  f"after the last command (t = {origin.text(t[-1])} s): is the file cut off?", len(rows) - 1, "t")
+        rows.fail(
+            f"{len(after)} of {len(times)} frames, from frame {frames[after[0]]} at t = "
+            f"{origin.text(times[after[0]])} s on, were exposed "
+            f"after the last command (t = {origin.text(t[-1])} s): is the file cut off?",
+            len(rows) - 1,
+            "t",
+        )
     return Commands(t, rows.matrix(design.mechanism.axes))
 
 
@@ -248,7 +313,8 @@ def _sensor_rows(rows: Table, origin: Origin) -> Sensors:
 
 
 def _covers(rows: Table, t: np.ndarray, exposures: Exposures, origin: Origin) -> None:
-    """Raise FileError where exposures lie farther outside a log, at t (n,) s, than its rows are apart: nobody knows what was then.
+    """Raise FileError where exposures lie farther outside a log, at t (n,) s, than its rows are apart: nobody knows
+    what was then.
     One row alone states what never changed."""
     if len(t) == 1:
         return
@@ -256,6 +322,12 @@ def _covers(rows: Table, t: np.ndarray, exposures: Exposures, origin: Origin) ->
     for outside, row, word in ((times < t[0] - apart, 0, "begins"), (times > t[-1] + apart, len(rows) - 1, "ends")):
         if outside.any():
             far = times[outside][-1 if row else 0]
-            rows.fail(f"the log {word} at t = {origin.text(t[row])} s, but {outside.sum()} of {len(times)} frames were exposed "
-                      f"{'after it, up to' if row else 'before it, from'} {origin.text(far)} s{'' if row else ' on'}: values are not carried "
-                      "beyond a log; is it cut off, or of another clock?", row, "t")
+            rows.fail(
+                f"the log {word} at t = {origin.text(t[row])} s, but {outside.sum()} of {len(times)} frames "
+                "were exposed "
+                f"{'after it, up to' if row else 'before it, from'} {origin.text(far)} "
+                f"s{'' if row else ' on'}: values are not carried "
+                "beyond a log; is it cut off, or of another clock?",
+                row,
+                "t",
+            )

@@ -9,7 +9,14 @@ from rig.formats import remote_folders
 from rig.formats.input_files import read_bytes
 from rig.formats.output_files import write_bytes, write_text
 from rig.model.pose import TRIANGLE, angle_sigmas, pose_to_vector, roll_pitch_yaw
-from rig.recording.corner_and_pose_tables import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS, Corners, Poses
+from rig.recording.corner_and_pose_tables import (
+    CORNER_COLUMNS,
+    CORNER_COVARIANCE,
+    COVARIANCE_COLUMNS,
+    POSE_COLUMNS,
+    Corners,
+    Poses,
+)
 from rig.recording.exposures import Exposures
 from rig.recording.time_origin import Origin
 
@@ -22,8 +29,12 @@ def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
 
 
 def write_configurations(path: Path, axes: Iterable[str], values: Iterable[np.ndarray]) -> None:
-    """Write configurations (k, axes) m or rad, numbered from 0, as the plan commands:FILE visits them; the figures keep 1e-7."""
-    write_table(path, ("frame", *axes), [f"{k}," + ",".join(f"{value:.7f}" for value in row) for k, row in enumerate(values)])
+    """Write configurations (k, axes) m or rad, numbered from 0, as the plan commands:FILE visits them; the figures keep
+    1e-7.
+    """
+    write_table(
+        path, ("frame", *axes), [f"{k}," + ",".join(f"{value:.7f}" for value in row) for k, row in enumerate(values)]
+    )
 
 
 def write_poses(path: Path, poses: Poses) -> None:
@@ -39,13 +50,21 @@ def write_poses(path: Path, poses: Poses) -> None:
 
 
 def write_angles(path: Path, poses: Poses) -> None:
-    """Write poses as x, y, z (m) and roll, pitch, yaw (rad) against the static frame, with standard deviations u_* where there is a covariance."""
+    """Write poses as x, y, z (m) and roll, pitch, yaw (rad) against the static frame, with standard deviations u_*
+    where there is a covariance.
+    """
     sure = poses.covariance is not None
     rows = np.concatenate([poses.T_base_platform.translation, roll_pitch_yaw(poses.T_base_platform)], axis=-1)
-    lines = [",".join([str(frame), *(f"{value:.10f}" for value in row)]) for frame, row in zip(poses.frame, np.atleast_2d(rows))]
+    lines = [
+        ",".join([str(frame), *(f"{value:.10f}" for value in row)])
+        for frame, row in zip(poses.frame, np.atleast_2d(rows))
+    ]
     if poses.covariance is not None:
         sigma = np.concatenate([_positions(poses), angle_sigmas(poses.T_base_platform, poses.covariance)], axis=-1)
-        lines = [line + "".join(f",{value:.4e}" if np.isfinite(value) else "," for value in row) for line, row in zip(lines, sigma)]
+        lines = [
+            line + "".join(f",{value:.4e}" if np.isfinite(value) else "," for value in row)
+            for line, row in zip(lines, sigma)
+        ]
     write_table(path, ("frame", *ANGLES, *(f"u_{name}" for name in ANGLES if sure)), lines)
 
 
@@ -69,12 +88,16 @@ def write_corners(path: Path, corners: Corners) -> None:
 
 
 def copy_times(source: Path, target: Path, exposures: Exposures, origin: Origin) -> None:
-    """Put frames.csv (without image names), commands.csv and sensors.csv of one folder into another, which then is a recording.
+    """Put frames.csv (without image names), commands.csv and sensors.csv of one folder into another, which then is a
+    recording.
 
     origin : Origin that the folder's times are told by
     """
     lines = ["frame,t,camera,image"]
-    lines += [f"{frame},{origin.text(t)},{camera}," for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)]
+    lines += [
+        f"{frame},{origin.text(t)},{camera},"
+        for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)
+    ]
     write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
     for name in ("commands.csv", "sensors.csv"):
         if remote_folders.exists(Path(source) / name):

@@ -1,7 +1,8 @@
-"""The owner's clock <-> seconds from a recording's start, so that nothing depends on where a clock counts from, and nothing is lost to it.
+"""The owner's clock <-> seconds from a recording's start, so that nothing depends on where a clock counts from, and
+nothing is lost to it.
 
-A clock that counts from 1970 stands at 1.7e9 s, where a float resolves 2.4e-7 s; the start is therefore taken off in decimal,
-before a time becomes a float, and put back in decimal when one is written.
+A clock that counts from 1970 stands at 1.7e9 s, where a float resolves 2.4e-7 s; the start is therefore taken off in
+decimal, before a time becomes a float, and put back in decimal when one is written.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,9 @@ class Origin:
     offset: Decimal = Decimal(0)
 
     def seconds(self, texts: list[str]) -> np.ndarray:
-        """(n,) s from the recording's start, of n times as the owner's clock shows them: texts that are finite numbers."""
+        """(n,) s from the recording's start, of n times as the owner's clock shows them: texts that are finite
+        numbers.
+        """
         if not self.offset:
             return np.array(texts, float)
         return np.array([float(DIGITS.subtract(exact_decimal(text), self.offset)) for text in texts], float)

@@ -11,5 +11,7 @@ def result_html(heading: str, lines: Iterable[str] = (), table: Sequence[Sequenc
         head, *rows = table
         body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
         top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-        parts.append(f"<div style='overflow-x:auto'><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>")
+        parts.append(
+            f"<div style='overflow-x:auto'><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
+        )
     return f"<div>{''.join(parts)}</div>"

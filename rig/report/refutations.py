@@ -1,7 +1,8 @@
-"""Which files of a folder were refuted later, by what: kept beside them under each file's SHA-256, so that what was refuted is shown as that.
+"""Which files of a folder were refuted later, by what: kept beside them under each file's SHA-256, so that what was
+refuted is shown as that.
 
-A command that refutes a result, or finds what it leaves out, adds an entry to refutations.json in the result's folder. It is read wherever the
-file is shown or used. A copy elsewhere carries no entry.
+A command that refutes a result, or finds what it leaves out, adds an entry to refutations.json in the result's folder.
+It is read wherever the file is shown or used. A copy elsewhere carries no entry.
 """
 
 import json
@@ -21,7 +22,8 @@ FIELDS = ("sha256", "file", "date", "command", "recording", "finding")
 
 @dataclass(frozen=True, slots=True)
 class Refutation:
-    """sha256, file : of the result, its name; date : ISO 8601; command, recording : that found it, their names; finding : what it found, a sentence
+    """sha256, file : of the result, its name; date : ISO 8601; command, recording : that found it, their names;
+    finding : what it found, a sentence
     state : "bad" where the result is refuted, "check" where something acts that it leaves out"""
 
     sha256: str
@@ -45,7 +47,10 @@ def load_refutations(folder: Path) -> tuple[Refutation, ...]:
     try:
         tree = json.loads(path.read_bytes().decode("utf-8"))
         require_schema(path, "list of refuted results", tree["schema"], (SCHEMA,))
-        return tuple(Refutation(**{name: str(row[name]) for name in FIELDS}, state=State(row["state"])) for row in tree["refutations"])
+        return tuple(
+            Refutation(**{name: str(row[name]) for name in FIELDS}, state=State(row["state"]))
+            for row in tree["refutations"]
+        )
     except (FileNotFoundError, NotADirectoryError):
         return ()
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -60,9 +65,16 @@ def refutations_of_file(path: Path) -> tuple[Refutation, ...]:
 
 
 def add_refutation(place: Path, folder: Path, new: Refutation) -> None:
-    """Write the entries of a folder with a new one, which replaces an earlier one of the same file by the same command and recording.
+    """Write the entries of a folder with a new one, which replaces an earlier one of the same file by the same command
+    and recording.
 
     place : where the file waits to be put into the folder as NAME
     """
-    kept = [one for one in load_refutations(folder) if (one.sha256, one.command, one.recording) != (new.sha256, new.command, new.recording)]
-    write_text(place, json.dumps({"schema": SCHEMA, "refutations": [asdict(one) for one in (*kept, new)]}, indent=1) + "\n")
+    kept = [
+        one
+        for one in load_refutations(folder)
+        if (one.sha256, one.command, one.recording) != (new.sha256, new.command, new.recording)
+    ]
+    write_text(
+        place, json.dumps({"schema": SCHEMA, "refutations": [asdict(one) for one in (*kept, new)]}, indent=1) + "\n"
+    )

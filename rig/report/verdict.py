@@ -1,8 +1,8 @@
 """The one judgement of a result, made from its evidence: good, check or bad, why, and the command that would tell more.
 
-Good needs all of it: a held-out error within AGREES of what noise and claim allow, nothing unexplained, and nothing stated beyond what the design of
-the recording supports. Bad is what was refuted: by a later recording, by an error beyond the claim, by the owner's own model doing better. All
-else is to be checked.
+Good needs all of it: a held-out error within AGREES of what noise and claim allow, nothing unexplained, and nothing
+stated beyond what the design of the recording supports. Bad is what was refuted: by a later recording, by an error
+beyond the claim, by the owner's own model doing better. All else is to be checked.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,8 @@ WORST = (State.BAD, State.CHECK, State.GOOD)
 
 
 class Verdict(NamedTuple):
-    """state; why : a sentence without its full stop; next : what to do next, the command that would tell more first, commands between backticks
+    """state; why : a sentence without its full stop; next : what to do next, the command that would tell more first,
+    commands between backticks
     rests_on : what it rests on, a sentence each"""
 
     state: State
@@ -46,11 +47,18 @@ class Verdict(NamedTuple):
 
     def tree(self) -> dict[str, Any]:
         """What JSON holds of it under "verdict"."""
-        return {"state": str(self.state), "why": self.why, "next": self.next[0] if self.next else None, "rests_on": list(self.rests_on)}
+        return {
+            "state": str(self.state),
+            "why": self.why,
+            "next": self.next[0] if self.next else None,
+            "rests_on": list(self.rests_on),
+        }
 
 
 class Missing(NamedTuple):
-    """What would have to be known for a result to be good. text : a sentence without its full stop; step : what would supply it"""
+    """What would have to be known for a result to be good. text : a sentence without its full stop; step : what would
+    supply it
+    """
 
     text: str
     step: str = ""
@@ -58,11 +66,15 @@ class Missing(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What a result is judged by. statement : the result itself, a sentence without its full stop; steps : what to do next where it is good
+    """What a result is judged by. statement : the result itself, a sentence without its full stop; steps : what to do
+    next where it is good
 
-    held_out : held-out error over what noise and claim allow, the greater of position's and rotation's, None where nothing was held out
-    unexplained, confounds : sentences; missing : Missing, ..; refuted : sentences, each saying what refuted it, when it was and by how much
-    look : the step that tells more of what is unexplained; named : whether the statement names what is unexplained, so that it is not repeated
+    held_out : held-out error over what noise and claim allow, the greater of position's and rotation's, None where
+        nothing was held out
+    unexplained, confounds : sentences; missing : Missing, ..; refuted : sentences, each saying what refuted it, when it
+        was and by how much
+    look : the step that tells more of what is unexplained; named : whether the statement names what is unexplained, so
+        that it is not repeated
     """
 
     statement: str
@@ -78,19 +90,41 @@ class Evidence:
 
 def judge_evidence(evidence: Evidence) -> Verdict:
     """The Verdict of evidence."""
-    beyond = [f"held-out error is {evidence.held_out:.3g} times what noise and claim allow"] if _beyond(evidence, AGREES) else []
+    beyond = (
+        [f"held-out error is {evidence.held_out:.3g} times what noise and claim allow"]
+        if _beyond(evidence, AGREES)
+        else []
+    )
     refuted = [*evidence.refuted, *(beyond if _beyond(evidence, REFUTES) else [])]
     shown = () if evidence.named else evidence.unexplained
-    doubts = [*(beyond if not _beyond(evidence, REFUTES) else []), *shown, *evidence.confounds, *(m.text for m in evidence.missing)]
-    steps = [*([evidence.look] if refuted or beyond or evidence.unexplained else []), *([BALANCE] if evidence.confounds else []),
-             *(m.step for m in evidence.missing if m.step)]
-    agreed = [] if evidence.held_out is None or beyond else [f"held-out error is {evidence.held_out:.2f} times what noise and claim allow"]
+    doubts = [
+        *(beyond if not _beyond(evidence, REFUTES) else []),
+        *shown,
+        *evidence.confounds,
+        *(m.text for m in evidence.missing),
+    ]
+    steps = [
+        *([evidence.look] if refuted or beyond or evidence.unexplained else []),
+        *([BALANCE] if evidence.confounds else []),
+        *(m.step for m in evidence.missing if m.step),
+    ]
+    agreed = (
+        []
+        if evidence.held_out is None or beyond
+        else [f"held-out error is {evidence.held_out:.2f} times what noise and claim allow"]
+    )
     rests_on = tuple(dict.fromkeys([*refuted, *evidence.unexplained, *doubts, *agreed]))
     if refuted:
-        return Verdict(State.BAD, _sentence([*refuted, evidence.statement], len(doubts)), tuple(dict.fromkeys(steps)), rests_on)
+        return Verdict(
+            State.BAD, _sentence([*refuted, evidence.statement], len(doubts)), tuple(dict.fromkeys(steps)), rests_on
+        )
     if doubts or evidence.unexplained:
-        return Verdict(State.CHECK, _sentence([evidence.statement, *doubts[:MOST_REASONS]], len(doubts[MOST_REASONS:])),
-                       tuple(dict.fromkeys([*steps, *evidence.steps])), rests_on)
+        return Verdict(
+            State.CHECK,
+            _sentence([evidence.statement, *doubts[:MOST_REASONS]], len(doubts[MOST_REASONS:])),
+            tuple(dict.fromkeys([*steps, *evidence.steps])),
+            rests_on,
+        )
     return Verdict(State.GOOD, evidence.statement, evidence.steps, rests_on)
 
 

@@ -7,8 +7,12 @@ from tests.bench.named import ALL, NAMED
 
 
 def main() -> None:
-    """Run the benchmarks and print a line each: figure, reached, wanted; of `truth` or `masks` with options, its campaign."""
-    campaign = {"truth": truth, "masks": masks}.get(sys.argv[1]) if sys.argv[2:3] and sys.argv[2].startswith("-") else None
+    """Run the benchmarks and print a line each: figure, reached, wanted; of `truth` or `masks` with options, its
+    campaign.
+    """
+    campaign = (
+        {"truth": truth, "masks": masks}.get(sys.argv[1]) if sys.argv[2:3] and sys.argv[2].startswith("-") else None
+    )
     if campaign is not None:
         campaign.main(sys.argv[2:])
         return

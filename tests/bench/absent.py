@@ -39,8 +39,12 @@ def rows() -> Iterator[tuple[str, str, str]]:
 
 def _accuracy(design):
     tilts = np.radians([0, 10, 20, 30, 40, 50, 60, 65])
-    errors = np.concatenate([_errors(wall(design, tilt, lens)) for lens in LENSES.values() for tilt in tilts]).reshape(-1, 2)
-    figure = f"rendered corners by edge lines against projection, {len(LENSES)} lenses, tilt to 65 deg, N = {len(errors)}"
+    errors = np.concatenate([_errors(wall(design, tilt, lens)) for lens in LENSES.values() for tilt in tilts]).reshape(
+        -1, 2
+    )
+    figure = (
+        f"rendered corners by edge lines against projection, {len(LENSES)} lenses, tilt to 65 deg, N = {len(errors)}"
+    )
     yield figure + ": bias", f"{np.abs(errors.mean(axis=0)).max():.4f} px", "<= 0.01"
     yield figure + ": RMS per axis", f"{np.sqrt(np.mean(errors**2)):.4f} px", "<= 0.02"
 
@@ -56,13 +60,25 @@ def _errors(rig):
 def _speed(folder, design):
     start = time.perf_counter()
     look = ["--images", "--blur", "0.5", "--read-noise", "1.5"]
-    subprocess.run([*RIG, "simulate", folder / "rig.toml", "--plan", "sobol:100", *look, "--out", folder / "rec"], check=True, capture_output=True)
+    subprocess.run(
+        [*RIG, "simulate", folder / "rig.toml", "--plan", "sobol:100", *look, "--out", folder / "rec"],
+        check=True,
+        capture_output=True,
+    )
     seconds = time.perf_counter() - start
-    yield "rig simulate, 300 images of 1280 x 1024, eight cubes, struts, noise, PNG, start included", f"{300 / seconds:.1f} images/s", ">= 8"
+    yield (
+        "rig simulate, 300 images of 1280 x 1024, eight cubes, struts, noise, PNG, start included",
+        f"{300 / seconds:.1f} images/s",
+        ">= 8",
+    )
     from synthetic.renderer import Renderer
 
     renderer = Renderer(rig_meshes.rig_parts(design), design)
-    rng, sensor, parts = np.random.default_rng(0), Sensor(blur=0.5, read_noise=1.5), {"draw": [], "lens": [], "sensor": [], "PNG": []}
+    rng, sensor, parts = (
+        np.random.default_rng(0),
+        Sensor(blur=0.5, read_noise=1.5),
+        {"draw": [], "lens": [], "sensor": [], "PNG": []},
+    )
     pinhole = renderer.cameras["cam0"]
     picture = np.zeros((pinhole.size[1], pinhole.size[0], 3), np.uint8)
     for _ in range(8):
@@ -80,7 +96,11 @@ def _speed(folder, design):
     renderer.close()
     medians = {key: 1e3 * np.median(values) for key, values in parts.items()}
     medians["draw"] -= medians["lens"]  # drawing ends with the lens
-    yield "where an image's time goes, one process, median of 8", ", ".join(f"{key} {value:.0f}" for key, value in medians.items()) + " ms", ""
+    yield (
+        "where an image's time goes, one process, median of 8",
+        ", ".join(f"{key} {value:.0f}" for key, value in medians.items()) + " ms",
+        "",
+    )
 
 
 def _corner_level(design, folder, text):
@@ -102,7 +122,17 @@ def _closed_loop():
         command = [*RIG, "verify", loop / "calibration.json", loop / name, "--wanted", loop / "wanted.csv", "--json"]
         found[name] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)["wanted"]
     before, after = found["before"]["position"]["rms"], found["after"]["position"]["rms"]
-    yield "closed loop: pose error before / after, RMS, as measured", f"{before * 1e6:.0f} / {after * 1e6:.1f} um = {before / after:.0f} x", ">= 50 x"
-    ratio = [after / found["after"]["stated_uncertainty"]["position"],
-             found["after"]["rotation"]["rms"] / found["after"]["stated_uncertainty"]["rotation"]]
-    yield "closed loop: error after over its stated standard uncertainty", f"{ratio[0]:.2f} position, {ratio[1]:.2f} rotation", "<= 2"
+    yield (
+        "closed loop: pose error before / after, RMS, as measured",
+        f"{before * 1e6:.0f} / {after * 1e6:.1f} um = {before / after:.0f} x",
+        ">= 50 x",
+    )
+    ratio = [
+        after / found["after"]["stated_uncertainty"]["position"],
+        found["after"]["rotation"]["rms"] / found["after"]["stated_uncertainty"]["rotation"],
+    ]
+    yield (
+        "closed loop: error after over its stated standard uncertainty",
+        f"{ratio[0]:.2f} position, {ratio[1]:.2f} rotation",
+        "<= 2",
+    )

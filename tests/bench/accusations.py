@@ -1,6 +1,6 @@
 """What `rig check` says of set-ups with nothing wrong: cameras roughly stated, lenses missing, few frames, noise.
 
-    python -m tests.bench accusations        100 set-ups, some seconds each
+python -m tests.bench accusations        100 set-ups, some seconds each
 """
 
 import re
@@ -25,7 +25,9 @@ from vision.checks import find_corner_mistakes
 SETUPS = 100
 MOVED = (0.2, np.radians(10.0))  # m, rad by which cameras may stand from where they are stated
 SIZES = ((800, 600), (1280, 1024), (1920, 1200))
-ROUGH = re.compile(r"rig.toml: (camera \w+: it stands |the lens is not as stated)")  # what is true of such cameras, and spoils nothing
+ROUGH = re.compile(
+    r"rig.toml: (camera \w+: it stands |the lens is not as stated)"
+)  # what is true of such cameras, and spoils nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,9 @@ class Setup:
 
 
 def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
-    """The Setup of a number, written to a folder: rough cameras, in every second one lenses that nobody stated. frames : how many, None drawn"""
+    """The Setup of a number, written to a folder: rough cameras, in every second one lenses that nobody stated.
+    frames : how many, None drawn
+    """
     rng = np.random.default_rng((28, number))
     width, height = SIZES[rng.integers(len(SIZES))]
     count, cubes, radius = int(rng.integers(2, 6)), int(rng.integers(3, 6)), float(rng.uniform(0.15, 0.6))
@@ -59,8 +63,10 @@ def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
     recording_simulation.write_recording(done, folder, text, rng, noise)
     read = recording_folder.load(folder)
     assert read.corners is not None
-    words = (f"{number}: radius {radius:.2f} m, {count} cameras {width}x{height}, {cubes} cubes, {frames} frames, noise {noise:.2f} px"
-             + (", no lens stated" if lensless else ""))
+    words = (
+        f"{number}: radius {radius:.2f} m, {count} cameras {width}x{height}, {cubes} cubes, {frames} frames, "
+        f"noise {noise:.2f} px" + (", no lens stated" if lensless else "")
+    )
     return Setup(words, (*file_mistakes(read), *find_corner_mistakes(read, read.corners, thorough=True)))
 
 

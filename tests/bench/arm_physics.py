@@ -1,7 +1,9 @@
-"""An arm's commands undo what was found at its joints: seven kinds, three arms each, 60 poses driven, beside the same arm without the effect.
+"""An arm's commands undo what was found at its joints: seven kinds, three arms each, 60 poses driven, beside the same
+arm without the effect.
 
-A tracker measures a PUMA 560 with its wrist and, of the last kind, positions alone; each arm is simulated, diagnosed, calibrated with what was found
-and plainly, and both are driven through new poses all over what was visited. Errors are against simulated truth.
+A tracker measures a PUMA 560 with its wrist and, of the last kind, positions alone; each arm is simulated, diagnosed,
+calibrated with what was found and plainly, and both are driven through new poses all over what was visited. Errors are
+against simulated truth.
 """
 
 import sys
@@ -36,10 +38,18 @@ ARMS, ROUTE, POSES, REACH = 3, "sobol:150", 60, 0.7
 NEAR_SINGULAR = 0.02  # least over greatest singular value; where a wrist is near it, a micrometre may be out of reach
 SIZES = {  # what is drawn log-uniform between stands in braces
     "backlash": ("backlash:joint {joint}:gap={gap}", {"gap": (3e-4, 2e-3)}),
-    "hysteresis": ("hysteresis:joint {joint}:range={range},weight={weight}", {"range": (0.2, 0.8), "weight": (5e-4, 2e-3)}),
-    "gear": ("cyclic_error:joint {joint}:amplitude={amplitude},order=1.0,phase={phase}", {"amplitude": (2e-4, 8e-4), "phase": (0.1, 3)}),
-    "teeth": ("cyclic_error:joint {joint}:amplitude={amplitude},order={order},phase={phase}",
-              {"amplitude": (5e-5, 2e-4), "order": (20, 120), "phase": (0.1, 3)}),
+    "hysteresis": (
+        "hysteresis:joint {joint}:range={range},weight={weight}",
+        {"range": (0.2, 0.8), "weight": (5e-4, 2e-3)},
+    ),
+    "gear": (
+        "cyclic_error:joint {joint}:amplitude={amplitude},order=1.0,phase={phase}",
+        {"amplitude": (2e-4, 8e-4), "phase": (0.1, 3)},
+    ),
+    "teeth": (
+        "cyclic_error:joint {joint}:amplitude={amplitude},order={order},phase={phase}",
+        {"amplitude": (5e-5, 2e-4), "order": (20, 120), "phase": (0.1, 3)},
+    ),
     "sag": ("compliance:joint {heavy}:moments={moments}", {}),
     "profile": ("transmission_error:joint {joint}:profile={profile}", {}),
     "backlash, positions": ("backlash:joint {joint}:gap={gap}", {"gap": (3e-4, 2e-3)}),
@@ -47,8 +57,8 @@ SIZES = {  # what is drawn log-uniform between stands in braces
 
 
 class Ways(NamedTuple):
-    """RMS errors of driven poses, m and rad: known (physics taken in), plain, without (the same arm without the effect); stated : m and rad, standard
-    uncertainty of the first."""
+    """RMS errors of driven poses, m and rad: known (physics taken in), plain, without (the same arm without the
+    effect); stated : m and rad, standard uncertainty of the first."""
 
     known: np.ndarray
     plain: np.ndarray
@@ -92,7 +102,9 @@ def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -
     (folder / "rig.toml").write_text(text)
     design, rng = design_file.load(folder / "rig.toml"), np.random.default_rng(seed)
     secret = secret_machine.draw_machine(design, rng, 1.0, effects)
-    recording_simulation.write_recording(recording_simulation.simulate(secret, plan.build_plan(design, ROUTE, seed), rng), folder / "rec", text, rng)
+    recording_simulation.write_recording(
+        recording_simulation.simulate(secret, plan.build_plan(design, ROUTE, seed), rng), folder / "rec", text, rng
+    )
     return recording_folder.load(folder / "rec"), secret
 
 
@@ -100,10 +112,21 @@ def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, n
     """((2,) RMS error of driven poses, (2,) its stated standard uncertainty, NaN without physics), m and rad."""
     sampled, rng = sample_recording(rec), np.random.default_rng(0)
     taken = refit_arm_with_findings(rec, sampled, findings_of_arm_diagnosis(diagnose_arm(rec))) if physics else None
-    done = certify(sampled.samples, rec.design.mechanism, sampled.instrument, rng, physics=None if taken is None else taken.together)
+    done = certify(
+        sampled.samples,
+        rec.design.mechanism,
+        sampled.instrument,
+        rng,
+        physics=None if taken is None else taken.together,
+    )
     samples = sampled.samples if taken is None else taken.together.samples
     calibration = calibration_with_provenance(
-        rec, sampled, done, workspace_claim_of(samples, done, rng), (), None if taken is None else taken.with_geometry(done)
+        rec,
+        sampled,
+        done,
+        workspace_claim_of(samples, done, rng),
+        (),
+        None if taken is None else taken.with_geometry(done),
     )
     seen = np.stack([sampled.samples.commanded.min(axis=0), sampled.samples.commanded.max(axis=0)], axis=1)
     q = low_discrepancy(seen, 2 * POSES, REACH, 17)
@@ -112,9 +135,13 @@ def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, n
         q[values[:, -1] > NEAR_SINGULAR * values[:, 0]][:POSES], done.correction.fitted
     )  # its own idea of how the hand is turned
     made = commands_along_route(calibration, T, np.zeros(len(seen)))
-    run = motion_simulation.run_machine(secret.true, made.route.commands(np.round(made.values, 10)), made.route.times, secret.effects)
+    run = motion_simulation.run_machine(
+        secret.true, made.route.commands(np.round(made.values, 10)), made.route.times, secret.effects
+    )
     error = _rms((pose_difference(T, run.T_base_platform) ** 2).reshape(-1, 2, 3))
-    return error, np.full(2, np.nan) if made.covariance is None else _rms(np.einsum("nii->ni", made.covariance).reshape(-1, 2, 3))
+    return error, np.full(2, np.nan) if made.covariance is None else _rms(
+        np.einsum("nii->ni", made.covariance).reshape(-1, 2, 3)
+    )
 
 
 def _rms(squares: np.ndarray) -> np.ndarray:
@@ -126,12 +153,25 @@ def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         for name in SIZES:
-            found = [ways(Path(folder) / name.replace(", ", "-") / str(k), name, 100 * list(SIZES).index(name) + k) for k in range(ARMS)]
+            found = [
+                ways(Path(folder) / name.replace(", ", "-") / str(k), name, 100 * list(SIZES).index(name) + k)
+                for k in range(ARMS)
+            ]
             for one in found:
-                print(f"  {name}: um " + ", ".join(f"{key} {getattr(one, key)[0] * 1e6:.1f}" for key in one._fields), file=sys.stderr, flush=True)
+                print(
+                    f"  {name}: um " + ", ".join(f"{key} {getattr(one, key)[0] * 1e6:.1f}" for key in one._fields),
+                    file=sys.stderr,
+                    flush=True,
+                )
             known, plain, without, stated = (np.array([getattr(one, key)[0] for one in found]) for key in Ways._fields)
-            yield f"{name}: position error with physics over that without the effect, median of {ARMS}", f"{np.median(known / without):.2f}", "<= 1.5"
+            yield (
+                f"{name}: position error with physics over that without the effect, median of {ARMS}",
+                f"{np.median(known / without):.2f}",
+                "<= 1.5",
+            )
             yield f"{name}: the same over what the commands state", f"{np.median(known / stated):.2f}", "0.5 to 2"
-            reached = (f"{np.median(plain / without):.2f}; {np.median(known) * 1e6:.1f} / {np.median(plain) * 1e6:.1f} / "
-                       f"{np.median(without) * 1e6:.1f} um")
+            reached = (
+                f"{np.median(plain / without):.2f}; {np.median(known) * 1e6:.1f} / {np.median(plain) * 1e6:.1f} / "
+                f"{np.median(without) * 1e6:.1f} um"
+            )
             yield f"{name}: the same corrected plainly; um with physics / plain / without the effect", reached, ""

@@ -44,8 +44,11 @@ def _forward():
     for name, arm in (("UR10", UR10), ("Panda", PANDA), ("random, Hayati", random_arm(np.random.default_rng(0), 7))):
         q = configurations(arm, 10_000, np.random.default_rng(1))
         ours, theirs = mechanism.frames(q, arm)[:, -1], pinocchio_arm.poses(arm, q)
-        yield (f"{name}: forward against pinocchio, 10 000 configurations, worst", f"{np.abs(ours - theirs)[:, :3, 3].max():.1e} m, "
-               f"{np.abs(ours - theirs)[:, :3, :3].max():.1e}", "<= 1e-12 m")
+        yield (
+            f"{name}: forward against pinocchio, 10 000 configurations, worst",
+            f"{np.abs(ours - theirs)[:, :3, 3].max():.1e} m, {np.abs(ours - theirs)[:, :3, :3].max():.1e}",
+            "<= 1e-12 m",
+        )
 
 
 def _closed_forms():
@@ -54,15 +57,35 @@ def _closed_forms():
         six = six_joint_inverse.six_joint_arm(arm)
         q = near_singular(rng.uniform(-np.pi, np.pi, (100_000, 6)), rng)
         closure, missed, found = check(six, q)
-        yield (f"{name} ({six.kind}): round trip, 100 000 poses, 25 000 within 1e-6 of singular", f"{closure.max():.1e} m, {missed.sum()} missed",
-               "<= 1e-9 m, none missed")
-        yield f"{name}: poses by number of branches", ", ".join(f"{n}: {k}" for n, k in enumerate(np.bincount(found.there.sum(1))) if k), ""
+        yield (
+            f"{name} ({six.kind}): round trip, 100 000 poses, 25 000 within 1e-6 of singular",
+            f"{closure.max():.1e} m, {missed.sum()} missed",
+            "<= 1e-9 m, none missed",
+        )
+        yield (
+            f"{name}: poses by number of branches",
+            ", ".join(f"{n}: {k}" for n, k in enumerate(np.bincount(found.there.sum(1))) if k),
+            "",
+        )
         T = mechanism.forward(q, arm)
         times = [_timed(lambda six=six, T=T: six_joint_inverse.inverse(T, six), time.process_time) for _ in range(5)]
-        numeric = _timed(lambda T=T, q=q, arm=arm: mechanism.solve(T[:2000], arm, q[:2000] + 0.05, starts=0), time.process_time) / 2000
+        numeric = (
+            _timed(
+                lambda T=T, q=q, arm=arm: mechanism.solve(T[:2000], arm, q[:2000] + 0.05, starts=0), time.process_time
+            )
+            / 2000
+        )
         reached = f"{1e5 / np.median(times):.0f} poses/s"
-        yield f"{name}: closed-form inverse, all branches, 100 000 at once, median of 5, of one processor", reached, ">= 400 000"
-        yield f"{name}: ratio to the numeric solver, started 0.05 rad away, one branch", f"{numeric * 1e5 / np.median(times):.0f} x", ""
+        yield (
+            f"{name}: closed-form inverse, all branches, 100 000 at once, median of 5, of one processor",
+            reached,
+            ">= 400 000",
+        )
+        yield (
+            f"{name}: ratio to the numeric solver, started 0.05 rad away, one branch",
+            f"{numeric * 1e5 / np.median(times):.0f} x",
+            "",
+        )
 
 
 def _identification():
@@ -76,17 +99,29 @@ def _identification():
             z.append(worlds.scores(found, true, nominal, free))
             steps.append(found.iterations)
         z = np.array(z)
-        yield f"{name}: {free.sum()} parameters, axes within 1e-4 rad of parallel, 40 arms", f"{min(steps)} to {max(steps)} steps", "converges"
-        yield (f"{name}: parameters within 3 sigma; variance of z; worst |z|",
-               f"{100 * (np.abs(z) < 3).mean():.2f} %; {np.var(z):.3f}; {np.abs(z).max():.2f}", "99.73 %; 1")
+        yield (
+            f"{name}: {free.sum()} parameters, axes within 1e-4 rad of parallel, 40 arms",
+            f"{min(steps)} to {max(steps)} steps",
+            "converges",
+        )
+        yield (
+            f"{name}: parameters within 3 sigma; variance of z; worst |z|",
+            f"{100 * (np.abs(z) < 3).mean():.2f} %; {np.var(z):.3f}; {np.abs(z).max():.2f}",
+            "99.73 %; 1",
+        )
     rng = np.random.default_rng(50)
     true = worlds.secret(UR10, rng)
     q = configurations(UR10, 200, rng, 0.5)
     want = error_model.predicted(q, true)
-    for name, seen in (("tracker, 6D probe, 20 um", of_poses(worlds.tracked(true, UR10, 120, rng))),
-                       ("CMM, ball, 20 um", worlds.touched(true, UR10, 120, rng)),
-                       ("vision, 50 um and 0.1 mrad shared 20 um", of_poses(worlds.tracked(true, UR10, 120, rng, (5e-5, 1e-4), (2e-5, 2e-5)))),
-                       ("drawn wire, 50 um, 400 lengths", worlds.wired(true, UR10, 400, rng))):
+    for name, seen in (
+        ("tracker, 6D probe, 20 um", of_poses(worlds.tracked(true, UR10, 120, rng))),
+        ("CMM, ball, 20 um", worlds.touched(true, UR10, 120, rng)),
+        (
+            "vision, 50 um and 0.1 mrad shared 20 um",
+            of_poses(worlds.tracked(true, UR10, 120, rng, (5e-5, 1e-4), (2e-5, 2e-5))),
+        ),
+        ("drawn wire, 50 um, 400 lengths", worlds.wired(true, UR10, 400, rng)),
+    ):
         start = UR10 if seen.kind != "distance" else type(UR10)(UR10.joints, UR10.limits, tool=worlds.TOOL)
         found = identify(seen, instrument_placement.place_arm(seen, start, True, seen.kind != "distance"))
         got = error_model.predicted(q, found.arm)
@@ -102,28 +137,57 @@ def _real():
         return
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "calibration.json"
-        seconds = _timed(lambda: subprocess.run([*RIG, "calibrate", SHARED / "recordings/arm-1", "--out", out], check=True, capture_output=True))
+        seconds = _timed(
+            lambda: subprocess.run(
+                [*RIG, "calibrate", SHARED / "recordings/arm-1", "--out", out], check=True, capture_output=True
+            )
+        )
         held = calibration_file.load(out).held_out
     from calib.models.arm.certification import certify
     from calib.samples.recording_samples import sample_recording
     from rig.recording import recording_folder
 
     folder = recording_folder.load(SHARED / "recordings/arm-1")
-    done = certify(sample_recording(folder).samples, folder.design.mechanism, folder.design.instrument, np.random.default_rng(0))
+    done = certify(
+        sample_recording(folder).samples, folder.design.mechanism, folder.design.instrument, np.random.default_rng(0)
+    )
     yield "arm-1: `rig calibrate`, whole", f"{seconds:.1f} s", ""
-    yield "arm-1: owner's model, base and probe placed, mean of held-out positions", f"{held.before.mean[0] * 1e3:.4f} mm", "about 0.8"
-    yield "arm-1: geometry and tool, whole stretches held out (a third at a time), mean", f"{done.geometry.after.mean[0] * 1e3:.4f} mm", "<= 0.42 mm"
+    yield (
+        "arm-1: owner's model, base and probe placed, mean of held-out positions",
+        f"{held.before.mean[0] * 1e3:.4f} mm",
+        "about 0.8",
+    )
+    yield (
+        "arm-1: geometry and tool, whole stretches held out (a third at a time), mean",
+        f"{done.geometry.after.mean[0] * 1e3:.4f} mm",
+        "<= 0.42 mm",
+    )
     for name, figures in (("whole stretches", done.held_out.after), ("random rows", done.scattered.after)):
-        yield (f"arm-1: with joint profiles, {name} held out: mean, RMS, 95 %, max",
-               ", ".join(f"{v * 1e3:.3f}" for v in (figures.mean[0], *figures.position)) + " mm", "<= 0.20 mm mean")
+        yield (
+            f"arm-1: with joint profiles, {name} held out: mean, RMS, 95 %, max",
+            ", ".join(f"{v * 1e3:.3f}" for v in (figures.mean[0], *figures.position)) + " mm",
+            "<= 0.20 mm mean",
+        )
     with tempfile.TemporaryDirectory() as out:
-        seconds = _timed(lambda: subprocess.run([*RIG, "diagnose", SHARED / "recordings/arm-1", "--out", out], check=True, capture_output=True))
+        seconds = _timed(
+            lambda: subprocess.run(
+                [*RIG, "diagnose", SHARED / "recordings/arm-1", "--out", out], check=True, capture_output=True
+            )
+        )
         tree = json.loads((Path(out) / "diagnosis.json").read_text())
     yield "arm-1: `rig diagnose`, whole", f"{seconds:.1f} s", "<= 60 s"
     for held in tree["held_out"]:
-        yield (f"arm-1: effects chosen and fitted elsewhere, {held['stretches']} whole stretches held out a third at a time, mean before and after",
-               f"{held['before']['mean_m'] * 1e3:.3f}, {held['after']['mean_m'] * 1e3:.3f} mm", "<= 0.20 mm")
-    yield "arm-1: the same command again", f"{tree['repeats']['mean_m'] * 1e3:.4f} mm mean, {tree['repeats']['pairs']} pairs", ""
+        yield (
+            f"arm-1: effects chosen and fitted elsewhere, {held['stretches']} whole stretches held out a "
+            "third at a time, mean before and after",
+            f"{held['before']['mean_m'] * 1e3:.3f}, {held['after']['mean_m'] * 1e3:.3f} mm",
+            "<= 0.20 mm",
+        )
+    yield (
+        "arm-1: the same command again",
+        f"{tree['repeats']['mean_m'] * 1e3:.4f} mm mean, {tree['repeats']['pairs']} pairs",
+        "",
+    )
     yield "arm-1: findings", ", ".join(f"{f['effect']} at {f['place']}" for f in tree["findings"]), ""
 
 
@@ -136,11 +200,22 @@ def _postures():
         name = f"Panda, 500 poses, {' and '.join(wish.directions) or 'det'}, norm {wish.norm:g}"
         for kind, answer in (("gradient", found), ("sampled", sampled)):
             ratio = answer.value / best.value
-            yield (f"{name}: {kind} search / dense search: median, 5 %, worst", f"{np.median(ratio):.4f}, {np.quantile(ratio, 0.05):.3f}, "
-                   f"{ratio.min():.3f}", ">= 0.99 median")
+            yield (
+                f"{name}: {kind} search / dense search: median, 5 %, worst",
+                f"{np.median(ratio):.4f}, {np.quantile(ratio, 0.05):.3f}, {ratio.min():.3f}",
+                ">= 0.99 median",
+            )
         yield f"{name}: start / dense search, median", f"{np.median(best.start / best.value):.3f}", ""
-        yield f"{name}: hand moved, worst of all searches", f"{max(f.moved.max() for f in (found, best, sampled)):.1e} m or rad", "< 1e-9 m"
-        yield f"{name}: joints beyond their limits", f"{sum((mechanism.limits(f.q, PANDA) != 0).sum() for f in (found, best, sampled))}", "0"
+        yield (
+            f"{name}: hand moved, worst of all searches",
+            f"{max(f.moved.max() for f in (found, best, sampled)):.1e} m or rad",
+            "< 1e-9 m",
+        )
+        yield (
+            f"{name}: joints beyond their limits",
+            f"{sum((mechanism.limits(f.q, PANDA) != 0).sum() for f in (found, best, sampled))}",
+            "0",
+        )
 
 
 def _wrenches():
@@ -153,17 +228,21 @@ def _wrenches():
     half = 0.1 * (np.eye(7) + 0.3 * rng.normal(size=(7, 7)))
     pushed = np.einsum("mai,ma->mi", mechanism.jacobian(q, PANDA, "base"), true)
     measured = arm_dynamics.joint_torques(q, v, a, PANDA, own, gravity) - pushed + rng.normal(size=q.shape) @ half.T
-    found = wrench_estimate.estimate_wrench(wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T)
+    found = wrench_estimate.estimate_wrench(
+        wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T
+    )
     error = found.value - true
     inside = np.einsum("mi,mij,mj->m", error, np.linalg.inv(found.covariance), error) < chi2.ppf(0.95, 6)
     each = (np.abs(error) < 1.96 * np.sqrt(np.einsum("mii->mi", found.covariance))).mean(axis=0)
     yield f"wrench, {len(q)} postures: inside the stated 95 % ellipsoid", f"{100 * inside.mean():.2f} %", "93 to 97 %"
-    yield "wrench: inside the stated 95 % interval, each component", f"{100 * each.min():.2f} to {100 * each.max():.2f} %", "93 to 97 %"
+    yield (
+        "wrench: inside the stated 95 % interval, each component",
+        f"{100 * each.min():.2f} to {100 * each.max():.2f} %",
+        "93 to 97 %",
+    )
 
 
 def _timed(function, clock=time.perf_counter):
     start = clock()
     function()
     return clock() - start
-
-

@@ -1,4 +1,6 @@
-"""Real recordings, a ray caster's and our own renders beside each other: what a diagnosis finds, what it leaves against the noise, held out."""
+"""Real recordings, a ray caster's and our own renders beside each other: what a diagnosis finds, what it leaves against
+the noise, held out.
+"""
 
 import json
 import subprocess
@@ -11,7 +13,10 @@ from tests.cli import RIG
 from tests.conftest import SHARED
 
 THERE = {"tumbling-block": "real images", "arm-1": "real poses", "first-light": "images by a ray caster"}
-OWN = {"nothing": [], "backlash at strut 2, 40 um": ["--effect", "backlash:strut2:gap=40e-6"]}  # what our own renders hide
+OWN = {
+    "nothing": [],
+    "backlash at strut 2, 40 um": ["--effect", "backlash:strut2:gap=40e-6"],
+}  # what our own renders hide
 PLAN, SEED = "sobol:14,ladder:1,repeat:3", 31
 SENSOR = ["--blur", "0.5", "--read-noise", "1"]
 UNIT = {"m": (1e6, "um"), "px": (1, "px"), "whitened": (1, "of the noise")}
@@ -19,7 +24,9 @@ MOST = 4  # findings told of one recording
 
 
 def rows() -> Iterator[tuple[str, str, str]]:
-    """Yield (figure, reached, wanted), one a recording; figures of one are held out: before its findings, after, and the noise's own."""
+    """Yield (figure, reached, wanted), one a recording; figures of one are held out: before its findings, after, and
+    the noise's own.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for recording, kind in THERE.items():
@@ -45,4 +52,7 @@ def _told(recording, out):
     more = f" and {len(found) - MOST} more" if len(found) > MOST else ""
     scale, unit = UNIT[tree["fit"]["unit"]]
     before, after, noise = (tree["fit"][key] * scale for key in ("heldout_before", "heldout_after", "noise_floor"))
-    return f"{', '.join(found[:MOST]) or 'nothing'}{more}; {before:.4g} -> {after:.4g} {unit}, noise {noise:.4g}, ratio {after / noise:.2f}"
+    return (
+        f"{', '.join(found[:MOST]) or 'nothing'}{more}; {before:.4g} -> {after:.4g} {unit}, noise {noise:.4g}, "
+        f"ratio {after / noise:.2f}"
+    )

@@ -1,4 +1,6 @@
-"""Certificates of 500 fresh rigs at pose level for each of five cases: are promises, of position and rotation at once, kept, and decisions right?"""
+"""Certificates of 500 fresh rigs at pose level for each of five cases: are promises, of position and rotation at once,
+kept, and decisions right?
+"""
 
 import tempfile
 import time
@@ -33,10 +35,22 @@ def rows() -> Iterator[tuple[str, str, str]]:
         start = time.process_time()
         trials = [trial(design, seed, level, SIZES, kinds, noise) for seed in range(RIGS)]
         seconds = (time.process_time() - start) / RIGS
-        yield f"{name}: promise kept by {RIGS} rigs", f"{share_kept(trials):.1%}", f"{level[1]:.0%} +- 2 %; above where measuring is the greater part"
+        yield (
+            f"{name}: promise kept by {RIGS} rigs",
+            f"{share_kept(trials):.1%}",
+            f"{level[1]:.0%} +- 2 %; above where measuring is the greater part",
+        )
         for k, what in enumerate(("position", "rotation")):
-            yield f"{what}: promise over truth, median", f"{np.median([t.promise[k] / t.true[k] for t in trials]):.2f}", ""
+            yield (
+                f"{what}: promise over truth, median",
+                f"{np.median([t.promise[k] / t.true[k] for t in trials]):.2f}",
+                "",
+            )
         judged = [t for t in trials if t.verdict]
         made = sum(t.verdict in (CONFORMS, FAILS) for t in judged)
-        yield f"tolerances about the truth: decisions wrong, of {len(judged)} of which {made} were made", f"{wrong_decisions(trials)}", "<= 2.5 %"
+        yield (
+            f"tolerances about the truth: decisions wrong, of {len(judged)} of which {made} were made",
+            f"{wrong_decisions(trials)}",
+            "<= 2.5 %",
+        )
         yield "one rig, drawn, driven, calibrated and certified, of one processor", f"{seconds:.2f} s", "seconds"

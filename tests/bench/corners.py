@@ -1,4 +1,6 @@
-"""Corners and poses: accuracy beside the bound and OpenCV's SUBPIX, whether covariances are true, and speed, all in one run."""
+"""Corners and poses: accuracy beside the bound and OpenCV's SUBPIX, whether covariances are true, and speed, all in one
+run.
+"""
 
 import json
 import subprocess
@@ -52,7 +54,12 @@ def _first_light(out):
     truth = json.loads((SHARED / "truth/first-light.json").read_text())
     true = {tuple(row[:4]): np.array(row[4:6]) for row in truth["corners"]}
     found = recording_folder.load(out).corners
-    ours = {(f, c, m, k): i for i, (f, c, m, k) in enumerate(zip(found.frame.tolist(), found.camera, found.marker.tolist(), found.corner.tolist()))}
+    ours = {
+        (f, c, m, k): i
+        for i, (f, c, m, k) in enumerate(
+            zip(found.frame.tolist(), found.camera, found.marker.tolist(), found.corner.tolist())
+        )
+    }
     keys = [key for key in ours if key in true]
     rows_ = [ours[key] for key in keys]
     error = found.uv[rows_] - np.array([true[key] for key in keys])
@@ -61,22 +68,41 @@ def _first_light(out):
     inside = nees(error, found.covariance[rows_]) < INSIDE[2]
     theirs = _subpix_errors(folder, true)
     good = np.abs(theirs).max(axis=1) < 0.5
-    yield "first-light: corner error, RMS per axis, all true corners", f"{np.sqrt(np.mean(error**2)):.4f} px", "<= 0.018 px"
-    yield (f"first-light: the same, OpenCV SUBPIX, without its {100 * (~good).mean():.1f} % beyond 0.5 px",
-           f"{np.sqrt(np.mean(theirs[good] ** 2)):.4f} px (all: {np.sqrt(np.mean(theirs**2)):.3f})", "")
+    yield (
+        "first-light: corner error, RMS per axis, all true corners",
+        f"{np.sqrt(np.mean(error**2)):.4f} px",
+        "<= 0.018 px",
+    )
+    yield (
+        f"first-light: the same, OpenCV SUBPIX, without its {100 * (~good).mean():.1f} % beyond 0.5 px",
+        f"{np.sqrt(np.mean(theirs[good] ** 2)):.4f} px (all: {np.sqrt(np.mean(theirs**2)):.3f})",
+        "",
+    )
     yield "first-light: true corners found, ours / OpenCV", f"{len(keys)} / {len(theirs)} of {len(true)}", ""
-    yield "first-light: what the fits' own scatter allows", f"{np.sqrt(np.einsum('nii->n', found.covariance[rows_]).mean() / 2):.4f} px", ""
+    yield (
+        "first-light: what the fits' own scatter allows",
+        f"{np.sqrt(np.einsum('nii->n', found.covariance[rows_]).mean() / 2):.4f} px",
+        "",
+    )
     yield "first-light: bias per axis", ", ".join(f"{v:+.4f}" for v in error.mean(axis=0)) + " px", "<= 0.005 px"
     yield "first-light: bias along the marker's own diagonal, outward", f"{along.mean():+.4f} px", "<= 0.005 px"
     yield "first-light: true corners in their stated 95 % ellipse", f"{100 * inside.mean():.1f} %", "93-97 %"
     poses = recording_folder.load_poses(out / "poses.csv")
-    errors = pose_difference(poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4))[poses.frame])
+    errors = pose_difference(
+        poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4))[poses.frame]
+    )
     size = [np.sqrt((errors[:, part] ** 2).sum(axis=1).mean()) * 1e6 for part in (slice(0, 3), slice(3, 6))]
-    stated = [np.sqrt(np.einsum("nii->n", poses.covariance[:, part, part]).mean()) * 1e6 for part in (slice(0, 3), slice(3, 6))]
+    stated = [
+        np.sqrt(np.einsum("nii->n", poses.covariance[:, part, part]).mean()) * 1e6
+        for part in (slice(0, 3), slice(3, 6))
+    ]
     yield "first-light: pose, RMS of the error's length", f"{size[0]:.2f} um, {size[1]:.1f} urad", "<= 7 um, 26 urad"
     yield "first-light: its stated standard uncertainty", f"{stated[0]:.2f} um, {stated[1]:.1f} urad", ""
-    yield ("first-light: poses in their 95 % ellipsoid (the cameras' error is one draw for all)",
-           f"{100 * (nees(errors, poses.covariance) < INSIDE[6]).mean():.0f} % of {len(errors)}", "93-97 %")
+    yield (
+        "first-light: poses in their 95 % ellipsoid (the cameras' error is one draw for all)",
+        f"{100 * (nees(errors, poses.covariance) < INSIDE[6]).mean():.0f} % of {len(errors)}",
+        "93-97 %",
+    )
 
 
 def _subpix():
@@ -90,7 +116,9 @@ def _subpix_errors(folder, true):
     for frame, camera, name in zip(exposures.frame.tolist(), exposures.camera, exposures.image):
         corners, ids, _ = detector.detectMarkers(read_image(folder / name))
         for number, quad in zip(ids.ravel().tolist(), corners):
-            errors += [quad[0, k] - true[(frame, camera, number, k)] for k in range(4) if (frame, camera, number, k) in true]
+            errors += [
+                quad[0, k] - true[(frame, camera, number, k)] for k in range(4) if (frame, camera, number, k) in true
+            ]
     return np.array(errors)
 
 
@@ -100,7 +128,9 @@ def _grid(design):
     found = list(bound.cells(markers))
     for exact, what in ((True, "exact pictures"), (False, "pictures of 8 x 8 rays a pixel, in 8 bits")):
         ratios, insides, theirs, lost, worst = [], {}, [], 0, (0, "")
-        for _, blur, noise, tilt, side, limit, error, inside, other, left_out in (row for row in found if row[0] == exact):
+        for _, blur, noise, tilt, side, limit, error, inside, other, left_out in (
+            row for row in found if row[0] == exact
+        ):
             lost += left_out
             theirs.append(np.sqrt(np.mean(other**2)) / limit)
             if len(error):
@@ -111,8 +141,16 @@ def _grid(design):
         yield figure + ", median", f"{np.median(ratios):.2f}", "<= 1.5"
         yield figure + ", 90th percentile; worst", f"{np.quantile(ratios, 0.9):.2f}; {worst[0]:.2f}", f"({worst[1]})"
         yield figure + ", OpenCV SUBPIX, median", f"{np.median(theirs):.1f}", ""
-        yield f"{what}: corners in their stated 95 % ellipse", f"{100 * np.mean(sum(insides.values(), [])):.1f} %", "93-97 %"
-        yield f"{what}: the same by noise {', '.join(map(str, insides))}", ", ".join(f"{100 * np.mean(v):.1f}" for v in insides.values()) + " %", ""
+        yield (
+            f"{what}: corners in their stated 95 % ellipse",
+            f"{100 * np.mean(sum(insides.values(), [])):.1f} %",
+            "93-97 %",
+        )
+        yield (
+            f"{what}: the same by noise {', '.join(map(str, insides))}",
+            ", ".join(f"{100 * np.mean(v):.1f}" for v in insides.values()) + " %",
+            "",
+        )
         yield f"{what}: left out with a reason", f"{lost} of {len(theirs) * bound.QUADS * bound.DRAWS}", ""
 
 
@@ -124,7 +162,11 @@ def _recordings(design):
         inside.append(nees(pose_difference(m.T_base_platform, T[m.frames]), m.covariance) < INSIDE[6])
         common.append(inside[-1].mean())
     share, spread = 100 * np.mean(common), 100 * np.std(common) / np.sqrt(RECORDINGS)
-    yield f"{RECORDINGS} simulated recordings: true poses in their 95 % ellipsoid", f"{share:.1f} +- {spread:.1f} %", "93-97 %"
+    yield (
+        f"{RECORDINGS} simulated recordings: true poses in their 95 % ellipsoid",
+        f"{share:.1f} +- {spread:.1f} %",
+        "93-97 %",
+    )
 
 
 def _speed(folder):
@@ -146,7 +188,8 @@ def _speed(folder):
             yield f"{width} x {height}: speed", "skipped", str(error)
             continue
         images = [
-            (camera, expose_image(renderer.draw(camera.name, home), Sensor(blur=0.5, read_noise=1.5), rng, SAMPLES)) for camera in design.cameras
+            (camera, expose_image(renderer.draw(camera.name, home), Sensor(blur=0.5, read_noise=1.5), rng, SAMPLES))
+            for camera in design.cameras
         ]
         renderer.close()
         seconds, seen = [], [0, 0, 0]

@@ -1,4 +1,6 @@
-"""Corrections: interpolation beside interpn and SciPy, the chain from a wanted pose to checked commands, forward kinematics."""
+"""Corrections: interpolation beside interpn and SciPy, the chain from a wanted pose to checked commands, forward
+kinematics.
+"""
 
 import time
 from collections.abc import Callable, Iterator
@@ -37,7 +39,10 @@ def rows() -> Iterator[tuple[str, str, str]]:
     few = x[: QUERIES // 20]
     field.value(few)
     ours = best(lambda: field.value(x)) / QUERIES
-    one_thread = best(lambda: [interpn.interpn(obs=columns, grids=list(levels), vals=part, max_threads=1) for part in parts], 3) / QUERIES
+    one_thread = (
+        best(lambda: [interpn.interpn(obs=columns, grids=list(levels), vals=part, max_threads=1) for part in parts], 3)
+        / QUERIES
+    )
     threads = best(lambda: [interpn.interpn(obs=columns, grids=list(levels), vals=part) for part in parts], 3) / QUERIES
     other = best(lambda: scipy(few), 3) / len(few)
     yield "simplices, 6-D, 4^6 samples, 6 outputs, 1e6 queries, a query", f"{ours * 1e9:.0f} ns", ""
@@ -55,7 +60,9 @@ def _chain():
     rng = np.random.default_rng(1)
     levels = tuple(np.linspace(a, b, LEVELS) for a, b in mechanism.strut_range)
     values = 2e-5 * rng.normal(size=(LEVELS**6, 6))
-    correction = Correction(mechanism, mechanism, (None,) * 6, extension=Simplex(levels, values, np.zeros(values.shape), np.zeros(6)))
+    correction = Correction(
+        mechanism, mechanism, (None,) * 6, extension=Simplex(levels, values, np.zeros(values.shape), np.zeros(6))
+    )
     middle = low + (high - low) * (0.02 + 0.96 * rng.random((200_000, 6)))
     wanted = hexapod.forward(middle, mechanism)
     one = wanted[0]

@@ -23,7 +23,9 @@ def rows() -> Iterator[tuple[str, str, str]]:
             continue
         with tempfile.TemporaryDirectory() as folder:
             start = time.monotonic()
-            done = subprocess.run([*RIG, "diagnose", SHARED / "recordings" / name, "--out", folder], capture_output=True, text=True)
+            done = subprocess.run(
+                [*RIG, "diagnose", SHARED / "recordings" / name, "--out", folder], capture_output=True, text=True
+            )
             seconds = time.monotonic() - start
             if done.returncode:
                 yield f"{name}: diagnosed", done.stderr.strip().splitlines()[-1], "without an error"
@@ -37,8 +39,11 @@ def rows() -> Iterator[tuple[str, str, str]]:
         fit = tree["fit"]
         scale, unit = UNIT[fit["unit"]]
         before, after, floor = (fit[key] * scale for key in ("heldout_before", "heldout_after", "noise_floor"))
-        yield (f"{name}: held out before, after, noise floor; ratio", f"{before:.4g}, {after:.4g}, {floor:.4g} {unit}; {after / floor:.3f}",
-               "<= 1.05" if name in KNOWN else "reported")
+        yield (
+            f"{name}: held out before, after, noise floor; ratio",
+            f"{before:.4g}, {after:.4g}, {floor:.4g} {unit}; {after / floor:.3f}",
+            "<= 1.05" if name in KNOWN else "reported",
+        )
         yield f"{name}: time, whole command, this machine as loaded as it is", f"{seconds:.0f} s", "<= 60 s"
 
 
@@ -51,10 +56,18 @@ def _known(name, path):
         found = score_case(0, Path(whole.name), path)
     wanted = [(h.effect, h.place) for h in found.hidden]
     named = [(f.effect, f.place) for f in found.found]
-    yield f"{name}: effect and place", ", ".join(map(" ".join, named)) or "nothing", ", ".join(map(" ".join, wanted)) or "nothing"
+    yield (
+        f"{name}: effect and place",
+        ", ".join(map(" ".join, named)) or "nothing",
+        ", ".join(map(" ".join, wanted)) or "nothing",
+    )
     for h in found.hidden:
         f = found.match(h)
         for parameter, true in h.parameters.items():
             value, interval = f.parameters.get(parameter, (None, None)) if f is not None else (None, None)
             if interval is not None and not isinstance(value, list):
-                yield f"{name}: {h.effect}'s {parameter}", f"{value:.4g} ({interval[0]:.4g} to {interval[1]:.4g})", f"{true:.4g}"
+                yield (
+                    f"{name}: {h.effect}'s {parameter}",
+                    f"{value:.4g} ({interval[0]:.4g} to {interval[1]:.4g})",
+                    f"{true:.4g}",
+                )

@@ -25,11 +25,22 @@ def rows() -> Iterator[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         text = hexapod_layout.hexapod_layout(0.3)
-        path.write_text(text + "\n[controller]\nprotocol = \"grblhal\"\nport = \"set below\"\nmax_speed = 0.01\n")
+        path.write_text(text + '\n[controller]\nprotocol = "grblhal"\nport = "set below"\nmax_speed = 0.01\n')
         zero = home_lengths(design_file.load(path).mechanism).tolist()
         path.write_text(path.read_text() + f"zero = {zero}\n")
-        emulator = subprocess.Popen([sys.executable, "-c", "from rig.cli.command_line import main; main()", "emulate", str(path), "--speed", "1000"],
-                                    stdout=subprocess.PIPE, text=True)
+        emulator = subprocess.Popen(
+            [
+                sys.executable,
+                "-c",
+                "from rig.cli.command_line import main; main()",
+                "emulate",
+                str(path),
+                "--speed",
+                "1000",
+            ],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         try:
             port = emulator.stdout.readline().split()[1]
             path.write_text(path.read_text().replace("set below", port))
@@ -52,10 +63,16 @@ def _timed(design, port):
             while not bare.read(clock.now() + 1).endswith(b"ok\r\n"):
                 pass
 
-        plain, ours = np.transpose([(_time(told), _time(lambda: driver.link.run(driver._protocol.move(segment)))) for _ in range(COUNT)])
+        plain, ours = np.transpose(
+            [(_time(told), _time(lambda: driver.link.run(driver._protocol.move(segment)))) for _ in range(COUNT)]
+        )
         bare.close()
         whole = [_time(lambda k=k: driver.move(home + (k % 2) * 1e-6)) for k in range(COUNT // 3)]
-    yield "a move command's way there and back beyond the emulator's own, median", f"{1e3 * np.median(ours - plain):.3f} ms", "<= 1 ms"
+    yield (
+        "a move command's way there and back beyond the emulator's own, median",
+        f"{1e3 * np.median(ours - plain):.3f} ms",
+        "<= 1 ms",
+    )
     yield "the emulator's and the pseudo-terminal's own", f"{1e3 * np.median(plain):.3f} ms", ""
     yield "a whole move of 1 um, checked before and read back after, median", f"{1e3 * np.median(whole):.2f} ms", ""
 

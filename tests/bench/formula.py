@@ -1,6 +1,8 @@
-"""A formula for what has no name: six laws that the catalogue does not hold, three rigs each; nothing hidden, and what has a name.
+"""A formula for what has no name: six laws that the catalogue does not hold, three rigs each; nothing hidden, and what
+has a name.
 
-Corner level, no images, whole diagnoses among the whole catalogue. Of each law two and a half to four times the noise of a strut is seen.
+Corner level, no images, whole diagnoses among the whole catalogue. Of each law two and a half to four times the noise
+of a strut is seen.
 """
 
 import sys
@@ -17,8 +19,12 @@ from tests.calib import laws
 from tests.calib.recorded import recorded
 
 RIGS, RIGHT, HELD_OUT = 3, 5, 1.2
-NAMED = ("backlash:strut3:gap=8e-5", "screw_coupling:rig:gain=0.6", "creep:rig:fraction=5e-3,time_constant=40",
-         "transmission_error:strut2:profile=0/2e-5/-2e-5/3e-5/0/2e-5/-3e-5/1e-5")
+NAMED = (
+    "backlash:strut3:gap=8e-5",
+    "screw_coupling:rig:gain=0.6",
+    "creep:rig:fraction=5e-3,time_constant=40",
+    "transmission_error:strut2:profile=0/2e-5/-2e-5/3e-5/0/2e-5/-3e-5/1e-5",
+)
 
 
 def suggested(found) -> tuple[set[str], float]:
@@ -38,19 +44,39 @@ def rows() -> Iterator[tuple[str, str, str]]:
             hits, ratios = [], []
             for k in range(RIGS):
                 seen = float(np.random.default_rng([9, number, k]).uniform(2e-5, 3.2e-5))
-                rec, effect, wanted = laws.recorded(Path(folder) / f"law{number}{k}", design, text, number, 10 * number + k, seen)
+                rec, effect, wanted = laws.recorded(
+                    Path(folder) / f"law{number}{k}", design, text, number, 10 * number + k, seen
+                )
                 found = diagnose_platform(rec)
                 names, ratio = suggested(found)
                 hits.append(names == wanted)
                 ratios.append(ratio)
-                print(f"  {law} {k}: {effect}; found {[f'{e.name} {e.place}' for e in found.effects]}, left {sorted({u.place for u in found.left})}; "
-                      f"suggested {[(s.place, s.written.text()) for s in found.suggestions]}, {ratio:.3f}", file=sys.stderr, flush=True)
+                print(
+                    f"  {law} {k}: {effect}; found {[f'{e.name} {e.place}' for e in found.effects]}, left "
+                    f"{sorted({u.place for u in found.left})}; "
+                    f"suggested {[(s.place, s.written.text()) for s in found.suggestions]}, {ratio:.3f}",
+                    file=sys.stderr,
+                    flush=True,
+                )
             right += sum(hits) * 2 > RIGS
             worst.append(float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else np.inf)
-            yield f"{law}: right covariates of {RIGS} rigs; held-out error over the noise, median", f"{sum(hits)}; {worst[-1]:.3f}", f"<= {HELD_OUT}"
+            yield (
+                f"{law}: right covariates of {RIGS} rigs; held-out error over the noise, median",
+                f"{sum(hits)}; {worst[-1]:.3f}",
+                f"<= {HELD_OUT}",
+            )
         yield "laws of six with the right covariates in most rigs", str(right), f">= {RIGHT}"
-        quiet = [len(diagnose_platform(recorded(Path(folder) / f"quiet{k}", design, (), 60 + k, laws.PLAN)).suggestions) for k in range(RIGS)]
+        quiet = [
+            len(diagnose_platform(recorded(Path(folder) / f"quiet{k}", design, (), 60 + k, laws.PLAN)).suggestions)
+            for k in range(RIGS)
+        ]
         yield f"nothing hidden: formulas suggested over {RIGS} rigs", str(sum(quiet)), "0"
-        named = [diagnose_platform(recorded(Path(folder) / f"named{k}", design, (text,), 70 + k, laws.PLAN)) for k, text in enumerate(NAMED)]
-        yield f"effects of the catalogue: formulas suggested over {len(NAMED)}, named of them", (
-            f"{sum(len(d.suggestions) for d in named)}, {sum(bool(d.effects) for d in named)}"), "0"
+        named = [
+            diagnose_platform(recorded(Path(folder) / f"named{k}", design, (text,), 70 + k, laws.PLAN))
+            for k, text in enumerate(NAMED)
+        ]
+        yield (
+            f"effects of the catalogue: formulas suggested over {len(NAMED)}, named of them",
+            (f"{sum(len(d.suggestions) for d in named)}, {sum(bool(d.effects) for d in named)}"),
+            "0",
+        )

@@ -36,8 +36,17 @@ def rows() -> Iterator[tuple[str, str, str]]:
     error = np.abs(hexapod.inverse(T, mechanism) - lengths).max()
     start = time.perf_counter()
     for target in lengths[:20]:
-        least_squares(lambda xi, target=target: hexapod.inverse(mechanism.home * exp(xi), mechanism) - target, np.zeros(6), xtol=1e-15, ftol=1e-15)
+        least_squares(
+            lambda xi, target=target: hexapod.inverse(mechanism.home * exp(xi), mechanism) - target,
+            np.zeros(6),
+            xtol=1e-15,
+            ftol=1e-15,
+        )
     other = (time.perf_counter() - start) / 20
-    yield "forward kinematics, batch of 100 000, median of 5", f"{1e5 / np.median(times):.0f} poses/s", ">= 500 000 on one core"
+    yield (
+        "forward kinematics, batch of 100 000, median of 5",
+        f"{1e5 / np.median(times):.0f} poses/s",
+        ">= 500 000 on one core",
+    )
     yield "inverse of forward", f"{error:.1e} m", "<= 1e-10"
     yield "ratio to scipy's least_squares, pose by pose", f"{other / np.median(times) * 1e5:.0f} x", ""

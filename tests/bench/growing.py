@@ -1,4 +1,6 @@
-"""How soon after its exposure a frame's pose and residuals are on the page: three cameras of 1280 x 1024, everything that a run does."""
+"""How soon after its exposure a frame's pose and residuals are on the page: three cameras of 1280 x 1024, everything
+that a run does.
+"""
 
 import json
 import tempfile
@@ -38,7 +40,9 @@ TIME = 1.0  # s that moving and settling take here, so that frames do not wait f
 
 
 class _Source:
-    """A camera that has its images already. waiting : of them, in order; taken : {number of the frame: s when it was handed over}"""
+    """A camera that has its images already. waiting : of them, in order; taken : {number of the frame: s when it was
+    handed over}
+    """
 
     can_set_exposure = False
 
@@ -60,10 +64,16 @@ def rows() -> Iterator[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         delays = _run(Path(folder))
     known = [delay for frame, delay in delays.items() if frame >= TAUGHT[0] and frame not in TAUGHT]
-    for figure, frames in (("cameras adjusted", known), ("images searched whole", [delays[frame] for frame in range(TAUGHT[0])]),
-                           ("after an adjustment of the cameras", [delay for frame, delay in delays.items() if frame in TAUGHT])):
-        yield f"from exposure to pose and residuals on the page, {figure}: median, most", \
-            f"{np.median(frames):.3f} s, {max(frames):.3f} s", "<= 0.5 s"
+    for figure, frames in (
+        ("cameras adjusted", known),
+        ("images searched whole", [delays[frame] for frame in range(TAUGHT[0])]),
+        ("after an adjustment of the cameras", [delay for frame, delay in delays.items() if frame in TAUGHT]),
+    ):
+        yield (
+            f"from exposure to pose and residuals on the page, {figure}: median, most",
+            f"{np.median(frames):.3f} s, {max(frames):.3f} s",
+            "<= 0.5 s",
+        )
 
 
 def _run(folder):
@@ -72,17 +82,24 @@ def _run(folder):
     (folder / "rig.toml").write_text(text)
     design, rng, plan = design_file.load(folder / "rig.toml"), np.random.default_rng(1), f"sobol:{FRAMES}"
     done = recording_simulation.simulate(secret_machine.draw_machine(design, rng), build_plan(design, plan), rng)
-    recording_simulation.write_recording(done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0)))
+    recording_simulation.write_recording(
+        done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0))
+    )
     read, clock = recording_folder.load(folder / "drawn"), SystemClock()
     e, taken = read.exposures, {camera.name: [] for camera in design.cameras}
-    images = {c.name: [read_image(read.folder / n) for n, name in zip(e.image, e.camera) if name == c.name] for c in design.cameras}
+    images = {
+        c.name: [read_image(read.folder / n) for n, name in zip(e.image, e.camera) if name == c.name]
+        for c in design.cameras
+    }
     warm_up(design)  # as while homing
     shutter = Shutter(tuple(_Source(name, own, clock, taken) for name, own in images.items()), clock)
     planned = steps_of_plan(build_plan(design, plan))
     start = planned[0].goal
     machine = SimpleNamespace(lengths=lambda: start, move=lambda goal: None, stop=lambda: None)
     bench = Bench(machine, shutter, clock, parse_settling(f"time:{TIME}"), 1e-5, lambda *_: (), save_image)
-    looking = Looking(design, planned, start, clock, Live(design), Learner(design.mechanism), Stopping(frozenset(), lambda: None))
+    looking = Looking(
+        design, planned, start, clock, Live(design), Learner(design.mechanism), Stopping(frozenset(), lambda: None)
+    )
     (folder / "rec").mkdir()
     with Page(looking, 0) as page, Journal(folder / "rec" / "journal.jsonl") as journal:
         looking.displays.append(page)

@@ -1,6 +1,8 @@
-"""Images of rigs that are not there, printed as printers print, poses visited again: are poses and corners as true as they say, are findings right?
+"""Images of rigs that are not there, printed as printers print, poses visited again: are poses and corners as true as
+they say, are findings right?
 
-Recordings are drawn, measured and diagnosed one after another, an hour of one core. In a folder that IMAGES names drawings are kept, for next time.
+Recordings are drawn, measured and diagnosed one after another, an hour of one core. In a folder that IMAGES names
+drawings are kept, for next time.
 """
 
 import os
@@ -35,9 +37,10 @@ NEAR = 1e-4  # m and rad; poses as near to an earlier one are visited again
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """How true a Measurement's poses and corners are. chi2 : of all poses together; poses : how many; alone : normalised error squared / 6 of a pose
-    by itself, mean; inside, again : shares of corners in their 95 % ellipse, all and at poses visited again; ratio : of the corners' noise to the
-    Cramer-Rao bound"""
+    """How true a Measurement's poses and corners are. chi2 : of all poses together; poses : how many;
+    alone : normalised error squared / 6 of a pose by itself, mean; inside, again : shares of corners in their 95 %
+        ellipse, all
+    and at poses visited again; ratio : of the corners' noise to the Cramer-Rao bound"""
 
     chi2: float
     poses: int
@@ -48,7 +51,9 @@ class Told:
 
 
 def rows() -> Iterator[tuple[str, str, str]]:
-    """Yield (figure, reached, wanted). Three resolutions, two lenses, blur, defocus, vignetting, noise; ladders and repeats."""
+    """Yield (figure, reached, wanted). Three resolutions, two lenses, blur, defocus, vignetting, noise; ladders and
+    repeats.
+    """
     with tempfile.TemporaryDirectory() as folder:
         keep = Path(os.environ.get("IMAGES", folder))
         found, told = [], []
@@ -58,7 +63,11 @@ def rows() -> Iterator[tuple[str, str, str]]:
                 sampled = sample_recording(recorded)
                 if kind == "nothing":
                     told.append(true(case, sampled))
-                found.append(diagnosis_score.score_case(index, truth, diagnosed(recorded, sampled, Path(folder) / f"{kind}{index}")))
+                found.append(
+                    diagnosis_score.score_case(
+                        index, truth, diagnosed(recorded, sampled, Path(folder) / f"{kind}{index}")
+                    )
+                )
                 print(line(kind, found[-1]), file=sys.stderr, flush=True)
     yield from _measured(told)
     yield from _named([one for one in found if one.kind == "nothing"], [one for one in found if one.kind == "one"])
@@ -69,24 +78,48 @@ def rows() -> Iterator[tuple[str, str, str]]:
 
 def _measured(told):
     figure = f"{len(told)} recordings of some {sum(t.poses for t in told) // len(told)} poses, nothing hidden: "
-    yield figure + "normalised error squared / 6 of poses, jointly", f"{sum(t.chi2 for t in told) / sum(t.poses for t in told) / 6:.3f}", "0.93-1.07"
-    yield figure + "the same, a recording each, least to most", " ".join(f"{t.chi2 / t.poses / 6:.2f}" for t in sorted(told, key=_joint)), ""
-    yield figure + "the same pose by pose, median; worst recording", f"{np.median([t.alone for t in told]):.2f}; {max(t.alone for t in told):.2f}", ""
+    yield (
+        figure + "normalised error squared / 6 of poses, jointly",
+        f"{sum(t.chi2 for t in told) / sum(t.poses for t in told) / 6:.3f}",
+        "0.93-1.07",
+    )
+    yield (
+        figure + "the same, a recording each, least to most",
+        " ".join(f"{t.chi2 / t.poses / 6:.2f}" for t in sorted(told, key=_joint)),
+        "",
+    )
+    yield (
+        figure + "the same pose by pose, median; worst recording",
+        f"{np.median([t.alone for t in told]):.2f}; {max(t.alone for t in told):.2f}",
+        "",
+    )
     yield figure + "corners in their stated 95 % ellipse", f"{100 * np.mean([t.inside for t in told]):.1f} %", "93-97 %"
     yield figure + "the same at poses visited again", f"{100 * np.nanmean([t.again for t in told]):.1f} %", "93-97 %"
     yield figure + "corners' noise over the Cramer-Rao bound, median", f"{np.median([t.ratio for t in told]):.2f}", ""
 
 
 def _named(still, one):
-    yield f"nothing hidden: with a finding, of {len(still)}", str(sum(bool(c.found) or c.unexplained for c in still)), "<= 1"
+    yield (
+        f"nothing hidden: with a finding, of {len(still)}",
+        str(sum(bool(c.found) or c.unexplained for c in still)),
+        "<= 1",
+    )
     figures = {f.name: f for f in diagnosis_score.campaign_figures([*still, *one])}
-    for name, missed, most in (("detected", "not detected", 2), ("named first", "not named first", 4), ("at its place", "misplaced", 3),
-                               ("nothing else named", "something else named", "")):
+    for name, missed, most in (
+        ("detected", "not detected", 2),
+        ("named first", "not named first", 4),
+        ("at its place", "misplaced", 3),
+        ("nothing else named", "something else named", ""),
+    ):
         f = figures[f"one effect: {name}"]
         figure = f"one effect at signal-to-noise >= {diagnosis_score.STRONG:g}, {f.trials} recordings: {missed}"
         yield figure, str(f.trials - f.hits), f"<= {most}" if most else ""
     f = figures["95 % intervals that cover"]
-    yield f"95 % intervals that cover the truth, of {f.trials}", f"{f.hits / max(f.trials, 1):.0%} ({f.low:.0%} to {f.high:.0%})", "91 %"
+    yield (
+        f"95 % intervals that cover the truth, of {f.trials}",
+        f"{f.hits / max(f.trials, 1):.0%} ({f.low:.0%} to {f.high:.0%})",
+        "91 %",
+    )
 
 
 def _joint(t):
@@ -114,10 +147,14 @@ def strength(case: blind_cases.DrawnCase) -> list[float]:
         return []
     with tempfile.TemporaryDirectory() as folder:
         # writing draws noise from the case's rng, so that the case's own stays as it was: another is written
-        blind_cases.write_recording(replace(case, image_settings=None, rng=np.random.default_rng(0)), Path(folder) / "rec")
+        blind_cases.write_recording(
+            replace(case, image_settings=None, rng=np.random.default_rng(0)), Path(folder) / "rec"
+        )
         written = replace(recording_folder.load(Path(folder) / "rec"), corners=blind_cases.simulated_corners(case))
     world = case.simulation.world
-    return effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[: len(case.hidden)].tolist()
+    return effect_strengths(written, world.true, case.noise, world.effects, case.simulation.sensors)[
+        : len(case.hidden)
+    ].tolist()
 
 
 def drawn(keep: Path, kind: str, index: int) -> tuple[blind_cases.DrawnCase, Recording, Path]:
@@ -141,13 +178,19 @@ def diagnosed(recorded: Recording, sampled: Sampled, out: Path) -> Path:
 def right(case: diagnosis_score.Case) -> bool:
     """Whether the one hidden effect is named first, at its place, and nothing else."""
     hidden = case.hidden[0]
-    return bool(case.said) and (case.said[0].effect, case.said[0].place) == (hidden.effect, hidden.place) and len(case.named) <= 1
+    return (
+        bool(case.said)
+        and (case.said[0].effect, case.said[0].place) == (hidden.effect, hidden.place)
+        and len(case.named) <= 1
+    )
 
 
 def line(kind: str, case: diagnosis_score.Case) -> str:
     """What was hidden and what was found, in one line."""
     hidden = ", ".join(f"{h.effect} at {h.place} ({h.strength:.0f})" for h in case.hidden) or "nothing"
-    found = ", ".join(f"{f.effect} at {f.place}" for f in case.found) or ("something left" if case.unexplained else "nothing")
+    found = ", ".join(f"{f.effect} at {f.place}" for f in case.found) or (
+        "something left" if case.unexplained else "nothing"
+    )
     remarks = ", ".join(f"{f.effect} at {f.place}" for f in case.remarks[:3])
     return f"{kind} {case.index}: hidden {hidden}; found {found}" + (f"; remarks {remarks}" if remarks else "")
 
@@ -159,8 +202,14 @@ def true(case: blind_cases.DrawnCase, sampled: Sampled) -> Told:
     kept = m.observations.take(m.inliers)
     square = nees(kept.uv - true_corners(case, kept), kept.covariance)
     again = square[np.isin(kept.frame, np.flatnonzero(revisited(T)[kept.frames]))]
-    return Told(joint_chi2(m, errors), len(errors), float(np.mean(nees(errors, m.covariance)) / 6), float(np.mean(square < INSIDE)),
-                float(np.mean(again < INSIDE)) if len(again) else np.nan, m.noise / case.noise)
+    return Told(
+        joint_chi2(m, errors),
+        len(errors),
+        float(np.mean(nees(errors, m.covariance)) / 6),
+        float(np.mean(square < INSIDE)),
+        float(np.mean(again < INSIDE)) if len(again) else np.nan,
+        m.noise / case.noise,
+    )
 
 
 def true_corners(case: blind_cases.DrawnCase, observations: Observations) -> np.ndarray:
@@ -169,7 +218,9 @@ def true_corners(case: blind_cases.DrawnCase, observations: Observations) -> np.
     sighting, row = np.unique(np.stack([o.camera, o.frame, o.marker], axis=1), axis=0, return_inverse=True)
     seen = Sightings(o.frames[sighting[:, 1]], sighting[:, 0], sighting[:, 2])
     state = State(done.world.true.cameras, done.run.T_base_platform, {})
-    quads = predict_sightings(seen, state, marker_map(done.world.true), done.plan.t, done.world.effects, done.sensors, done.run)
+    quads = predict_sightings(
+        seen, state, marker_map(done.world.true), done.plan.t, done.world.effects, done.sensors, done.run
+    )
     return quads[row.ravel(), o.corner]
 
 

@@ -1,8 +1,9 @@
-"""Rigs in which one of two effects hides that are easily taken for each other: the right name alone, poses against random plans, stated chances.
+"""Rigs in which one of two effects hides that are easily taken for each other: the right name alone, poses against
+random plans, stated chances.
 
-Of four pairs a rig is drawn anew until its first recording leaves names alike. The other two are told apart by any first recording that shows
-them: a sag where the load is changed (at constant load most of it is joint geometry, and nothing is found), a print scale by the cubes' stated
-places, which are a certified length. They count as they come.
+Of four pairs a rig is drawn anew until its first recording leaves names alike. The other two are told apart by any
+first recording that shows them: a sag where the load is changed (at constant load most of it is joint geometry, and
+nothing is found), a print scale by the cubes' stated places, which are a certified length. They count as they come.
 """
 
 import re
@@ -33,19 +34,45 @@ from vision.combined_recordings import combine_recordings
 NOISE, LOOKS, BUDGET = 0.04, 8, 120.0  # px; recordings at the most; min
 AT_RANDOM = 4  # recordings at the most that random plans have: what they would have needed is understated
 SOON, LATER = "moving:24,sobol:50", "sobol:20,wait:60,sobol:20"  # first plans: at once, and before and after a lunch
-ALONG, LOADED = "axes:9", "moving:24,sobol:50,payload:6"  # along and about each axis, struts together; with a load on and off
+ALONG, LOADED = (
+    "axes:9",
+    "moving:24,sobol:50,payload:6",
+)  # along and about each axis, struts together; with a load on and off
 SLOW = "sobol:120"  # ten minutes, as the standard plan's own part
 HEAVY = 60.0  # kg of a platform, of which a soft strut yields visibly to the load of a plan
-POSES = '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nrotation_sigma = 2e-5\n'  # what measures, but for prints
+# what measures, but for prints
+POSES = '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nrotation_sigma = 2e-5\n'
 PAIRS = {  # name: (first plan, the two of it; {axis}, {other}, {a} .. {b} a size drawn between)
-    "lag and clock offset": (SOON, ("servo_lag:rig:time_constant={3e-3|2e-2}", "time_offset:clock:offset={-2e-2|-3e-3}")),
-    "creep and warm-up": (SLOW, ("creep:strut {axis}:fraction={1e-3|2e-3},time_constant={100|400}", "warm_up:strut {axis}:amplitude={4e-5|8e-5},"
-                                 "time_constant={600|1200}")),
-    "crosstalk and scale": (ALONG, ("axis_coupling:strut {axis}:scale={1e-3|4e-3},other={other}", "scale_error:strut {axis}:scale={5e-4|1e-3}")),
-    "load sag and joint geometry": (LOADED, ("compliance:rig:stiffness={1e6|3e6}", "compliance:strut {axis}:stiffness={1e6|3e6}")),
-    "thermal and warm-up": (LATER, ("thermal_expansion:strut {axis}:coefficient={1.8e-5|2.4e-5}", "warm_up:strut {axis}:amplitude={1.5e-5|3e-5},"
-                                    "time_constant={600|1500}")),
-    "strut scale and print scale": (SOON, ("scale_error:strut {axis}:scale={5e-4|1e-3}", "print_scale:markers:scale={1e-3|3e-3}")),
+    "lag and clock offset": (
+        SOON,
+        ("servo_lag:rig:time_constant={3e-3|2e-2}", "time_offset:clock:offset={-2e-2|-3e-3}"),
+    ),
+    "creep and warm-up": (
+        SLOW,
+        (
+            "creep:strut {axis}:fraction={1e-3|2e-3},time_constant={100|400}",
+            "warm_up:strut {axis}:amplitude={4e-5|8e-5},time_constant={600|1200}",
+        ),
+    ),
+    "crosstalk and scale": (
+        ALONG,
+        ("axis_coupling:strut {axis}:scale={1e-3|4e-3},other={other}", "scale_error:strut {axis}:scale={5e-4|1e-3}"),
+    ),
+    "load sag and joint geometry": (
+        LOADED,
+        ("compliance:rig:stiffness={1e6|3e6}", "compliance:strut {axis}:stiffness={1e6|3e6}"),
+    ),
+    "thermal and warm-up": (
+        LATER,
+        (
+            "thermal_expansion:strut {axis}:coefficient={1.8e-5|2.4e-5}",
+            "warm_up:strut {axis}:amplitude={1.5e-5|3e-5},time_constant={600|1500}",
+        ),
+    ),
+    "strut scale and print scale": (
+        SOON,
+        ("scale_error:strut {axis}:scale={5e-4|1e-3}", "print_scale:markers:scale={1e-3|3e-3}"),
+    ),
 }
 
 
@@ -72,7 +99,9 @@ class Case:
 
     def recorded(self, name, route) -> Recording:
         rng = np.random.default_rng([self.seed, *name.encode()])
-        recording_simulation.write_recording(recording_simulation.simulate(self.world, route, rng), self.folder / name, self.text, rng, NOISE)
+        recording_simulation.write_recording(
+            recording_simulation.simulate(self.world, route, rng), self.folder / name, self.text, rng, NOISE
+        )
         return recording_folder.load(self.folder / name)
 
     def first(self, text) -> tuple[Recording, PlatformDiagnosis]:
@@ -82,7 +111,9 @@ class Case:
 
 
 def settle(case, first, found, pick, looks=LOOKS) -> tuple[PlatformDiagnosis, int, float, list[tuple[float, bool]]]:
-    """(diagnosis, extra poses, min, [(stated, settled)]) of experiments that pick(questions, number, min left) chooses."""
+    """(diagnosis, extra poses, min, [(stated, settled)]) of experiments that pick(questions, number, min left)
+    chooses.
+    """
     parts, poses, minutes, stated = [first], 0, 0.0, []
     for number in range(1, looks):
         asked = questions(found)
@@ -106,7 +137,9 @@ def best(design) -> Callable[..., Experiment | None]:
 
 def at_random(design, rng) -> Callable[..., Experiment | None]:
     def random(asked, number, left):
-        for text in rng.permutation([text for text in available_plans(("payload", "wait"), False) if not text.startswith(NAME)]):
+        for text in rng.permutation(
+            [text for text in available_plans(("payload", "wait"), False) if not text.startswith(NAME)]
+        ):
             try:
                 found = evaluate_experiment(asked, design, str(text), number)
             except RigError:
@@ -134,20 +167,37 @@ def rows(rigs=40, quiet=20, draws=4) -> Iterator[tuple[str, str, str]]:
             print(f"  nothing hidden {k + 1}: {names(found) or 'nothing'}", file=sys.stderr, flush=True)
     asked = [one for one in done if one.alike]
     yield f"{rigs} rigs: right name alone", f"{sum(one.right for one in done)}", ">= 90 %"
-    yield f"of them {len(asked)} left alike by the first recording ({sum(one.skipped for one in done)} more drawn that were not): right name alone", (
-        f"{sum(one.right for one in asked)}"), ">= 90 %"
-    yield "extra poses over those of random plans of the same kinds, median", f"{np.median([one.ratio for one in asked]):.2f}", "<= 0.5"
-    for who, told in (("chosen", [t for one in asked for t in one.chosen]), ("random", [t for one in asked for t in one.random])):
+    yield (
+        f"of them {len(asked)} left alike by the first recording ({sum(one.skipped for one in done)} more "
+        "drawn that were not): right name alone",
+        (f"{sum(one.right for one in asked)}"),
+        ">= 90 %",
+    )
+    yield (
+        "extra poses over those of random plans of the same kinds, median",
+        f"{np.median([one.ratio for one in asked]):.2f}",
+        "<= 0.5",
+    )
+    for who, told in (
+        ("chosen", [t for one in asked for t in one.chosen]),
+        ("random", [t for one in asked for t in one.random]),
+    ):
         said, happened = np.mean(told, axis=0) if told else (np.nan, np.nan)
-        yield f"chance to settle, of {len(told)} {who} experiments: as stated, as it happened", f"{said:.0%}, {happened:.0%}", "within 15 %"
+        yield (
+            f"chance to settle, of {len(told)} {who} experiments: as stated, as it happened",
+            f"{said:.0%}, {happened:.0%}",
+            "within 15 %",
+        )
     yield f"{quiet} rigs that hide nothing: nothing found, and no experiment", f"{still}", ">= 95 %"
     yield "processor time", f"{(time.process_time() - start) / 60:.1f} min", ""
 
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """text : what happened, in words; alike : whether the first recording left names alike; right : whether the right one was left alone
-    skipped : rigs drawn before that left nothing alike; ratio : extra poses over those at random; chosen, random : [(stated, settled)]"""
+    """text : what happened, in words; alike : whether the first recording left names alike; right : whether the right
+    one was left alone
+    skipped : rigs drawn before that left nothing alike; ratio : extra poses over those at random; chosen,
+        random : [(stated, settled)]"""
 
     text: str
     alike: bool
@@ -177,12 +227,22 @@ def tried(base, rooms, number, draws) -> Tried:
     _, others, _, random = settle(case, first, found, at_random(design, rng), AT_RANDOM)
     alone = names(done) == [case.title] and not questions(done)
     said = f"{[(round(s, 2), h) for s, h in told]} random {[(round(s, 2), h) for s, h in random]}"
-    return Tried(f"{case.truth}: {names(done)} {'alone' if alone else 'NOT alone'}, {poses} poses in {minutes:.1f} min, at random {others}; {said}",
-                 True, alone, draw, poses / max(others, 1), tuple(told), tuple(random))
+    return Tried(
+        f"{case.truth}: {names(done)} {'alone' if alone else 'NOT alone'}, {poses} poses in {minutes:.1f} "
+        f"min, at random {others}; {said}",
+        True,
+        alone,
+        draw,
+        poses / max(others, 1),
+        tuple(told),
+        tuple(random),
+    )
 
 
 def _rig(path, kind) -> tuple[Design, str]:
-    """(Design, text of rig.toml) of a rig whose poses an instrument measures, or which cameras see, or with a heavy platform."""
+    """(Design, text of rig.toml) of a rig whose poses an instrument measures, or which cameras see, or with a heavy
+    platform.
+    """
     text = hexapod_layout.hexapod_layout(0.3) + ("" if kind == "corners" else POSES)
     if kind == "heavy":
         text = re.sub(r"mass = [\d.]+", f"mass = {HEAVY}", text, count=1)

@@ -19,7 +19,9 @@ def release() -> str:
 def commit() -> str:
     """The commit that is run, with "+" where the tree, but for the kept results, differs from it."""
     head = _git("rev-parse", "--short=12", "HEAD")
-    return head + ("+" if _git("status", "--porcelain", "--untracked-files=no", ":!docs/results", ":!docs/results.md") else "")
+    return head + (
+        "+" if _git("status", "--porcelain", "--untracked-files=no", ":!docs/results", ":!docs/results.md") else ""
+    )
 
 
 def _git(*words: str) -> str:
@@ -27,8 +29,19 @@ def _git(*words: str) -> str:
 
 
 def machine() -> dict[str, object]:
-    """What the figures were taken on, and what else ran there: cores, memory (GiB), processor, versions, load over a minute."""
+    """What the figures were taken on, and what else ran there: cores, memory (GiB), processor, versions, load over a
+    minute.
+    """
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    names = [line.split(":", 1)[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
-    return {"cores": os.cpu_count(), "memory_GiB": round(memory), "processor": names[0] if names else platform.machine(),
-            "load": round(os.getloadavg()[0], 1), "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}}
+    names = [
+        line.split(":", 1)[1].strip()
+        for line in Path("/proc/cpuinfo").read_text().splitlines()
+        if line.startswith("model name")
+    ]
+    return {
+        "cores": os.cpu_count(),
+        "memory_GiB": round(memory),
+        "processor": names[0] if names else platform.machine(),
+        "load": round(os.getloadavg()[0], 1),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+    }

@@ -55,13 +55,23 @@ class Hidden:
     def case(self) -> Case:
         """The Case, without wild rows."""
         seen = self.kind == "seen"
-        return draw(self.seed, self.effect, self.strength, self.plan, "hexapod" if seen else self.kind, POSES[self.kind], seen=seen)
+        return draw(
+            self.seed,
+            self.effect,
+            self.strength,
+            self.plan,
+            "hexapod" if seen else self.kind,
+            POSES[self.kind],
+            seen=seen,
+        )
 
 
 def recordings(count: int, seed: int) -> Iterator[Hidden]:
     """Recordings in an order in which any beginning of the list has all kinds: the same for the same seed."""
     rng = np.random.default_rng([seed, 28])
-    orders = {kind: rng.permutation([name for name in (*FAULTS, *SIGHTS) if _drawn(name, kind)]).tolist() for kind in POSES}
+    orders = {
+        kind: rng.permutation([name for name in (*FAULTS, *SIGHTS) if _drawn(name, kind)]).tolist() for kind in POSES
+    }
     for number in range(count):
         kind, plan = KINDS[number % len(KINDS)], str(rng.choice(PLANS))
         strength = "none" if number % WHOLE == WHOLE - 1 else str(rng.choice(["strong", "weak"], p=[0.75, 0.25]))
@@ -91,14 +101,26 @@ def tried(hidden: Hidden, folder: Path) -> dict[str, Any]:
     for name, mask in masks(frames, np.random.default_rng([hidden.seed, 6])).items():
         found[name] = _diagnosed(frame_mask.remove_frames(spoiled, mask) if mask else spoiled) | {"mask": mask}
     same, as_clean = counted(found)
-    return {"recording": hidden.name, "kind": hidden.kind, "effect": hidden.effect, "strength": hidden.strength, "plan": hidden.plan,
-            "seed": hidden.seed, "wild": dict(zip(map(str, frames), laws)), "diagnoses": found,
-            "same": same, "as_clean": as_clean, "commit": commit(),
-            "seconds": round(time.process_time() - begun, 1)}
+    return {
+        "recording": hidden.name,
+        "kind": hidden.kind,
+        "effect": hidden.effect,
+        "strength": hidden.strength,
+        "plan": hidden.plan,
+        "seed": hidden.seed,
+        "wild": dict(zip(map(str, frames), laws)),
+        "diagnoses": found,
+        "same": same,
+        "as_clean": as_clean,
+        "commit": commit(),
+        "seconds": round(time.process_time() - begun, 1),
+    }
 
 
 def counted(found: dict[str, Any]) -> tuple[int, int]:
-    """(how many masks give the names that most give, how many those of the clean recording); a refusal has no names, and counts as neither."""
+    """(how many masks give the names that most give, how many those of the clean recording); a refusal has no names,
+    and counts as neither.
+    """
     named = [found[name]["names"] for name in MASKS if "refused" not in found[name]]
     return max(map(named.count, named), default=0), named.count(found["clean"]["names"])
 
@@ -109,8 +131,12 @@ def _diagnosed(rec: recording_folder.Recording) -> dict[str, Any]:
         told: Report = diagnosed(rec)
     except RigError as refusal:
         return {"names": ["refused"], "left_out": [], "refused": str(refusal)}
-    return {"names": sorted(f"{f.effect} {f.place}" for f in told.findings), "unexplained": told.unexplained.place if told.unexplained else None,
-            "left_out": sorted({one.frame for one in told.left_out}), "crowd": told.crowd.count if told.crowd else 0}
+    return {
+        "names": sorted(f"{f.effect} {f.place}" for f in told.findings),
+        "unexplained": told.unexplained.place if told.unexplained else None,
+        "left_out": sorted({one.frame for one in told.left_out}),
+        "crowd": told.crowd.count if told.crowd else 0,
+    }
 
 
 def figures(lines: list[dict[str, Any]]) -> Iterator[tuple[str, str, str]]:
@@ -118,8 +144,16 @@ def figures(lines: list[dict[str, Any]]) -> Iterator[tuple[str, str, str]]:
     for kind in ("all", *(kind for kind in POSES if any(line["kind"] == kind for line in lines))):
         some = [line for line in lines if kind in ("all", line["kind"])]
         of, wanted = len(MASKS) * len(some), "195 of 200" if kind == "all" else ""
-        yield f"{kind}: diagnoses with the names that most masks give", f"{sum(line['same'] for line in some)} of {of}", wanted
-        yield f"{kind}: diagnoses with the names of the recording without wild rows", f"{sum(line['as_clean'] for line in some)} of {of}", wanted
+        yield (
+            f"{kind}: diagnoses with the names that most masks give",
+            f"{sum(line['same'] for line in some)} of {of}",
+            wanted,
+        )
+        yield (
+            f"{kind}: diagnoses with the names of the recording without wild rows",
+            f"{sum(line['as_clean'] for line in some)} of {of}",
+            wanted,
+        )
 
 
 def main(argv: list[str]) -> None:
@@ -128,7 +162,11 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--recordings", type=int, default=RECORDINGS)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--backwards", action="store_true", help="begin with the last recording, beside a process that begins with the first")
+    parser.add_argument(
+        "--backwards",
+        action="store_true",
+        help="begin with the last recording, beside a process that begins with the first",
+    )
     parser.add_argument("--only", help="recordings with this in their name alone")
     given = parser.parse_args(argv)
     order = [one for one in recordings(given.recordings, given.seed) if not given.only or given.only in one.name]
@@ -158,18 +196,29 @@ def _known(path: Path) -> list[dict[str, Any]]:
 
 
 def _with(path: Path, line: dict[str, Any], seed: int) -> list[dict[str, Any]]:
-    """The lines of a campaign's file and one more, written: a kept result like all others, with a line for each recording."""
+    """The lines of a campaign's file and one more, written: a kept result like all others, with a line for each
+    recording.
+    """
     with path.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         lines = [one for one in _known(path) if one["recording"] != line["recording"]] + [line]
-        record = {"schema": SCHEMA, "name": "masks", "title": (__doc__ or "").splitlines()[0], "seed": seed,
-                  "command": f"python -m tests.bench masks --recordings {len(lines)} --seed {seed}",
-                  "version": release(),
-                  "commit": ", ".join(sorted({one["commit"] for one in lines})), "created": datetime.now(UTC).isoformat(timespec="seconds"),
-                  "machine": machine(), "figures": [dict(zip(("figure", "reached", "wanted"), row)) for row in figures(lines)]}
+        record = {
+            "schema": SCHEMA,
+            "name": "masks",
+            "title": (__doc__ or "").splitlines()[0],
+            "seed": seed,
+            "command": f"python -m tests.bench masks --recordings {len(lines)} --seed {seed}",
+            "version": release(),
+            "commit": ", ".join(sorted({one["commit"] for one in lines})),
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "machine": machine(),
+            "figures": [dict(zip(("figure", "reached", "wanted"), row)) for row in figures(lines)],
+        }
         text = json.dumps(record, indent=1, ensure_ascii=False)[:-2]
         beside = path.with_suffix(".part")
-        beside.write_text(text + ',\n "recordings": [\n' + ",\n".join(json.dumps(one) for one in lines) + "]}\n", encoding="utf-8")
+        beside.write_text(
+            text + ',\n "recordings": [\n' + ",\n".join(json.dumps(one) for one in lines) + "]}\n", encoding="utf-8"
+        )
         beside.replace(path)
     return lines
 
@@ -178,10 +227,19 @@ def _in_words(line: dict[str, Any]) -> str:
     clean, said = line["diagnoses"]["clean"]["names"], []
     for name in MASKS:
         one = line["diagnoses"][name]
-        missed = sorted({int(f) for f in line["wild"]} - set(one["left_out"]) - {int(f) for f in one["mask"].split(",") if f})
-        said += [] if one["names"] == clean else [f"\n    {name}: {', '.join(one['names']) or 'nothing'}; wild rows that stay: {missed}"]
-    return (f"{line['recording']:55} {line['same']} same, {line['as_clean']} as without wild rows ({', '.join(clean) or 'nothing'}), "
-            f"{line['seconds']:.0f} s{''.join(said)}")
+        missed = sorted(
+            {int(f) for f in line["wild"]} - set(one["left_out"]) - {int(f) for f in one["mask"].split(",") if f}
+        )
+        said += (
+            []
+            if one["names"] == clean
+            else [f"\n    {name}: {', '.join(one['names']) or 'nothing'}; wild rows that stay: {missed}"]
+        )
+    return (
+        f"{line['recording']:55} {line['same']} same, {line['as_clean']} as without wild rows "
+        f"({', '.join(clean) or 'nothing'}), "
+        f"{line['seconds']:.0f} s{''.join(said)}"
+    )
 
 
 if __name__ == "__main__":

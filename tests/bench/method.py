@@ -1,6 +1,8 @@
-"""Geometry, a screw's profile and a load that bends: physics, parameters, a grid of 729 poses and a smooth map, each by itself, driven to 200 poses.
+"""Geometry, a screw's profile and a load that bends: physics, parameters, a grid of 729 poses and a smooth map, each by
+itself, driven to 200 poses.
 
-Corner level, no images. The floor is what measuring repeats to: the standard uncertainty of one measured pose, what all poses share left out.
+Corner level, no images. The floor is what measuring repeats to: the standard uncertainty of one measured pose, what all
+poses share left out.
 """
 
 import tempfile
@@ -29,7 +31,9 @@ def by_field(sampled, design, kind) -> Calibration:
     samples, nominal = sampled.samples, design.mechanism
     found = geometry_of(samples, nominal, True)
     correction = correction_with_field(nominal, found, fit_summand_field(summands(samples, nominal), kind))
-    return Calibration(correction, found.covariance, found.scatter, tuple(samples.frame.tolist()), (), None, {}, None, None)
+    return Calibration(
+        correction, found.covariance, found.scatter, tuple(samples.frame.tolist()), (), None, {}, None, None
+    )
 
 
 def rows() -> Iterator[tuple[str, str, str]]:
@@ -40,15 +44,25 @@ def rows() -> Iterator[tuple[str, str, str]]:
         design, effects = design_file.load(path), [parse_effect(one) for one in EFFECTS]
         recording, secret = write(Path(folder) / "rec", design, text, SEED, effects, ROUTE)
         sampled = sample_recording(recording)
-        cube, _ = write(Path(folder) / "grid", design, text, SEED, effects, GRID)  # the same secret machine: its seed is the same
+        cube, _ = write(
+            Path(folder) / "grid", design, text, SEED, effects, GRID
+        )  # the same secret machine: its seed is the same
         on_grid = sample_recording(cube)
         own = sampled.samples.covariance
         floor = float(np.sqrt(np.trace(own[:, :3, :3], axis1=1, axis2=2).mean()))
-        ways = {"physics": learnt(recording, sampled, findings_of_diagnosis(diagnose_platform(recording, only=ASKED, sampled=sampled))),
-                "parameters alone": learnt(recording, sampled, None, "none"), "grid alone, 729 poses, n-linear": by_field(on_grid, design, "linear"),
-                "smooth map alone, radial": by_field(sampled, design, "radial")}
+        ways = {
+            "physics": learnt(
+                recording, sampled, findings_of_diagnosis(diagnose_platform(recording, only=ASKED, sampled=sampled))
+            ),
+            "parameters alone": learnt(recording, sampled, None, "none"),
+            "grid alone, 729 poses, n-linear": by_field(on_grid, design, "linear"),
+            "smooth map alone, radial": by_field(sampled, design, "radial"),
+        }
         yield "one measured pose, standard uncertainty", f"{floor * 1e6:.2f} um", ""
         for name, calibration in ways.items():
             position, rotation = driven(calibration, secret, SEED + 1000, poses=POSES).error
-            yield (f"{name}: error of {POSES} poses driven, over what measuring repeats to", f"{position / floor:.2f}; {position * 1e6:.1f} um, "
-                   f"{rotation * 1e6:.1f} urad", "<= 1.3" if name == "physics" else "")
+            yield (
+                f"{name}: error of {POSES} poses driven, over what measuring repeats to",
+                f"{position / floor:.2f}; {position * 1e6:.1f} um, {rotation * 1e6:.1f} urad",
+                "<= 1.3" if name == "physics" else "",
+            )

@@ -68,19 +68,26 @@ def _batch(design):
     whitener, nominal = np.linalg.inv(np.linalg.cholesky(samples.covariance)), parameters(design.mechanism)
 
     def cost(q):
-        T = hexapod.forward(samples.commanded, with_parameters(design.mechanism, nominal + q[:42] * 1e-3)) * exp(samples.common @ q[42:])
+        T = hexapod.forward(samples.commanded, with_parameters(design.mechanism, nominal + q[:42] * 1e-3)) * exp(
+            samples.common @ q[42:]
+        )
         left = whitener @ pose_difference(T, samples.T_base_platform)[..., None]
         return np.concatenate([left.ravel(), q[:42] * 1e-3 / PRIOR, q[42:]])
 
     start = time.perf_counter()
     other = least_squares(cost, np.zeros(48))
     seconds = time.perf_counter() - start
-    apart = np.abs((nominal + other.x[:42] * 1e-3 - parameters(found.mechanism)) / np.sqrt(np.diag(found.covariance))).max()
+    apart = np.abs(
+        (nominal + other.x[:42] * 1e-3 - parameters(found.mechanism)) / np.sqrt(np.diag(found.covariance))
+    ).max()
     yield "scipy least_squares, numeric Jacobian, the same cost", f"{seconds:.2f} s, {seconds / ours:.0f} x", ">= 50 x"
     yield "the two optima apart, greatest", f"{apart:.1e} sigma", ""
     parts, seen = parameter_combinations(found.root, found.mechanism)
-    yield "condition number of the 42, worst and best determined combination", (
-        f"{seen.condition:.0f}: {parts[0].sigma * 1e6:.0f} and {parts[-1].sigma * 1e6:.2f} um"), ""
+    yield (
+        "condition number of the 42, worst and best determined combination",
+        (f"{seen.condition:.0f}: {parts[0].sigma * 1e6:.0f} and {parts[-1].sigma * 1e6:.2f} um"),
+        "",
+    )
 
 
 def _scatter(design):
@@ -93,10 +100,18 @@ def _scatter(design):
         sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, found.covariance, along))
         z[seed] = along @ (parameters(found.mechanism) - parameters(true)) / sigma
     some = z[:RUNS]
-    yield f"z-scores along 42 combinations, {RUNS} runs of 200 poses: mean, worst", f"{np.abs(some.mean(axis=0)).max():.3f} sigma", "<= 0.15"
+    yield (
+        f"z-scores along 42 combinations, {RUNS} runs of 200 poses: mean, worst",
+        f"{np.abs(some.mean(axis=0)).max():.3f} sigma",
+        "<= 0.15",
+    )
     yield f"z-scores, {RUNS} runs: spread over all", f"{some.std():.3f}", "0.95 .. 1.05"
     spread = z.std(axis=0)
-    yield f"z-scores, {MORE_RUNS} runs: spread along each combination", f"{spread.min():.3f} .. {spread.max():.3f}", "0.95 .. 1.05"
+    yield (
+        f"z-scores, {MORE_RUNS} runs: spread along each combination",
+        f"{spread.min():.3f} .. {spread.max():.3f}",
+        "0.95 .. 1.05",
+    )
 
 
 def _plans(design):
@@ -107,7 +122,11 @@ def _plans(design):
         s, even = (np.linalg.svd(root * PLAUSIBLE, compute_uv=False) for root in (found.root, found.even))
         better = f"{(s.prod() / even.prod()) ** (1 / 42):.2f}, {s[-1] / even[-1]:.2f} x"
         yield f"60 poses by {criterion} ({seconds:.1f} s) over evenly spread: all 42, worst combination", better, ""
-        yield f"60 poses by {criterion}: condition number, evenly spread", f"{s[0] / s[-1]:.0f}, {even[0] / even[-1]:.0f}", ""
+        yield (
+            f"60 poses by {criterion}: condition number, evenly spread",
+            f"{s[0] / s[-1]:.0f}, {even[0] / even[-1]:.0f}",
+            "",
+        )
 
 
 def _online(design):
@@ -117,12 +136,14 @@ def _online(design):
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, batch.covariance, along))
     alone = replace(samples, common=samples.common[:, :, :0], covariance=samples.total_covariance())
     rest = identify(alone, design.mechanism)
-    ways = {"square-root filter, 6 shared errors": (Online(design.mechanism, shared=6), samples, batch),
-            "square-root filter": (Online(design.mechanism), alone, rest),
-            "directional forgetting, none forgotten": (Forgetting(design.mechanism, 1.0), alone, rest),
-            "directional forgetting, 0.99 kept": (Forgetting(design.mechanism), alone, rest),
-            "iterated Kalman filter, drift 0.1 um": (Drifting(design.mechanism), alone, rest),
-            "first order": (FirstOrder(design.mechanism), alone, rest)}
+    ways = {
+        "square-root filter, 6 shared errors": (Online(design.mechanism, shared=6), samples, batch),
+        "square-root filter": (Online(design.mechanism), alone, rest),
+        "directional forgetting, none forgotten": (Forgetting(design.mechanism, 1.0), alone, rest),
+        "directional forgetting, 0.99 kept": (Forgetting(design.mechanism), alone, rest),
+        "iterated Kalman filter, drift 0.1 um": (Drifting(design.mechanism), alone, rest),
+        "first order": (FirstOrder(design.mechanism), alone, rest),
+    }
     for name, (learner, data, best) in ways.items():
         times, more = [], (data.common,) if name.endswith("errors") else ()
         for x, T, C, *B in zip(data.commanded, data.T_base_platform, data.covariance, *more):
@@ -131,7 +152,11 @@ def _online(design):
             times.append(time.perf_counter() - start)
         apart = np.abs(along @ (learner.p - parameters(best.mechanism)) / sigma).max()
         wanted = "<= 0.1 sigma, 150 us" if name.startswith("square") else ""
-        yield f"one pass over 1000 poses, {name}: from the batch; update, median", f"{apart:.4f} sigma; {np.median(times) * 1e6:.0f} us", wanted
+        yield (
+            f"one pass over 1000 poses, {name}: from the batch; update, median",
+            f"{apart:.4f} sigma; {np.median(times) * 1e6:.0f} us",
+            wanted,
+        )
 
 
 def _jumps(design):
@@ -140,8 +165,16 @@ def _jumps(design):
         poses, _, updates, strut, size = missed_step(design, seed)
         found += found_within(updates, poses.at, strut)
         sizes += [(c.size - size) / c.sigma for u in updates for c in u.changes if c.strut == strut][:1]
-    yield "200 streams, one missed step of 4-10 sigma: found within three poses, as that strut's", f"{found / 2:.1f} %", ">= 98 %"
-    yield "its size less the true one, over its standard error: mean, spread", f"{np.mean(sizes):.2f}, {np.std(sizes):.2f}", ""
+    yield (
+        "200 streams, one missed step of 4-10 sigma: found within three poses, as that strut's",
+        f"{found / 2:.1f} %",
+        ">= 98 %",
+    )
+    yield (
+        "its size less the true one, over its standard error: mean, spread",
+        f"{np.mean(sizes):.2f}, {np.std(sizes):.2f}",
+        "",
+    )
     for seed in range(100):
         wrong += sum(len(u.changes) + len(u.dropped) for u in learnt(design, stream(design, 5000 + seed, 1000))[1])
     yield "100 000 quiet poses in 100 streams: changes flagged or poses left out", f"{wrong}", "<= 1"
@@ -150,9 +183,15 @@ def _jumps(design):
 def _exports(design):
     true = secret_machine.draw_machine(design, np.random.default_rng(0)).true
     commands = plan.low_discrepancy(true.mechanism.strut_range, 200, 0.9)
-    theirs = genhex_forward(linuxcnc_genhexkins.genhexkins_settings(true.mechanism), commands, design.mechanism.home, 1e3)
+    theirs = genhex_forward(
+        linuxcnc_genhexkins.genhexkins_settings(true.mechanism), commands, design.mechanism.home, 1e3
+    )
     worst = np.linalg.norm(pose_difference(hexapod.forward(commands, true.mechanism), theirs)[:, :3], axis=1).max()
-    yield "genhexkins' forward kinematics from the exported numbers alone, 200 poses, worst", f"{worst:.1e} m", "<= 1e-9 m"
+    yield (
+        "genhexkins' forward kinematics from the exported numbers alone, 200 poses, worst",
+        f"{worst:.1e} m",
+        "<= 1e-9 m",
+    )
 
 
 def _limbs():
@@ -160,17 +199,27 @@ def _limbs():
         text, path = hexapod_layout.hexapod_layout(0.3, limbs=6), Path(folder) / "rig.toml"
         path.write_text(text)
         design, rng = design_file.load(path), np.random.default_rng(0)
-        done = recording_simulation.simulate(secret_machine.draw_machine(design, rng), plan.build_plan(design, "axes:9,sobol:150"), rng)
+        done = recording_simulation.simulate(
+            secret_machine.draw_machine(design, rng), plan.build_plan(design, "axes:9,sobol:150"), rng
+        )
         recording_simulation.write_recording(done, Path(folder) / "rec", text, rng, noise=0.04)
         read = recording_folder.load(Path(folder) / "rec")
         frames, lengths = measuring_limbs.limb_readings(read)
-        samples, nominal = measuring_limbs.samples_by_limbs(sample_recording(read).samples, frames, lengths), measuring_limbs.limb_hexapod(design)
+        samples, nominal = (
+            measuring_limbs.samples_by_limbs(sample_recording(read).samples, frames, lengths),
+            measuring_limbs.limb_hexapod(design),
+        )
     T, expected = measuring_limbs.held_out_limb_poses(samples, nominal, 1e-6)
     found = measuring_limbs.limb_agreement(samples.T_base_platform, T, expected, (5e-5, 2e-4))
     for part, name, unit in ((slice(0, 3), "position", "um"), (slice(3, 6), "rotation", "urad")):
-        bias, scatter, claim, surely = (np.abs(v[part]).max() * 1e6 for v in (found.bias, found.scatter, found.expected, found.proven_limits))
-        yield (f"measuring limbs less vision, {found.n} poses, worst axis in {name}: bias, scatter (expected), limits",
-               f"{bias:.1f}, {scatter:.1f} ({claim:.1f}), {surely:.1f} {unit}", "50 um, 200 urad")
+        bias, scatter, claim, surely = (
+            np.abs(v[part]).max() * 1e6 for v in (found.bias, found.scatter, found.expected, found.proven_limits)
+        )
+        yield (
+            f"measuring limbs less vision, {found.n} poses, worst axis in {name}: bias, scatter (expected), limits",
+            f"{bias:.1f}, {scatter:.1f} ({claim:.1f}), {surely:.1f} {unit}",
+            "50 um, 200 urad",
+        )
     limbs, _ = measuring_limbs.calibrate_limbs(samples, nominal, 1e-6)
     T = limbs.pose(lengths)
     learner, true = Online(read.design.mechanism, shared=42), done.world.true.mechanism
@@ -186,11 +235,18 @@ def _limbs():
 def _joint():
     read = recording_folder.load(SHARED / "recordings/open-quiet")
     truth, nominal = json.loads((SHARED / "truth/open-quiet.json").read_text()), read.design.mechanism
-    true = replace(nominal, base_joints=truth["base_joints"], platform_joints=truth["platform_joints"], strut_zeros=truth["strut_zeros"])
+    true = replace(
+        nominal,
+        base_joints=truth["base_joints"],
+        platform_joints=truth["platform_joints"],
+        strut_zeros=truth["strut_zeros"],
+    )
     done = sample_recording(read)
     samples = done.samples
     rng = np.random.default_rng(0)
-    lengths = nominal.strut_range.mean(axis=1) + 0.45 * np.ptp(nominal.strut_range, axis=1) * rng.uniform(-1, 1, (2000, 6))
+    lengths = nominal.strut_range.mean(axis=1) + 0.45 * np.ptp(nominal.strut_range, axis=1) * rng.uniform(
+        -1, 1, (2000, 6)
+    )
     wanted = hexapod.forward(lengths, true)
 
     def figure(found, covariance):
@@ -198,13 +254,18 @@ def _joint():
         C = J @ covariance @ np.swapaxes(J, 1, 2)
         both = []
         for part, unit in ((slice(0, 3), "um"), (slice(3, 6), "urad")):
-            reached, bound = np.sqrt((errors[:, part] ** 2).sum(axis=1).mean()), np.sqrt(np.trace(C[:, part, part], axis1=1, axis2=2).mean())
+            reached, bound = (
+                np.sqrt((errors[:, part] ** 2).sum(axis=1).mean()),
+                np.sqrt(np.trace(C[:, part, part], axis1=1, axis2=2).mean()),
+            )
             both.append(f"{reached * 1e6:.2f} ({bound * 1e6:.2f}) {unit}")
         return ", ".join(both)
 
     start = time.perf_counter()
     corners, commanded, state = joint_camera_fit.commanded_state(done.measurement, samples)
-    one = joint_camera_fit.fit_cameras_and_geometry(corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).mechanism)
+    one = joint_camera_fit.fit_cameras_and_geometry(
+        corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).mechanism
+    )
     seconds = time.perf_counter() - start
     two = identify(samples, nominal)
     pooled = identify(replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0]), nominal)
@@ -218,11 +279,16 @@ def _joint():
 
 
 def _over_draws(samples, nominal, true, lengths, wanted):
-    """open-quiet's own plan, poses and covariances, noise and shared errors drawn anew: which two-step solve is better on average."""
+    """open-quiet's own plan, poses and covariances, noise and shared errors drawn anew: which two-step solve is better
+    on average.
+    """
     rng, squares, claims = np.random.default_rng(0), [], []
     T, factor = hexapod.forward(samples.commanded, true), np.linalg.cholesky(samples.covariance)
     for _ in range(60):
-        noise = samples.common @ rng.normal(size=samples.common.shape[2]) + (factor @ rng.normal(size=(len(samples), 6, 1)))[..., 0]
+        noise = (
+            samples.common @ rng.normal(size=samples.common.shape[2])
+            + (factor @ rng.normal(size=(len(samples), 6, 1)))[..., 0]
+        )
         drawn = replace(samples, T_base_platform=T * exp(noise))
         apart = replace(drawn, covariance=drawn.total_covariance(), common=drawn.common[:, :, :0])
         found = [identify(each, nominal) for each in (drawn, apart)]
@@ -232,5 +298,8 @@ def _over_draws(samples, nominal, true, lengths, wanted):
         claims.append([d @ np.linalg.solve(each.covariance, d) / 42 for d, each in zip(off, found)])
     rms = np.sqrt(np.mean(squares, axis=0)) * 1e6
     for k, name in enumerate(("shared errors solved", "poses as if apart")):
-        yield f"the same over 60 draws of the noise: {name}; squared error over claimed", (
-            f"{rms[k, 0]:.2f} um, {rms[k, 1]:.1f} urad; {np.mean(claims, axis=0)[k]:.2f}"), "" if k else "1 on average"
+        yield (
+            f"the same over 60 draws of the noise: {name}; squared error over claimed",
+            (f"{rms[k, 0]:.2f} um, {rms[k, 1]:.1f} urad; {np.mean(claims, axis=0)[k]:.2f}"),
+            "" if k else "1 on average",
+        )

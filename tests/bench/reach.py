@@ -1,10 +1,12 @@
-"""How far beside an edge the fit looks, and how finely its spread is learnt: candidates compared on pictures of our own.
+"""How far beside an edge the fit looks, and how finely its spread is learnt: candidates compared on pictures of our
+own.
 
-Corners of the same pictures are fitted with every candidate, the spread learnt from the pictures themselves as `rig measure` does.
-Each kind of picture (exact ones and the renderer's, blurs, defocus, a halo, sharpening) gives the RMS of a candidate's corner
-errors (without the largest, see SOUND) over the least any candidate has there; a candidate's score is the geometric mean over
-the kinds. vision/corners/edge_pixels.py's REACH and vision/corners/edge_spread.py's KNOTS are the smallest reach, then the fewest knots, whose score
-is
+Corners of the same pictures are fitted with every candidate, the spread learnt from the pictures themselves as `rig
+measure` does.
+Each kind of picture (exact ones and the renderer's, blurs, defocus, a halo, sharpening) gives the RMS of a candidate's
+corner errors (without the largest, see SOUND) over the least any candidate has there; a candidate's score is the
+geometric mean over the kinds. vision/corners/edge_pixels.py's REACH and vision/corners/edge_spread.py's KNOTS are the
+smallest reach, then the fewest knots, whose score is
 within MARGIN of the best one's.
 """
 
@@ -28,10 +30,14 @@ from tests.vision.pictures import camera, picture, quad
 
 REACHES, KNOTS = (2.4, 2.8, 3.2, 3.6), (5, 7, 9, 11)
 MARGIN = 0.01
-SOUND = 0.95  # share of the errors, the smallest, that count: the rig's own struts cover some corners in the renderer's pictures
+# share of the errors, the smallest, that count: the rig's own struts cover some corners in the renderer's pictures
+SOUND = 0.95
 NAME, PICTURES, DRAWS, SIZE = "DICT_5X5_100", 10, 3, 130
-DRAWN = {"blur 0.3, noise 1": Sensor(blur=0.3, read_noise=1.0), "blur 0.7, noise 2": Sensor(blur=0.7, read_noise=2.0),
-         "defocus 1.2, noise 1": Sensor(defocus=1.2, read_noise=1.0)}
+DRAWN = {
+    "blur 0.3, noise 1": Sensor(blur=0.3, read_noise=1.0),
+    "blur 0.7, noise 2": Sensor(blur=0.7, read_noise=2.0),
+    "defocus 1.2, noise 1": Sensor(defocus=1.2, read_noise=1.0),
+}
 
 
 def rows() -> Iterator[tuple[str, str, str]]:
@@ -40,13 +46,26 @@ def rows() -> Iterator[tuple[str, str, str]]:
     scores = {}
     for reach in REACHES:  # compiled into the fit, hence a process and a cache of its own for each
         with tempfile.TemporaryDirectory() as cache:
-            done = subprocess.run([sys.executable, "-m", "tests.bench.reach", str(reach)], cwd=here, text=True, check=True, stdout=subprocess.PIPE,
-                                  env={**os.environ, "NUMBA_CACHE_DIR": cache})
+            done = subprocess.run(
+                [sys.executable, "-m", "tests.bench.reach", str(reach)],
+                cwd=here,
+                text=True,
+                check=True,
+                stdout=subprocess.PIPE,
+                env={**os.environ, "NUMBA_CACHE_DIR": cache},
+            )
         scores.update({(reach, knots): errors for knots, errors in json.loads(done.stdout)})
     least = {kind: min(errors[kind] for errors in scores.values()) for kind in next(iter(scores.values()))}
-    mean = {key: float(np.exp(np.mean([np.log(errors[kind] / least[kind]) for kind in least]))) for key, errors in scores.items()}
+    mean = {
+        key: float(np.exp(np.mean([np.log(errors[kind] / least[kind]) for kind in least])))
+        for key, errors in scores.items()
+    }
     for reach in REACHES:
-        yield f"reach {reach}: score with {', '.join(map(str, KNOTS))} knots", ", ".join(f"{mean[reach, knots]:.3f}" for knots in KNOTS), ""
+        yield (
+            f"reach {reach}: score with {', '.join(map(str, KNOTS))} knots",
+            ", ".join(f"{mean[reach, knots]:.3f}" for knots in KNOTS),
+            "",
+        )
     best = min(key for key in mean if mean[key] <= (1 + MARGIN) * min(mean.values()))
     from vision.corners import edge_pixels
     from vision.corners import edge_spread as spread
@@ -58,6 +77,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
 
 def _exact(rng):
     """{kind: [(image, [camera], [identity], true corners (1, 4, 2))]} of pictures by brute force."""
+
     def plain(corners, number, blur):
         return picture(corners, NAME, number, blur, samples=8, size=SIZE)
 
@@ -73,9 +93,15 @@ def _exact(rng):
     def shaken(corners, number):
         return np.mean([plain(corners + [d, 0], number, 0.4) for d in np.linspace(-0.8, 0.8, 7)], axis=0)
 
-    kinds = {f"exact, blur {blur}, noise {noise}": (lambda c, k, blur=blur: plain(c, k, blur), noise)
-             for blur, noise in ((0.4, 1.0), (0.7, 2.0), (1.2, 1.0))}
-    kinds |= {"exact, halo, noise 1": (halo, 1.0), "exact, sharpened, noise 1": (sharpened, 1.0), "exact, moved 1.6 px, noise 2": (shaken, 2.0)}
+    kinds = {
+        f"exact, blur {blur}, noise {noise}": (lambda c, k, blur=blur: plain(c, k, blur), noise)
+        for blur, noise in ((0.4, 1.0), (0.7, 2.0), (1.2, 1.0))
+    }
+    kinds |= {
+        "exact, halo, noise 1": (halo, 1.0),
+        "exact, sharpened, noise 1": (sharpened, 1.0),
+        "exact, moved 1.6 px, noise 2": (shaken, 2.0),
+    }
     out = {}
     for kind, (draw, noise) in kinds.items():
         out[kind] = []
@@ -117,13 +143,18 @@ def _score(pictures, markers):
 
     out = {}
     for kind, shown in pictures.items():
-        start = [(grey_image(image)[1] if image.dtype != np.float32 else image, view, np.asarray(ids), true) for image, view, ids, true in shown]
+        start = [
+            (grey_image(image)[1] if image.dtype != np.float32 else image, view, np.asarray(ids), true)
+            for image, view, ids, true in shown
+        ]
         first = [fit_read_markers(full, view, markers, Read(ids, true)) for full, view, ids, true in start]
         spread = PLAIN
         for _ in range(ROUNDS):
             profile, widths = empty_profile(), []
             for (full, view, _, _), d in zip(start, first):
-                widths.append(fit_read_markers(full, view, markers, d.read, spread=spread, reach=0.0, profile=profile).blur)
+                widths.append(
+                    fit_read_markers(full, view, markers, d.read, spread=spread, reach=0.0, profile=profile).blur
+                )
             spread = learn_edge_spread(spread, profile, float(np.median(np.concatenate(widths))))
         error = []
         for (full, view, ids, true), d in zip(start, first):

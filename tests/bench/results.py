@@ -13,10 +13,18 @@ def keep(name: str) -> None:
     """Run one benchmark and write docs/results/VERSION/NAME.json."""
     module, before = NAMED[name], machine()
     rows = [{"figure": figure, "reached": reached, "wanted": wanted} for figure, reached, wanted in module.rows()]
-    record = {"schema": results.SCHEMA, "name": name, "title": (module.__doc__ or "").splitlines()[0], "command": f"python -m tests.bench {name}",
-              "seed": getattr(module, "SEED", "in the benchmark"), "version": release(), "commit": commit(),
-              "created": datetime.now(UTC).isoformat(timespec="seconds"),
-              "machine": before, "figures": rows}
+    record = {
+        "schema": results.SCHEMA,
+        "name": name,
+        "title": (module.__doc__ or "").splitlines()[0],
+        "command": f"python -m tests.bench {name}",
+        "seed": getattr(module, "SEED", "in the benchmark"),
+        "version": release(),
+        "commit": commit(),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "machine": before,
+        "figures": rows,
+    }
     path = results.FOLDER / record["version"] / f"{name}.json"
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -1,7 +1,8 @@
-"""Many images: measuring and drawing by one process, by two and by a cluster of two workers on loopback: times, bytes, memory of each worker.
+"""Many images: measuring and drawing by one process, by two and by a cluster of two workers on loopback: times, bytes,
+memory of each worker.
 
-IMAGES_MEASURED says how many (120 by default; 1000 are what the figures are asked for); in a folder that SCALE names drawings are kept, for next
-time.
+IMAGES_MEASURED says how many (120 by default; 1000 are what the figures are asked for); in a folder that SCALE names
+drawings are kept, for next time.
 """
 
 import os
@@ -23,13 +24,16 @@ FILES = ("poses.csv", "corners.csv", "rig.toml", "rpy.csv", "frames.csv")
 RUN = """import resource, sys
 from rig.cli.command_line import main
 status = main(sys.argv[1:])
-print("peak", *(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)), file=sys.stderr)
+print("peak", *(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)), \
+file=sys.stderr)
 sys.exit(status)"""
 
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """A command that was run. seconds : from its start to its end; own, worker : MiB at the most, of itself and of its largest process at work"""
+    """A command that was run. seconds : from its start to its end; own, worker : MiB at the most, of itself and of its
+    largest process at work
+    """
 
     seconds: float
     own: float
@@ -42,7 +46,11 @@ def rows() -> Iterator[tuple[str, str, str]]:
         at = Path(os.environ.get("SCALE", here))
         drawing = drawn(at, COUNT)
         if drawing is not None:
-            yield f"{COUNT} images drawn by two processes", f"{drawing.seconds:.0f} s, {COUNT / drawing.seconds:.1f} a second", ""
+            yield (
+                f"{COUNT} images drawn by two processes",
+                f"{drawing.seconds:.0f} s, {COUNT / drawing.seconds:.1f} a second",
+                "",
+            )
             yield "the same: memory of a process that draws", f"{drawing.worker:.0f} MiB", "<= 1024 MiB"
         few = part(at / f"rec{COUNT}", at / f"rec{COUNT}-few", COUNT // FEW)
         yield from _measured(at / f"rec{COUNT}", few, Path(here))
@@ -52,7 +60,9 @@ def _measured(recording, few, out):
     ways = {"one": ["--workers", "1"], "two": ["--workers", "2"]}
     with two_workers() as (address, peaks):
         ways["cluster"] = ["--workers", "2", "--scheduler", address]
-        small = {way: rig("measure", few, "--out", out / f"few-{way}", "--force", *words) for way, words in ways.items()}  # which also warms
+        small = {
+            way: rig("measure", few, "--out", out / f"few-{way}", "--force", *words) for way, words in ways.items()
+        }  # which also warms
         before = peaks()
         ran = {way: [] for way in ways}
         for _ in range(REPEATS):
@@ -60,8 +70,16 @@ def _measured(recording, few, out):
                 ran[way].append(rig("measure", recording, "--out", out / way, "--force", *words))
         after = peaks()
     best = {way: min(tried, key=lambda one: one.seconds) for way, tried in ran.items()}
-    for way, name in (("one", "one process"), ("two", "two processes"), ("cluster", "a cluster of two workers on loopback")):
-        yield f"{COUNT} images measured by {name}", f"{best[way].seconds:.1f} s, {COUNT / best[way].seconds:.1f} a second", ""
+    for way, name in (
+        ("one", "one process"),
+        ("two", "two processes"),
+        ("cluster", "a cluster of two workers on loopback"),
+    ):
+        yield (
+            f"{COUNT} images measured by {name}",
+            f"{best[way].seconds:.1f} s, {COUNT / best[way].seconds:.1f} a second",
+            "",
+        )
     for way, wanted in (("two", ">= 1.8"), ("cluster", ">= 1.7")):
         yield f"the same: one process's time over {way}'s", f"{best['one'].seconds / best[way].seconds:.2f}", wanted
     same = [name for name in FILES if len({(out / way / name).read_bytes() for way in ways}) == 1]
@@ -79,8 +97,23 @@ def drawn(at: Path, count: int) -> Ran | None:
         return None
     at.mkdir(parents=True, exist_ok=True)
     rig("design", "--radius", "0.3", "--cameras", str(CAMERAS), "--out", at / "rig.toml", "--force")
-    return rig("simulate", at / "rig.toml", "--plan", f"sobol:{count // CAMERAS}", "--seed", "7", "--images", "--blur", "0.5", "--read-noise", "1",
-               "--workers", "2", "--out", folder)
+    return rig(
+        "simulate",
+        at / "rig.toml",
+        "--plan",
+        f"sobol:{count // CAMERAS}",
+        "--seed",
+        "7",
+        "--images",
+        "--blur",
+        "0.5",
+        "--read-noise",
+        "1",
+        "--workers",
+        "2",
+        "--out",
+        folder,
+    )
 
 
 def part(recording: Path, folder: Path, count: int) -> Path:
@@ -110,7 +143,9 @@ def rig(*words: object) -> Ran:
 
 @contextmanager
 def two_workers():
-    """(Address of a scheduler on loopback, a function that gives what each of its two workers took at most so far, MiB)."""
+    """(Address of a scheduler on loopback, a function that gives what each of its two workers took at most so far,
+    MiB).
+    """
     from dask.distributed import Client, LocalCluster
 
     here = LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0")

@@ -23,7 +23,12 @@ def test_any_beginning_has_all_kinds_and_no_two_are_alike():
 
 def test_names_are_counted_over_masks_and_against_the_clean_recording():
     told = dict(zip(MASKS, (["a"], ["b"], ["b"], ["b"], ["a"])))
-    line = {"kind": "arm", "same": 3, "as_clean": 2, "diagnoses": {"clean": {"names": ["a"]}, **{k: {"names": v} for k, v in told.items()}}}
+    line = {
+        "kind": "arm",
+        "same": 3,
+        "as_clean": 2,
+        "diagnoses": {"clean": {"names": ["a"]}, **{k: {"names": v} for k, v in told.items()}},
+    }
     assert [reached for _, reached, _ in figures([line])] == ["3 of 5", "2 of 5"] * 2
 
 
@@ -40,7 +45,9 @@ def test_a_campaign_goes_on_where_it_stood(tmp_path, capsys):
     main(words)
     (line,) = json.loads(out.read_text())["recordings"]
     assert line["same"] == line["as_clean"] == 5 and line["diagnoses"]["clean"]["names"] == []
-    assert {"none", "all"} < set(line["diagnoses"]) and line["diagnoses"]["all"]["mask"].split(",") == list(line["wild"])
+    assert {"none", "all"} < set(line["diagnoses"]) and line["diagnoses"]["all"]["mask"].split(",") == list(
+        line["wild"]
+    )
     main([*words, "--backwards"])
     assert json.loads(out.read_text())["recordings"] == [line]
     assert capsys.readouterr().out.count("planar2/none") == 1

@@ -17,7 +17,20 @@ def test_shares_are_those_of_the_books():
 
 def test_a_campaign_goes_on_where_it_stood(tmp_path, capsys):
     out = tmp_path / "truth.json"
-    words = ["--seed", "3", "--ways", "planar2", "--effects", "backlash", "--strengths", "weak", "--plans", "shuffled", "--out", str(out)]
+    words = [
+        "--seed",
+        "3",
+        "--ways",
+        "planar2",
+        "--effects",
+        "backlash",
+        "--strengths",
+        "weak",
+        "--plans",
+        "shuffled",
+        "--out",
+        str(out),
+    ]
     main(["--machines", "1", *words])
     first = json.loads(out.read_text())
     main(["--machines", "2", *words])
@@ -27,7 +40,10 @@ def test_a_campaign_goes_on_where_it_stood(tmp_path, capsys):
     line = first["machines"][0]
     assert line["covered"] == (line["claim"][1] <= line["true"] <= line["claim"][2])
     assert summary(both["machines"])["all"]["n"] == 2
-    assert both["command"] == "python -m tests.bench truth --machines 2 --seed 3 --ways planar2 --effects backlash --strengths weak --plans shuffled"
+    assert both["command"] == (
+        "python -m tests.bench truth --machines 2 --seed 3 --ways planar2 --effects backlash --strengths weak "
+        "--plans shuffled"
+    )
     assert both["schema"] == SCHEMA and " of 2, " in both["figures"][0]["reached"]
 
 
@@ -38,7 +54,16 @@ def test_unknown_names_are_refused(capsys):
 
 
 def test_any_beginning_of_a_campaign_is_of_all_ways():
-    found = list(trials(40, 1, ["plain", "arm"], ["none", "backlash", "compliance"], ["none", "weak", "strong"], ["sobol", "shuffled"]))
+    found = list(
+        trials(
+            40,
+            1,
+            ["plain", "arm"],
+            ["none", "backlash", "compliance"],
+            ["none", "weak", "strong"],
+            ["sobol", "shuffled"],
+        )
+    )
     assert {t.way for t in found[:2]} == {"plain", "arm"}
     assert not any(t.way == "arm" and t.effect == "compliance" for t in found)
     assert len({t.name for t in found}) == 40

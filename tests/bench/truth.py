@@ -1,6 +1,7 @@
 """Claims held against an independent truth: machines of tests/truth calibrated through the command line, then driven.
 
-python -m tests.bench truth [--machines N] [--seed S] [--ways plain,find,..] [--effects ..] [--strengths ..] [--plans ..] [--out FILE.json]
+python -m tests.bench truth [--machines N] [--seed S] [--ways plain,find,..] [--effects ..] [--strengths ..] [--plans
+..] [--out FILE.json]
 
 N machines go round the ways, effects, strengths and plans; the same seed is the same machine. Those in FILE.json
 already are left as they are.
@@ -28,14 +29,20 @@ from tests.truth.draw_faults import HURRIED, fits
 NAMES = ("none", *FAULTS, *SIGHTS)
 
 
-def trials(machines: int, seed: int, ways: list[str], effects: list[str], strengths: list[str], plans: list[str]) -> Iterator[Trial]:
+def trials(
+    machines: int, seed: int, ways: list[str], effects: list[str], strengths: list[str], plans: list[str]
+) -> Iterator[Trial]:
     """Trials in an order in which any beginning of the list is balanced: a draw of every one, from the seed."""
     for number in range(machines):
         rng = np.random.default_rng([seed, number])
         way = ways[number % len(ways)]
         kind = WAYS[way].kind
         finds = "--find" in WAYS[way].options  # whose commands in time wait at every pose
-        known = [name for name in effects if fits(name, kind) and (WAYS[way].seen or name not in SIGHTS) and not (finds and name in HURRIED)]
+        known = [
+            name
+            for name in effects
+            if fits(name, kind) and (WAYS[way].seen or name not in SIGHTS) and not (finds and name in HURRIED)
+        ]
         effect = known[(number // len(ways) + 3 * (number % len(ways))) % len(known)]
         strength = "none" if effect == "none" else str(rng.choice(strengths))
         effect = "none" if strength == "none" else effect
@@ -69,7 +76,10 @@ def main(argv: list[str]) -> None:
 def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted) of twenty machines, plain."""
     with tempfile.TemporaryDirectory() as folder:
-        lines = [tried(trial, Path(folder) / trial.name) for trial in trials(20, 1, ["plain"], list(NAMES), list(STRENGTHS), list(PLANS))]
+        lines = [
+            tried(trial, Path(folder) / trial.name)
+            for trial in trials(20, 1, ["plain"], list(NAMES), list(STRENGTHS), list(PLANS))
+        ]
     yield from figures_in_words(lines)[:4]
 
 
@@ -89,13 +99,23 @@ def _known(text: str, known: tuple[str, ...]) -> list[str]:
 
 def _write(path: Path, lines: list[dict[str, Any]], command: str, seed: int) -> None:
     """Write the campaign's file: a kept result like all others, with every machine besides, a line each."""
-    record = {"schema": SCHEMA, "name": "truth", "title": (__doc__ or "").splitlines()[0], "command": command, "seed": seed,
-              "version": release(),
-              "commit": ", ".join(sorted({line["commit"] for line in lines})), "created": datetime.now(UTC).isoformat(timespec="seconds"),
-              "machine": machine(), "figures": [dict(zip(("figure", "reached", "wanted"), row)) for row in figures_in_words(lines)]}
+    record = {
+        "schema": SCHEMA,
+        "name": "truth",
+        "title": (__doc__ or "").splitlines()[0],
+        "command": command,
+        "seed": seed,
+        "version": release(),
+        "commit": ", ".join(sorted({line["commit"] for line in lines})),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "machine": machine(),
+        "figures": [dict(zip(("figure", "reached", "wanted"), row)) for row in figures_in_words(lines)],
+    }
     text = json.dumps(record, indent=1, ensure_ascii=False)[:-2]
     beside = path.with_suffix(".part")
-    beside.write_text(text + ',\n "machines": [\n' + ",\n".join(json.dumps(line) for line in lines) + "]}\n", encoding="utf-8")
+    beside.write_text(
+        text + ',\n "machines": [\n' + ",\n".join(json.dumps(line) for line in lines) + "]}\n", encoding="utf-8"
+    )
     beside.replace(path)
 
 
@@ -104,8 +124,11 @@ def _in_words(line: dict[str, Any]) -> str:
         return f"{line['machine']:60} refused: {line['refused'][:150]}"
     middle, low, high = (x * 1e6 for x in line["claim"])
     inside = "     " if line["covered"] else "LESS " if line["true"] < line["claim"][1] else "MORE "
-    return (f"{line['machine']:60} {inside} {line['state']:5} true {line['true'] * 1e6:8.2f} um, claim {middle:8.2f} ({low:.2f} to {high:.2f}), "
-            f"noise {line['sigma']:.2g}, size {line['size'] * 1e6:.1f}, {line['seconds']:.1f} s")
+    return (
+        f"{line['machine']:60} {inside} {line['state']:5} true {line['true'] * 1e6:8.2f} um, claim {middle:8.2f} "
+        f"({low:.2f} to {high:.2f}), "
+        f"noise {line['sigma']:.2g}, size {line['size'] * 1e6:.1f}, {line['seconds']:.1f} s"
+    )
 
 
 if __name__ == "__main__":

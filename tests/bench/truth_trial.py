@@ -1,4 +1,6 @@
-"""One machine of the campaign of truth: recorded, calibrated and corrected through the command line, driven, and compared."""
+"""One machine of the campaign of truth: recorded, calibrated and corrected through the command line, driven, and
+compared.
+"""
 
 import contextlib
 import io
@@ -14,7 +16,20 @@ from scipy.stats import chi2
 
 from rig.cli import command_line
 from tests.bench.made_by import commit
-from tests.truth import SIGHTS, Case, again, draw, drive, drive_in_time, errors, record, rms, wanted, write_sensors, write_wanted
+from tests.truth import (
+    SIGHTS,
+    Case,
+    again,
+    draw,
+    drive,
+    drive_in_time,
+    errors,
+    record,
+    rms,
+    wanted,
+    write_sensors,
+    write_wanted,
+)
 
 POSES = 500  # driven to: their RMS is good to some 2 %
 TIMED = 80  # driven to in time, where the calibration knows physics
@@ -23,7 +38,8 @@ HELD = 6.0  # s beyond the longest move that each pose in time is given
 
 @dataclass(frozen=True)
 class Way:
-    """kind : of machine; options : of `rig calibrate`; first : options of a calibration on whose top it stands, None without
+    """kind : of machine; options : of `rig calibrate`; first : options of a calibration on whose top it stands, None
+    without
     seen : whether cameras look, in place of an instrument"""
 
     kind: str = "hexapod"
@@ -32,10 +48,20 @@ class Way:
     seen: bool = False
 
 
-WAYS = {"plain": Way(), "find": Way(options=("--find",)), "radial": Way(options=("--extend", "radial")),
-        "alone": Way(options=("--extend", "radial", "--alone")), "auto": Way(options=("--extend", "auto")),
-        "onto": Way(options=("--extend", "radial"), first=()), "arm": Way("arm"), "arm-auto": Way("arm", ("--extend", "auto")), "chain": Way("chain"),
-        "planar2": Way("planar2"), "seen": Way(seen=True), "seen-find": Way(options=("--find",), seen=True)}
+WAYS = {
+    "plain": Way(),
+    "find": Way(options=("--find",)),
+    "radial": Way(options=("--extend", "radial")),
+    "alone": Way(options=("--extend", "radial", "--alone")),
+    "auto": Way(options=("--extend", "auto")),
+    "onto": Way(options=("--extend", "radial"), first=()),
+    "arm": Way("arm"),
+    "arm-auto": Way("arm", ("--extend", "auto")),
+    "chain": Way("chain"),
+    "planar2": Way("planar2"),
+    "seen": Way(seen=True),
+    "seen-find": Way(options=("--find",), seen=True),
+}
 
 
 @dataclass(frozen=True)
@@ -64,9 +90,19 @@ def tried(trial: Trial, folder: Path) -> dict[str, Any]:
     """The line of a trial, run in a folder; with `refused` where a command did not do its work."""
     begun, way = time.process_time(), WAYS[trial.way]
     case = draw(trial.seed, trial.effect, trial.strength, trial.plan, way.kind, seen=way.seen)
-    line = {"machine": trial.name, "way": trial.way, "effect": trial.effect, "strength": trial.strength, "plan": trial.plan, "seed": trial.seed,
-            "law": _law(case), "n_poses": len(case.way.looked), "sigma": case.sigma[0] if case.eyes is None else case.eyes.sigma, "size": case.size,
-            "commit": judged()}
+    line = {
+        "machine": trial.name,
+        "way": trial.way,
+        "effect": trial.effect,
+        "strength": trial.strength,
+        "plan": trial.plan,
+        "seed": trial.seed,
+        "law": _law(case),
+        "n_poses": len(case.way.looked),
+        "sigma": case.sigma[0] if case.eyes is None else case.eyes.sigma,
+        "size": case.size,
+        "commit": judged(),
+    }
     try:
         calibration, state = _calibrated(case, way, folder)
         line |= {"state": state} | _driven(case, calibration, folder)
@@ -114,23 +150,39 @@ def _driven(case: Case, calibration: Path, folder: Path) -> dict[str, Any]:
     if claim is None:
         raise Refused(f"no factor is claimed: {stored['claim']['reason']}")
     poses = wanted(case, POSES)
-    error, covariance = _in_time(case, calibration, poses, folder) if "physics" in stored else _at_rest(case, calibration, poses, folder)
+    error, covariance = (
+        _in_time(case, calibration, poses, folder)
+        if "physics" in stored
+        else _at_rest(case, calibration, poses, folder)
+    )
     true = rms(error)
-    return {"true": true[0], "true_rad": true[1], "claim": claim[0], "claim_rad": claim[1], "covered": claim[0][1] <= true[0] <= claim[0][2],
-            "covered_rotation": claim[1][1] <= true[1] <= claim[1][2] or case.kind == "planar2", "driven": len(error),
-            "unexplained": len(stored["claim"].get("unexplained", ())), "ellipsoids": _inside(error, covariance, case.kind)}
+    return {
+        "true": true[0],
+        "true_rad": true[1],
+        "claim": claim[0],
+        "claim_rad": claim[1],
+        "covered": claim[0][1] <= true[0] <= claim[0][2],
+        "covered_rotation": claim[1][1] <= true[1] <= claim[1][2] or case.kind == "planar2",
+        "driven": len(error),
+        "unexplained": len(stored["claim"].get("unexplained", ())),
+        "ellipsoids": _inside(error, covariance, case.kind),
+    }
 
 
 def _at_rest(case: Case, calibration: Path, poses: np.ndarray, folder: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """(errors (n, 6), covariance (n, 6, 6) or None) of poses come to in the recording's own pace."""
     write_wanted(poses, folder / "wanted.csv")
-    _rig("correct", calibration, "--poses", folder / "wanted.csv", "--out", folder / "commands.csv", "--skip-unreachable")
+    _rig(
+        "correct", calibration, "--poses", folder / "wanted.csv", "--out", folder / "commands.csv", "--skip-unreachable"
+    )
     rows = _rows(folder / "commands.csv")
     return errors(drive(case, rows[:, 1:]), poses[rows[:, 0].astype(int)]), _covariance(folder / "commands.poses.csv")
 
 
 def _in_time(case: Case, calibration: Path, poses: np.ndarray, folder: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """The same for a calibration that knows physics: commands with times and the sensors' log, day after day as long as the recorded one."""
+    """The same for a calibration that knows physics: commands with times and the sensors' log, day after day as long as
+    the recorded one.
+    """
     longest = float((0.8 * np.ptp(case.owner.ranges, axis=1) / case.speeds).max())
     every = 2 * longest + case.dwell + HELD
     room = max(int((case.way.t[-1] - 1) / every), 1)
@@ -145,7 +197,16 @@ def _in_time(case: Case, calibration: Path, poses: np.ndarray, folder: Path) -> 
         if case.logged:
             write_sensors(case, day / "sensors.csv", max(t[-1], case.way.t[-1]) + 10)
             log = ["--sensors", day / "sensors.csv"]
-        _rig("correct", calibration, "--poses", day / "wanted.csv", *log, "--out", day / "commands.csv", "--skip-unreachable")
+        _rig(
+            "correct",
+            calibration,
+            "--poses",
+            day / "wanted.csv",
+            *log,
+            "--out",
+            day / "commands.csv",
+            "--skip-unreachable",
+        )
         rows = _rows(day / "commands.csv")
         held = np.isfinite(rows[:, 0])
         part, looked = part[rows[held, 0].astype(int)], t[rows[held, 0].astype(int)]
@@ -171,14 +232,16 @@ def _covariance(path: Path) -> np.ndarray | None:
 
 
 def _inside(error: np.ndarray, covariance: np.ndarray | None, kind: str) -> list[int] | None:
-    """[within the ellipsoids of the whole pose, of the position alone, of how many]; of a hinge its two coordinates count as both."""
+    """[within the ellipsoids of the whole pose, of the position alone, of how many]; of a hinge its two coordinates
+    count as both.
+    """
     if covariance is None:
         return None
     out = []
     for axes in ((0, 1),) * 2 if kind == "planar2" else (range(6), range(3)):
         part = np.ix_(range(len(error)), axes, axes)
-        square = np.einsum("ni,ni->n", error[:, list(axes)], np.linalg.solve(covariance[part], error[:, list(axes), None])[..., 0])
+        square = np.einsum(
+            "ni,ni->n", error[:, list(axes)], np.linalg.solve(covariance[part], error[:, list(axes), None])[..., 0]
+        )
         out.append(int((square <= chi2.ppf(0.95, len(axes))).sum()))
     return [*out, len(error)]
-
-

@@ -1,4 +1,6 @@
-"""Sixty changes after a quiet week, six kinds of them on ten rigs, and 200 more quiet visits: noticed, named, false alarms."""
+"""Sixty changes after a quiet week, six kinds of them on ten rigs, and 200 more quiet visits: noticed, named, false
+alarms.
+"""
 
 import tempfile
 import time
@@ -34,7 +36,9 @@ def rows(rigs=RIGS, quiet=QUIET) -> Iterator[tuple[str, str, str]]:
             for which in SIX:
                 change, after = changed(which, one, rng), week
                 for k in range(SOON):
-                    after, verdict = add_visit(after, one.visit(base / f"{seed}-{which}-{k}", rng, change), one.calibration)
+                    after, verdict = add_visit(
+                        after, one.visit(base / f"{seed}-{which}-{k}", rng, change), one.calibration
+                    )
                     judged += 1
                     if verdict.alarm:
                         break
@@ -42,11 +46,21 @@ def rows(rigs=RIGS, quiet=QUIET) -> Iterator[tuple[str, str, str]]:
                 found = verdict.named.name if verdict.alarm and verdict.named else ""
                 named += found == change.name
                 if found != change.name:
-                    missed.append(f"rig {seed}: {change.name} -> {found or 'something' if verdict.alarm else 'nothing'}")
+                    missed.append(
+                        f"rig {seed}: {change.name} -> {found or 'something' if verdict.alarm else 'nothing'}"
+                    )
     cases = rigs * len(SIX)
-    yield f"{cases} changes after a quiet week: noticed within two visits", f"{noticed} ({noticed / cases:.1%})", ">= 95 %"
+    yield (
+        f"{cases} changes after a quiet week: noticed within two visits",
+        f"{noticed} ({noticed / cases:.1%})",
+        ">= 95 %",
+    )
     yield "named, with its place", f"{named} ({named / cases:.1%})", ">= 90 %"
     yield f"{looked} quiet visits: false alarms", f"{alarms}", "<= 1 in 200"
-    yield "one visit, simulated and judged, of one processor", f"{(time.process_time() - start) / (looked + judged):.2f} s", "seconds"
+    yield (
+        "one visit, simulated and judged, of one processor",
+        f"{(time.process_time() - start) / (looked + judged):.2f} s",
+        "seconds",
+    )
     for line in missed:
         yield line, "", ""

@@ -18,17 +18,28 @@ BASE, TOOL = pose([1.2, -0.8, 0.4], [0.1, -0.2, 2.0]), pose([0.03, -0.04, 0.12],
 
 def design(nominal):
     """Design of an arm seen by the tracker."""
-    return Design("arm", np.array([0, 0, -9.80665]), nominal, TRACKER, Actuator(None, None, None), Platform(None, None, None), (), ())
+    return Design(
+        "arm",
+        np.array([0, 0, -9.80665]),
+        nominal,
+        TRACKER,
+        Actuator(None, None, None),
+        Platform(None, None, None),
+        (),
+        (),
+    )
 
 
 def secret(nominal, rng, size=1.0, parallel=1e-4):
-    """An Arm with errors of 0.3 mm and 1 mrad on every row, axes that are parallel by design askew by `parallel` rad, placed
-    somewhere: a maker's figures and the real thing."""
+    """An Arm with errors of 0.3 mm and 1 mrad on every row, axes that are parallel by design askew by `parallel` rad,
+    placed somewhere: a maker's figures and the real thing."""
     rows = nominal.rows + size * np.array([1e-3, 3e-4, 3e-4, 1e-3, 0.0]) * rng.normal(size=(len(nominal.joints), 5))
     flat = np.abs(np.cos(nominal.rows[:, 3])) > 0.999
     rows[flat, 3] = nominal.rows[flat, 3] + parallel * rng.uniform(-1, 1, flat.sum())
     rows[flat, 4] = parallel * rng.uniform(-1, 1, flat.sum())
-    return replace(nominal, joints=rows, base=BASE * exp(1e-3 * rng.normal(size=6)), tool=TOOL * exp(1e-3 * rng.normal(size=6)))
+    return replace(
+        nominal, joints=rows, base=BASE * exp(1e-3 * rng.normal(size=6)), tool=TOOL * exp(1e-3 * rng.normal(size=6))
+    )
 
 
 def configurations_of(arm, count, rng):
@@ -36,8 +47,8 @@ def configurations_of(arm, count, rng):
 
 
 def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), deviation=None, again=0):
-    """Samples by an instrument of whole poses; deviation(q) -> (m, n) rad is what the joints do beyond their command; again : how many of
-    the first commands are given a second time, at the end, among the count."""
+    """Samples by an instrument of whole poses; deviation(q) -> (m, n) rad is what the joints do beyond their command;
+    again : how many of the first commands are given a second time, at the end, among the count."""
     q = configurations_of(nominal, count - again, rng)
     q = np.concatenate([q, q[:again]])
     scale, shared = (np.repeat(pair, 3) for pair in (sigma, common))
@@ -50,7 +61,9 @@ def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), de
 def touched(true, nominal, count, rng, sigma=2e-5):
     """Observations of positions alone: a reflector, a ball, a touched point."""
     q = configurations_of(nominal, count, rng)
-    return instrument_observations.of_positions(q, error_model.predicted(q, true).translation + sigma * rng.normal(size=(count, 3)), sigma)
+    return instrument_observations.of_positions(
+        q, error_model.predicted(q, true).translation + sigma * rng.normal(size=(count, 3)), sigma
+    )
 
 
 def wired(true, nominal, count, rng, sigma=5e-5):
@@ -65,14 +78,31 @@ def write(folder, nominal, samples, base="free", tool="free", positions_alone=Fa
     """A recording of Samples as an instrument's owner would leave it."""
     folder.mkdir()
     sigmas = f"position_sigma = {sigma[0]}\n" + ("" if positions_alone else f"rotation_sigma = {sigma[1]}\n")
-    (folder / "rig.toml").write_text(f'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = {nominal.rows.tolist()}\n'
-                                     f'limits = {nominal.limits.tolist()}\n[instrument]\nbase = "{base}"\ntool = "{tool}"\n{sigmas}')
+    (folder / "rig.toml").write_text(
+        f'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = {nominal.rows.tolist()}\n'
+        f'limits = {nominal.limits.tolist()}\n[instrument]\nbase = "{base}"\ntool = "{tool}"\n{sigmas}'
+    )
     names = POSE_COLUMNS[: 3 if positions_alone else 6]
-    write_table(folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{frame},{t + 5.0},," for frame, t in zip(samples.frame, samples.t)])
-    write_table(folder / "commands.csv", ("t", *nominal.axes),
-                [",".join([f"{t + wait}", *(f"{angle:.12f}" for angle in q)]) for t, q in zip(samples.t, samples.commanded) for wait in (4.0, 6.0)])
+    write_table(
+        folder / "frames.csv",
+        ("frame", "t", "camera", "image"),
+        [f"{frame},{t + 5.0},," for frame, t in zip(samples.frame, samples.t)],
+    )
+    write_table(
+        folder / "commands.csv",
+        ("t", *nominal.axes),
+        [
+            ",".join([f"{t + wait}", *(f"{angle:.12f}" for angle in q)])
+            for t, q in zip(samples.t, samples.commanded)
+            for wait in (4.0, 6.0)
+        ],
+    )
     rows = pose_to_vector(samples.T_base_platform)[:, : len(names)]
-    write_table(folder / "poses.csv", ("frame", *names), [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in zip(samples.frame, rows)])
+    write_table(
+        folder / "poses.csv",
+        ("frame", *names),
+        [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in zip(samples.frame, rows)],
+    )
 
 
 def same_gauge(true, nominal, free):

@@ -12,10 +12,15 @@ REGULAR = 50.0  # greatest condition number of the struts' Jacobian, lengths ove
 
 
 def machine(rng):
-    """(Hexapod, pose) drawn at random: joints anywhere near two circles, zeros, a tilted and shifted pose, far from singular."""
+    """(Hexapod, pose) drawn at random: joints anywhere near two circles, zeros, a tilted and shifted pose, far from
+    singular.
+    """
     while True:
         size = rng.uniform(0.1, 2.0)
-        base, platform = (size * radius * _ring(rng, half) + 0.05 * size * rng.normal(size=(6, 3)) for radius, half in ((1.0, 0.25), (0.65, 0.8)))
+        base, platform = (
+            size * radius * _ring(rng, half) + 0.05 * size * rng.normal(size=(6, 3))
+            for radius, half in ((1.0, 0.25), (0.65, 0.8))
+        )
         home = pose([0, 0, size * rng.uniform(0.9, 1.8)], [0, 0, 0])
         m = Hexapod(base, platform, np.tile([1e-3, 10 * size], (6, 1)), home, 1e-3 * rng.normal(size=6))
         T = home * exp(np.r_[0.15 * size * rng.normal(size=3), 0.2 * rng.normal(size=3)])
@@ -25,12 +30,15 @@ def machine(rng):
 
 
 def _ring(rng, half):
-    angles = np.array([2 * np.pi * k / 3 + side * half for k in range(3) for side in (-1, 1)]) + 0.1 * rng.normal(size=6)
+    angles = np.array([2 * np.pi * k / 3 + side * half for k in range(3) for side in (-1, 1)]) + 0.1 * rng.normal(
+        size=6
+    )
     return np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], axis=1)
 
 
 def by_differences(m, T, step=1e-5):
-    """(6, 42) change of the pose at constant command with each parameter: central differences of the forward kinematics, two
+    """(6, 42) change of the pose at constant command with each parameter: central differences of the forward
+    kinematics, two
     steps extrapolated to none. step : over the machine's radius"""
     command, p, start = hexapod.inverse(T, m), parameters(m), T.as_matrix()
     h = step * np.linalg.norm(m.base_joints, axis=1).mean()
@@ -46,7 +54,9 @@ def by_differences(m, T, step=1e-5):
 
 
 def worst_jacobian(count, seed):
-    """Greatest relative disagreement, of the whole matrix, between J_p and differences over `count` random machines and poses."""
+    """Greatest relative disagreement, of the whole matrix, between J_p and differences over `count` random machines and
+    poses.
+    """
     from calib.models.platform.identification import pose_jacobian
 
     rng = np.random.default_rng(seed)

@@ -34,7 +34,9 @@ class Rig:
         """Recording of a visit to a folder, after a Change or none."""
         change = change or Change("nothing", self.world)
         weather = _weather(self.route, change.room + 0.2 * rng.normal(), change.load)
-        recording_simulation.write_recording(recording_simulation.simulate(change.world, self.route, rng, weather), folder, self.text, rng, NOISE)
+        recording_simulation.write_recording(
+            recording_simulation.simulate(change.world, self.route, rng, weather), folder, self.text, rng, NOISE
+        )
         return recording_folder.load(folder)
 
 
@@ -49,11 +51,15 @@ class Change:
 
 
 def rig(design, text, seed, folder, poses=80):
-    """A Rig drawn at random and calibrated from so many poses; its platform's weight and its warmth act on it, and are not known."""
+    """A Rig drawn at random and calibrated from so many poses; its platform's weight and its warmth act on it, and are
+    not known.
+    """
     rng = np.random.default_rng(seed)
     secret = world.draw_machine(design, rng, 1.0, tuple(map(parse_effect, ALWAYS)))
     route = plan.build_plan(design, f"sobol:{poses}", seed)
-    recording_simulation.write_recording(recording_simulation.simulate(secret, route, rng, _weather(route, ROOM, 0.0)), folder, text, rng, NOISE)
+    recording_simulation.write_recording(
+        recording_simulation.simulate(secret, route, rng, _weather(route, ROOM, 0.0)), folder, text, rng, NOISE
+    )
     sampled = sample_recording(recording_folder.load(folder))
     correction, found = calibrate(sampled.samples, design.mechanism)
     made = Calibration(correction, found.covariance, found.scatter, tuple(sampled.samples.frame.tolist()), (), None, {})
@@ -63,7 +69,9 @@ def rig(design, text, seed, folder, poses=80):
 def visits_of(design, calibration):
     """Plan of a visit to a calibrated rig."""
     strokes = design.mechanism.strut_range
-    return plan.settled_plan(choose_visit_configurations(calibration, design, 12).commands, strokes.mean(axis=1), plan.plan_speed(design))
+    return plan.settled_plan(
+        choose_visit_configurations(calibration, design, 12).commands, strokes.mean(axis=1), plan.plan_speed(design)
+    )
 
 
 def changed(which, rig, rng):
@@ -72,16 +80,28 @@ def changed(which, rig, rng):
     true, effects = rig.world.true, rig.world.effects
     if which == "camera":
         place = f"camera {true.cameras[rng.integers(len(true.cameras))].name}"
-        return Change(place, replace(rig.world, effects=(*effects, parse_effect(f"camera_bump:{place}:motion={_motion(rng)}"))))
+        return Change(
+            place, replace(rig.world, effects=(*effects, parse_effect(f"camera_bump:{place}:motion={_motion(rng)}")))
+        )
     if which == "target":
         place = f"target B{1 + rng.integers(4)}"
-        return Change(place, replace(rig.world, effects=(*effects, parse_effect(f"cube_misplacement:{place}:motion={_motion(rng)}"))))
+        return Change(
+            place,
+            replace(rig.world, effects=(*effects, parse_effect(f"cube_misplacement:{place}:motion={_motion(rng)}"))),
+        )
     if which == "backlash":
-        return Change(f"nut of strut {strut + 1}",
-                      replace(rig.world, effects=(*effects, parse_effect(f"backlash:strut{strut + 1}:gap={rng.uniform(2e-5, 1e-4)}"))))
+        return Change(
+            f"nut of strut {strut + 1}",
+            replace(
+                rig.world, effects=(*effects, parse_effect(f"backlash:strut{strut + 1}:gap={rng.uniform(2e-5, 1e-4)}"))
+            ),
+        )
     if which == "zero":
         zeros = true.mechanism.strut_zeros + sign * rng.uniform(2e-5, 2e-4) * (np.arange(6) == strut)
-        return Change(f"zero of strut {strut + 1}", replace(rig.world, true=replace(true, mechanism=replace(true.mechanism, strut_zeros=zeros))))
+        return Change(
+            f"zero of strut {strut + 1}",
+            replace(rig.world, true=replace(true, mechanism=replace(true.mechanism, strut_zeros=zeros))),
+        )
     if which == "temperature":
         return Change("growth of all struts", rig.world, room=ROOM + sign * rng.uniform(4, 12))
     return Change("sag under added load", rig.world, load=float(rng.uniform(3, 12)))

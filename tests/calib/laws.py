@@ -1,4 +1,6 @@
-"""Six laws that the catalogue does not hold, each a short formula of a few covariates: what a diagnosis should suggest of them."""
+"""Six laws that the catalogue does not hold, each a short formula of a few covariates: what a diagnosis should suggest
+of them.
+"""
 
 from dataclasses import dataclass, fields, replace
 
@@ -10,8 +12,11 @@ from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine
 
-WARM = "sobol:50,warmup:16,sobol:50,warmup:16,sobol:50"  # hours, in which the room and the struts warm each in its own way
-PLAN = "moving:24,sobol:60,ladder:6,moving:24,sobol:40"  # frames with speeds and steps of both directions, over some twenty minutes
+WARM = (
+    "sobol:50,warmup:16,sobol:50,warmup:16,sobol:50"  # hours, in which the room and the struts warm each in its own way
+)
+# frames with speeds and steps of both directions, over some twenty minutes
+PLAN = "moving:24,sobol:60,ladder:6,moving:24,sobol:40"
 
 
 class OnStrut(Effect):
@@ -111,12 +116,20 @@ class DriftingSine(OnStrut):
     name = "drifting_sine"
 
     def law(self, motion):
-        swing = self.amplitude * (0.4 + 0.6 * motion.t / self.end) * np.sin(2 * np.pi * motion.t / self.period + self.phase)
+        swing = (
+            self.amplitude * (0.4 + 0.6 * motion.t / self.end) * np.sin(2 * np.pi * motion.t / self.period + self.phase)
+        )
         return swing[:, None]
 
 
-LAWS = ("a coupling as a sine of another strut", "a cubic sag", "a pose times a temperature", "a speed times a length",
-        "a step's direction times a pose", "a sine of time that grows")
+LAWS = (
+    "a coupling as a sine of another strut",
+    "a cubic sag",
+    "a pose times a temperature",
+    "a speed times a length",
+    "a step's direction times a pose",
+    "a sine of time that grows",
+)
 
 
 def drawn(number, rng, end):
@@ -137,15 +150,20 @@ def drawn(number, rng, end):
 
 
 def recorded(folder, design, text, number, seed, seen=2.5e-5):
-    """(Recording, Effect, names of its covariates) of a secret machine with one of the laws, of which so much (m, RMS) is seen: what no straight
-    line in the struts' travels takes."""
+    """(Recording, Effect, names of its covariates) of a secret machine with one of the laws, of which so much (m, RMS)
+    is seen: what no straight line in the struts' travels takes."""
     route = plan.build_plan(design, WARM if number == 2 else PLAN, seed)
     effect, covariates = drawn(number, np.random.default_rng([number, seed]), float(route.t[-1]))
     bare = recording_simulation.simulate(
         secret_machine.draw_machine(design, np.random.default_rng(seed), 1.0, ()), route, np.random.default_rng(seed)
     )
-    motion = replace(motion_simulation.motion_of_commands(bare.world.true, route.commands, route.t, (), bare.sensors), T=bare.run.T_base_platform)
-    lengths = effect.deviation(motion) + motion_simulation.apparent_strut_lengths(bare.world.true, motion.T, effect.sway(motion))
+    motion = replace(
+        motion_simulation.motion_of_commands(bare.world.true, route.commands, route.t, (), bare.sensors),
+        T=bare.run.T_base_platform,
+    )
+    lengths = effect.deviation(motion) + motion_simulation.apparent_strut_lengths(
+        bare.world.true, motion.T, effect.sway(motion)
+    )
     lines = np.column_stack([np.ones(len(route.t)), motion.stroke])
     left = lengths - lines @ np.linalg.lstsq(lines, lengths, rcond=None)[0]
     size = fields(effect)[1 if number not in (0, 5) else 2 if number == 0 else 1].name

@@ -14,9 +14,15 @@ PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
 def recorded(folder, design, effects, seed=5, route=PLAN, noise=0.04, logged=True):
     """Recording of a secret machine with effects (texts or Effects), its temperatures logged or not. noise : px"""
     rng = np.random.default_rng(seed)
-    secret = secret_machine.draw_machine(design, rng, 1.0, tuple(parse_effect(e) if isinstance(e, str) else e for e in effects))
+    secret = secret_machine.draw_machine(
+        design, rng, 1.0, tuple(parse_effect(e) if isinstance(e, str) else e for e in effects)
+    )
     recording_simulation.write_recording(
-        recording_simulation.simulate(secret, plan.build_plan(design, route, seed), rng), folder, hexapod_layout(0.3), rng, noise
+        recording_simulation.simulate(secret, plan.build_plan(design, route, seed), rng),
+        folder,
+        hexapod_layout(0.3),
+        rng,
+        noise,
     )
     if not logged:
         lines = [line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()]

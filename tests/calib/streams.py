@@ -1,4 +1,6 @@
-"""Streams of poses one at a time, with something that jumps on the way, for tests and benchmarks of on-line learning."""
+"""Streams of poses one at a time, with something that jumps on the way, for tests and benchmarks of on-line
+learning.
+"""
 
 from dataclasses import dataclass
 
@@ -17,7 +19,9 @@ COVARIANCE = np.diag(OWN**2)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """commands : (n, 6) m; T : RigidTransform (n,) measured; before, after : true Hexapods before and after the jump; at : its first pose"""
+    """commands : (n, 6) m; T : RigidTransform (n,) measured; before, after : true Hexapods before and after the jump;
+    at : its first pose
+    """
 
     commands: np.ndarray
     T: object
@@ -27,18 +31,24 @@ class Stream:
 
 
 def stream(design, seed, count, at=None, jump=None, moved=None):
-    """Stream of `count` poses; from pose `at` on the parameters are off by jump (42,) m, or the measured frame by moved (6,)."""
+    """Stream of `count` poses; from pose `at` on the parameters are off by jump (42,) m, or the measured frame by moved
+    (6,).
+    """
     rng = np.random.default_rng(seed)
     before = secret_machine.draw_machine(design, rng).true.mechanism
     after = before if jump is None else with_parameters(before, parameters(before) + jump)
     commands = low_discrepancy(design.mechanism.strut_range, count, 0.9, seed)
     split = count if at is None else at
-    matrices = np.concatenate([hexapod.forward(commands[:split], before).as_matrix(), hexapod.forward(commands[split:], after).as_matrix()])
+    matrices = np.concatenate(
+        [hexapod.forward(commands[:split], before).as_matrix(), hexapod.forward(commands[split:], after).as_matrix()]
+    )
     if moved is not None:
         matrices[split:] = exp(np.asarray(moved, float)).as_matrix() @ matrices[split:]
     from scipy.spatial.transform import RigidTransform
 
-    return Stream(commands, RigidTransform.from_matrix(matrices) * exp(OWN * rng.normal(size=(count, 6))), before, after, split)
+    return Stream(
+        commands, RigidTransform.from_matrix(matrices) * exp(OWN * rng.normal(size=(count, 6))), before, after, split
+    )
 
 
 def learnt(design, poses, learner=None):
@@ -48,7 +58,9 @@ def learnt(design, poses, learner=None):
 
 
 def sigma_of(learner, strut):
-    """m, standard error with which the last pose alone told the length of a strut (1..6), everything else as known then."""
+    """m, standard error with which the last pose alone told the length of a strut (1..6), everything else as known
+    then.
+    """
     from calib.online.square_root_kernels import KINDS, WINDOW
 
     total = learner.state.estimate.sums[(learner.state.learnt - 1) % WINDOW]
@@ -66,6 +78,8 @@ def missed_step(design, seed, before=150, after=20):
 
 
 def found_within(updates, at, strut, poses=3):
-    """Whether the jump of a strut from pose `at` on was flagged within so many poses, as that strut's and no other's."""
+    """Whether the jump of a strut from pose `at` on was flagged within so many poses, as that strut's and no
+    other's.
+    """
     flagged = [(u.number, c) for u in updates for c in u.changes]
     return bool(flagged) and all(c.strut == strut for _, c in flagged) and at <= flagged[0][0] < at + poses

@@ -1,4 +1,6 @@
-"""Few frames tell: what they say of a camera's six motions, of both sides of a moment, of a curve; nothing is made of noise by that."""
+"""Few frames tell: what they say of a camera's six motions, of both sides of a moment, of a curve; nothing is made of
+noise by that.
+"""
 
 import numpy as np
 import pytest
@@ -24,7 +26,9 @@ KNOCK = "motion=3e-5/-4e-5/-1e-5/5e-5/-7e-5/0"
 
 
 def chance(after, y, looks):
-    """p-value of a camera's step before the last frames `after`. y : (F, m) whitened residuals; looks : (F, m, 6) derivatives"""
+    """p-value of a camera's step before the last frames `after`. y : (F, m) whitened residuals; looks : (F, m, 6)
+    derivatives
+    """
     F, m = y.shape
     block = Block("corners", "px", y.ravel(), m * np.arange(F + 1))
     model = LinearModel((block,), Column((np.zeros((F * m, 0)),)), None, F * m)
@@ -35,7 +39,9 @@ def chance(after, y, looks):
     return scan_p_value(solved.delta_chi2 / found.ratio, 6, found.freedom)
 
 
-@pytest.mark.parametrize("after, scatter", [(6, 1.0), (3, 3.0)], ids=["six, as stated", "three, noise three times what is stated"])
+@pytest.mark.parametrize(
+    "after, scatter", [(6, 1.0), (3, 3.0)], ids=["six, as stated", "three, noise three times what is stated"]
+)
 def test_a_step_before_few_frames_is_as_likely_by_chance_as_it_says(after, scatter):
     rng = np.random.default_rng(after)
     looks = rng.normal(size=(FRAMES, ROWS, 6))
@@ -46,12 +52,24 @@ def test_a_step_before_few_frames_is_as_likely_by_chance_as_it_says(after, scatt
     assert chance(after, step, looks) < 1e-6
 
 
-@pytest.mark.parametrize("after, uneven", [(10, 1.0), (20, 2.0)], ids=["some frames sharper", "a few frames show nearly all"])
+@pytest.mark.parametrize(
+    "after, uneven", [(10, 1.0), (20, 2.0)], ids=["some frames sharper", "a few frames show nearly all"]
+)
 def test_frames_that_see_unevenly_make_nothing_less_likely_by_chance(after, uneven):
-    """The greater of two degrees of freedom, and a dispersion as of frames alike, made one chance in a hundred of every tenth world."""
+    """The greater of two degrees of freedom, and a dispersion as of frames alike, made one chance in a hundred of every
+    tenth world.
+    """
     rng = np.random.default_rng(after)
-    p = np.array([chance(after, 3.0 * rng.normal(size=(FRAMES, ROWS)),
-                         rng.normal(size=(FRAMES, ROWS, 6)) * np.exp(uneven * rng.normal(size=(FRAMES, 1, 1)))) for _ in range(DRAWS)])
+    p = np.array(
+        [
+            chance(
+                after,
+                3.0 * rng.normal(size=(FRAMES, ROWS)),
+                rng.normal(size=(FRAMES, ROWS, 6)) * np.exp(uneven * rng.normal(size=(FRAMES, 1, 1))),
+            )
+            for _ in range(DRAWS)
+        ]
+    )
     for level in (0.1, 0.01):
         assert (p < level).mean() < level + 3 * np.sqrt(level / DRAWS)
 
@@ -63,7 +81,9 @@ def test_a_likelihood_ratio_with_scatter_free_is_as_likely_by_chance_as_it_says(
     noise, S = 3.0 * rng.normal(size=(4000, frames)), np.linalg.qr(rng.normal(size=(frames, count)))[0]
     whole, explained = (noise**2).sum(axis=1), ((noise @ S) ** 2).sum(axis=1)
     ratio = frames * np.log(whole / (whole - explained))
-    base = Score(Candidate(name="x", place="y", grid=[{}]), {}, np.zeros(count), -np.inf, 1.0, count, 1.0, 1.0, np.zeros(1))
+    base = Score(
+        Candidate(name="x", place="y", grid=[{}]), {}, np.zeros(count), -np.inf, 1.0, count, 1.0, 1.0, np.zeros(1)
+    )
     delta = np.array([score_with_likelihood_ratio(base, r, frames).delta_chi2 for r in ratio])
     for level in (0.1, 0.01):
         assert (delta > chdtri(count, level)).mean() < level + 3 * np.sqrt(level / len(delta))
@@ -75,7 +95,9 @@ def test_what_comes_before_a_moment_is_never_held_out_whole():
         late = np.arange(44) >= first
         fold = frame_folds(44, True, [late, ~late])
         assert all(len(np.unique(fold[side])) > 1 for side in (late, ~late) if side.sum() > 1), first
-    np.testing.assert_array_equal(frame_folds(44, True, [np.arange(44) >= 20, np.arange(44) < 20]), frame_folds(44, True))
+    np.testing.assert_array_equal(
+        frame_folds(44, True, [np.arange(44) >= 20, np.arange(44) < 20]), frame_folds(44, True)
+    )
 
 
 def test_sides_are_held_out_of_what_is_seen_and_not_of_what_axes_do():
@@ -86,22 +108,36 @@ def test_sides_are_held_out_of_what_is_seen_and_not_of_what_axes_do():
     assert late.sum() == 7
 
 
-@pytest.mark.parametrize("time", [24, pytest.param(130, marks=pytest.mark.slow)], ids=["after few frames", "before few frames"])
+@pytest.mark.parametrize(
+    "time", [24, pytest.param(130, marks=pytest.mark.slow)], ids=["after few frames", "before few frames"]
+)
 def test_a_knock_that_few_frames_see_is_named(tmp_path, design, time):
-    found = diagnose_platform(recorded(tmp_path, design, [f"camera_bump:cam1:{KNOCK},time={time}"], route="sobol:30", noise=0.01),
-                     only=["camera_bump", "camera_drift", "focal_drift"])
+    found = diagnose_platform(
+        recorded(tmp_path, design, [f"camera_bump:cam1:{KNOCK},time={time}"], route="sobol:30", noise=0.01),
+        only=["camera_bump", "camera_drift", "focal_drift"],
+    )
     assert [(e.name, e.place) for e in found.effects] == [("camera_bump", "camera cam1")] and not found.left
 
 
 @pytest.mark.slow
 def test_a_curve_of_many_numbers_is_named_in_few_frames(tmp_path, design):
-    found = diagnose_platform(recorded(tmp_path, design, ["transmission_error:strut2:profile=1e-5/0/5e-6/2e-5/4e-6/-4e-6/-3e-5/-1e-5/2e-5/-1e-5"],
-                              route="sobol:20,ladder:1", noise=0.01), only=["transmission_error", "hysteresis", "cyclic_error", "backlash"])
+    found = diagnose_platform(
+        recorded(
+            tmp_path,
+            design,
+            ["transmission_error:strut2:profile=1e-5/0/5e-6/2e-5/4e-6/-4e-6/-3e-5/-1e-5/2e-5/-1e-5"],
+            route="sobol:20,ladder:1",
+            noise=0.01,
+        ),
+        only=["transmission_error", "hysteresis", "cyclic_error", "backlash"],
+    )
     assert [(e.name, e.place) for e in found.effects] == [("transmission_error", "strut 2")] and not found.left
 
 
 class Scanned:
-    """A Problem whose scan saw a curve and a line; what their fits are worth is given. ratios : {name: likelihood ratio}"""
+    """A Problem whose scan saw a curve and a line; what their fits are worth is given. ratios : {name: likelihood
+    ratio}
+    """
 
     policy = PLATFORM
     candidates = tuple(Candidate(name=name, place="strut 2", grid=[{}]) for name in ("curve", "line"))
@@ -122,17 +158,28 @@ class Scanned:
 
 @pytest.mark.parametrize("worth, said", [(200.0, ["curve"]), (60.0, [])])
 def test_what_its_own_scatter_caps_is_fitted_however_many_numbers_it_has(worth, said):
-    """Forty frames explain forty and no more where their scatter is free: too little for five numbers among ten thousand corners."""
-    model = LinearModel((Block("closures", "m", np.zeros(40), np.arange(41)),), Column((np.zeros((40, 0)),)), None, 10_000)
-    scores = [Score(c, {}, np.ones(q), delta, p, q, 1.0, 1.0, np.array([delta])) for c, q, delta, p in
-              zip(Scanned.candidates, (5, 1), (38.0, 26.0), (1e-5, 1e-3))]
+    """Forty frames explain forty and no more where their scatter is free: too little for five numbers among ten
+    thousand corners.
+    """
+    model = LinearModel(
+        (Block("closures", "m", np.zeros(40), np.arange(41)),), Column((np.zeros((40, 0)),)), None, 10_000
+    )
+    scores = [
+        Score(c, {}, np.ones(q), delta, p, q, 1.0, 1.0, np.array([delta]))
+        for c, q, delta, p in zip(Scanned.candidates, (5, 1), (38.0, 26.0), (1e-5, 1e-3))
+    ]
     assert scores[0].raw_delta_bic(model.size) < PLATFORM.delta_bic
     problem = Scanned({"curve": worth, "line": 12.0})
-    assert [s.candidate.name for s in _hidden(problem, "nothing", model, scores)] == said and problem.tried == ["curve", "line"]
+    assert [s.candidate.name for s in _hidden(problem, "nothing", model, scores)] == said and problem.tried == [
+        "curve",
+        "line",
+    ]
 
 
 def test_a_strong_effect_in_few_frames_is_not_hidden_by_its_own_scatter(tmp_path, design):
-    """A scan takes what nobody admitted yet for the strut's scatter: a backlash ten times the noise would stay unknown."""
+    """A scan takes what nobody admitted yet for the strut's scatter: a backlash ten times the noise would stay
+    unknown.
+    """
     rec = recorded(tmp_path, design, ["backlash:strut2:gap=100e-6"], route="sobol:16,ladder:1", seed=22)
     (finding,) = platform_report(
         diagnose_platform(rec, only=["backlash", "hysteresis", "joint_clearance", "transmission_error", "cyclic_error"])

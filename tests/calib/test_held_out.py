@@ -1,4 +1,6 @@
-"""Frames held out: nuisances fitted on the others and on what was known beforehand, as plain least squares on those rows has it."""
+"""Frames held out: nuisances fitted on the others and on what was known beforehand, as plain least squares on those
+rows has it.
+"""
 
 import numpy as np
 import pytest
@@ -17,7 +19,9 @@ def model():
     counts = [np.full(FRAMES, 3), rng.integers(0, 5, FRAMES)]
     Q = np.linalg.qr(rng.normal(size=(sum(c.sum() + 2 for c in counts), NUISANCES)))[0]
     first = int(counts[0].sum()) + 2
-    blocks = tuple(Block(name, "px", rng.normal(size=int(c.sum()) + 2), np.r_[0, np.cumsum(c)]) for name, c in zip("ab", counts))
+    blocks = tuple(
+        Block(name, "px", rng.normal(size=int(c.sum()) + 2), np.r_[0, np.cumsum(c)]) for name, c in zip("ab", counts)
+    )
     return LinearModel(blocks, Column((Q[:first], Q[first:])), None, len(Q) - NUISANCES)
 
 

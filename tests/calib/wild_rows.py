@@ -1,4 +1,6 @@
-"""Recordings of machines with effects at work, some of whose rows are wild: displaced, exchanged, of another command; markers misread."""
+"""Recordings of machines with effects at work, some of whose rows are wild: displaced, exchanged, of another command;
+markers misread.
+"""
 
 from dataclasses import replace
 
@@ -20,21 +22,29 @@ def posed(folder, design, effects, seed, route=ROUTE):
     """Recording of a secret hexapod whose poses an instrument measured."""
     rng = np.random.default_rng(seed)
     done = recording_simulation.simulate(
-        secret_machine.draw_machine(design, rng, 1.0, tuple(map(parse_effect, effects))), plan.build_plan(design, route, seed), rng
+        secret_machine.draw_machine(design, rng, 1.0, tuple(map(parse_effect, effects))),
+        plan.build_plan(design, route, seed),
+        rng,
     )
     recording_simulation.write_recording(done, folder, hexapod_layout(0.3), rng, 0.04)
     rec, T = recording_folder.load(folder), done.run.T_base_platform
     frames = rec.exposures.times()[0]
-    poses = Poses(frames, T * exp(POSE * rng.normal(size=(len(frames), 6))), np.tile(np.diag(POSE**2), (len(frames), 1, 1)))
+    poses = Poses(
+        frames, T * exp(POSE * rng.normal(size=(len(frames), 6))), np.tile(np.diag(POSE**2), (len(frames), 1, 1))
+    )
     return replace(rec, corners=None, poses=poses)
 
 
 def spoilt_poses(rec, rng, share=0.05):
-    """(Recording, frames) with a share of its poses displaced by 20 to 300 standard deviations, exchanged with another's, or copied from another."""
+    """(Recording, frames) with a share of its poses displaced by 20 to 300 standard deviations, exchanged with
+    another's, or copied from another.
+    """
     poses, n = rec.poses, len(rec.poses.frame)
     rows = rng.permutation(n)[: max(round(share * n), 2)]
     matrix = poses.T_base_platform.as_matrix()
-    displaced = (poses.T_base_platform * exp(POSE * rng.uniform(20, 300, (n, 1)) * rng.choice([-1, 1], (n, 6)))).as_matrix()
+    displaced = (
+        poses.T_base_platform * exp(POSE * rng.uniform(20, 300, (n, 1)) * rng.choice([-1, 1], (n, 6)))
+    ).as_matrix()
     out, done = matrix.copy(), []
     for number, i in enumerate(rows.tolist()):
         if i in done:
@@ -54,14 +64,18 @@ def spoilt_poses(rec, rng, share=0.05):
 
 
 def spoilt_corners(rec, rng, share=0.05):
-    """(Recording, frames) with a share of its frames in which a marker was misread: its corners in another order, displaced, or one displaced."""
+    """(Recording, frames) with a share of its frames in which a marker was misread: its corners in another order,
+    displaced, or one displaced.
+    """
     corners = rec.corners
     frames, uv = np.unique(corners.frame), corners.uv.copy()
     chosen = np.sort(rng.permutation(frames)[: max(round(share * len(frames)), 1)])
     for number, frame in enumerate(chosen.tolist()):
         own = np.flatnonzero(corners.frame == frame)
         first = int(rng.choice(own[corners.corner[own] == 0]))
-        quad = own[(corners.marker[own] == corners.marker[first]) & (np.array(corners.camera)[own] == corners.camera[first])]
+        quad = own[
+            (corners.marker[own] == corners.marker[first]) & (np.array(corners.camera)[own] == corners.camera[first])
+        ]
         if number % 3 == 0:
             uv[quad] = np.roll(uv[quad], 1, axis=0)
         elif number % 3 == 1:

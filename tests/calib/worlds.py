@@ -15,9 +15,11 @@ COMMON = np.array([1e-5, 1e-5, 1e-5, 2e-5, 2e-5, 2e-5])
 
 
 def sampled(design, seed, count=120, deviation=None, noisy=True, commands=None, own=None, noise_seed=None):
-    """(Samples, true Hexapod) of a machine; deviation(commands) -> (n, 6) m is what its struts do beyond their geometry.
+    """(Samples, true Hexapod) of a machine; deviation(commands) -> (n, 6) m is what its struts do beyond their
+    geometry.
 
-    commands : (count, 6) m, low-discrepancy ones by default; own : (6,) m, rad of a pose's noise, then nothing is shared"""
+    commands : (count, 6) m, low-discrepancy ones by default; own : (6,) m, rad of a pose's noise, then nothing is
+        shared"""
     rng = np.random.default_rng(seed)
     true = secret_machine.draw_machine(design, rng).true.mechanism
     commands = plan.low_discrepancy(design.mechanism.strut_range, count, 0.9, seed) if commands is None else commands
@@ -28,8 +30,14 @@ def sampled(design, seed, count=120, deviation=None, noisy=True, commands=None, 
     if noisy:
         shared = common * rng.normal(size=6)
         T = T * exp(shared + own * rng.normal(size=(count, 6)))
-    samples = Samples(np.arange(count), np.arange(count) * 10.0, commands, T, np.tile(np.diag(own**2), (count, 1, 1)),
-                      np.tile(np.diag(common), (count, 1, 1)))
+    samples = Samples(
+        np.arange(count),
+        np.arange(count) * 10.0,
+        commands,
+        T,
+        np.tile(np.diag(own**2), (count, 1, 1)),
+        np.tile(np.diag(common), (count, 1, 1)),
+    )
     return samples, true
 
 

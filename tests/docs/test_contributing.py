@@ -21,7 +21,11 @@ def test_every_target_of_make_that_is_named_exists():
 
 
 def test_every_path_that_is_named_exists():
-    paths = [text.rstrip("/") for text in code() if re.fullmatch(r"(rig|vision|calib|synthetic|tests|docs|firmware|\.ci|\.github)/[\w./-]*", text)]
+    paths = [
+        text.rstrip("/")
+        for text in code()
+        if re.fullmatch(r"(rig|vision|calib|synthetic|tests|docs|firmware|\.ci|\.github)/[\w./-]*", text)
+    ]
     assert [path for path in paths if not (ROOT / path).exists()] == []
 
 
@@ -29,5 +33,7 @@ def test_hooks_before_a_commit_use_the_environment_of_the_project():
     config = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
     hooks = {hook["id"]: hook for repo in config["repos"] for hook in repo["hooks"]}
     assert set(hooks) == {"ruff-check", "ruff-format", "mypy", "import-linter"}
-    assert {repo["repo"] for repo in config["repos"]} == {"local"} and {hook["language"] for hook in hooks.values()} == {"system"}
+    assert {repo["repo"] for repo in config["repos"]} == {"local"} and {
+        hook["language"] for hook in hooks.values()
+    } == {"system"}
     assert all(hook["entry"].startswith(".venv/bin/") for hook in hooks.values())

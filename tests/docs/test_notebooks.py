@@ -31,8 +31,14 @@ def executed(path: Path) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path, said", [
-    ("measure-and-calibrate", "times better"), ("diagnose", "backlash at strut 3"), ("certify", "With 80 % confidence, 80 % of poses")])
+@pytest.mark.parametrize(
+    "path, said",
+    [
+        ("measure-and-calibrate", "times better"),
+        ("diagnose", "backlash at strut 3"),
+        ("certify", "With 80 % confidence, 80 % of poses"),
+    ],
+)
 def test_a_notebook_runs(path, said, monkeypatch):
     monkeypatch.chdir(os.getcwd())
     shown = executed(ROOT / "docs" / "notebooks" / f"{path}.ipynb")

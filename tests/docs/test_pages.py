@@ -1,4 +1,6 @@
-"""The pages hold to the code: references are whole and current, every command in them is one, the site builds and needs no network."""
+"""The pages hold to the code: references are whole and current, every command in them is one, the site builds and needs
+no network.
+"""
 
 import argparse
 import ast
@@ -27,11 +29,15 @@ READERS = ("text", "number", "whole", "array", "pose", "each", "identifier", "ge
 
 
 def test_rig_toml_is_current():
-    assert (ROOT / "docs" / "rig-toml.md").read_text(encoding="utf-8") == rig_toml.page(), "python -m docs.make.rig_toml > docs/rig-toml.md"
+    assert (ROOT / "docs" / "rig-toml.md").read_text(encoding="utf-8") == rig_toml.page(), (
+        "python -m docs.make.rig_toml > docs/rig-toml.md"
+    )
 
 
 def test_tables_are_current():
-    assert (ROOT / "docs" / "tables.md").read_text(encoding="utf-8") == tables.page(), "python -m docs.make.tables > docs/tables.md"
+    assert (ROOT / "docs" / "tables.md").read_text(encoding="utf-8") == tables.page(), (
+        "python -m docs.make.tables > docs/tables.md"
+    )
 
 
 def keys_read() -> set[str]:
@@ -39,8 +45,13 @@ def keys_read() -> set[str]:
     found = set()
     for path in (ROOT / "rig" / "formats" / "rig_toml").glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in READERS and node.args \
-                    and isinstance(node.args[0], ast.Constant):
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Attribute)
+                and node.func.attr in READERS
+                and node.args
+                and isinstance(node.args[0], ast.Constant)
+            ):
                 found.add(node.args[0].value)
     return found - {"schema", "kind"}
 
@@ -52,11 +63,15 @@ def test_every_key_that_the_reader_names_is_on_the_page_and_told():
 
 
 def test_every_kind_of_mechanism_is_on_the_page():
-    assert [kind.kind for kind in get_args(Mechanism) if f'\n## [mechanism] kind = "{kind.kind}"\n' not in rig_toml.page()] == []
+    assert [
+        kind.kind for kind in get_args(Mechanism) if f'\n## [mechanism] kind = "{kind.kind}"\n' not in rig_toml.page()
+    ] == []
 
 
 def test_every_file_of_a_recording_is_on_the_page():
-    assert {part for part in re.findall(r'"(\w+\.csv)"', (ROOT / "rig" / "recording" / "recording_folder.py").read_text())} == set(tables.asked())
+    assert {
+        part for part in re.findall(r'"(\w+\.csv)"', (ROOT / "rig" / "recording" / "recording_folder.py").read_text())
+    } == set(tables.asked())
 
 
 def refusal(folder: Path) -> str:
@@ -65,10 +80,16 @@ def refusal(folder: Path) -> str:
     return str(refused.value)
 
 
-@pytest.mark.parametrize("file, header, row", [
-    ("commands.csv", "t,l1", "0,0.4"), ("commands.csv", "t,l1,l2,l3,l4,l5,l6", "0,0.4,0.4,0.4,0.4,0.4,0.4"),
-    ("frames.csv", "frame,t,camera", "0,0,cam0"),
-    ("frames.csv", "frame,t,camera,image", "0,1,nobody,"), ("corners.csv", "frame,camera,marker,corner,u,v", "0,cam0,999,0,1,1")])
+@pytest.mark.parametrize(
+    "file, header, row",
+    [
+        ("commands.csv", "t,l1", "0,0.4"),
+        ("commands.csv", "t,l1,l2,l3,l4,l5,l6", "0,0.4,0.4,0.4,0.4,0.4,0.4"),
+        ("frames.csv", "frame,t,camera", "0,0,cam0"),
+        ("frames.csv", "frame,t,camera,image", "0,1,nobody,"),
+        ("corners.csv", "frame,camera,marker,corner,u,v", "0,cam0,999,0,1,1"),
+    ],
+)
 def test_a_message_that_is_met_is_found_on_the_page(tmp_path, file, header, row):
     folder = tmp_path / "rec"
     shutil.copytree(ROOT / "tests" / "data" / "bench" / "check", folder)
@@ -109,7 +130,7 @@ def test_pages_tell_enough_commands_for_that_to_mean_something():
 
 def test_every_page_that_commands_write_is_pictured():
     code = [path.read_text(encoding="utf-8") for name in ("rig", "calib") for path in (ROOT / name).rglob("*.py")]
-    kinds = set(re.findall(r'Page\("(\w+)"', "".join(code)))
+    kinds = set(re.findall(r'Page\(\s*"(\w+)"', "".join(code)))
     pictures = {path.stem: path.stat().st_size for path in (ROOT / "docs" / "pages").glob("*.webp")}
     assert len(kinds) > 12 and set(pictures) == kinds | {"run", "index"}, "python -m docs.make.pictures"
     page = (ROOT / "docs" / "pages.md").read_text(encoding="utf-8")
@@ -130,7 +151,9 @@ class Loads(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         given = dict(attrs)
-        place = given.get("src") or (given.get("href") if tag == "link" and given.get("rel") != "canonical" else None) or ""
+        place = (
+            given.get("src") or (given.get("href") if tag == "link" and given.get("rel") != "canonical" else None) or ""
+        )
         if re.match(r"(https?:)?//", place):
             self.from_elsewhere.append(place)
 
@@ -138,20 +161,29 @@ class Loads(HTMLParser):
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    done = subprocess.run([sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", folder], cwd=ROOT, capture_output=True,
-                          text=True, env={"NO_MKDOCS_2_WARNING": "1", "PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT)})
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", folder],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        env={"NO_MKDOCS_2_WARNING": "1", "PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT)},
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
 
 
 def test_the_site_builds_with_no_broken_link_and_loads_nothing_from_elsewhere(site):
     pages = list(site.glob("*.html"))
-    assert {"index.html", "commands.html", "troubleshooting.html", "api.html", "rig-toml.html"} <= {page.name for page in pages}
+    assert {"index.html", "commands.html", "troubleshooting.html", "api.html", "rig-toml.html"} <= {
+        page.name for page in pages
+    }
     for page in pages:
         loads = Loads()
         loads.feed(page.read_text(encoding="utf-8"))
         assert loads.from_elsewhere == [], page.name
-    assert not re.search(r"url\((https?:)?//", "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css")))
+    assert not re.search(
+        r"url\((https?:)?//", "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
+    )
 
 
 def test_formulae_are_drawn_by_the_browser_itself(site):

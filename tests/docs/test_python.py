@@ -1,4 +1,6 @@
-"""The Python interface: opened when it is used, what it hands on is there and told, examples in docstrings hold, results show themselves."""
+"""The Python interface: opened when it is used, what it hands on is there and told, examples in docstrings hold,
+results show themselves.
+"""
 
 import doctest
 import importlib
@@ -17,8 +19,12 @@ from tests.docs.told import ROOT
 
 PACKAGES = (rig, vision, calib)
 BENCH = ROOT / "tests" / "data" / "bench" / "check"
-EXAMPLES = [".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for package in ("rig", "vision", "calib", "synthetic")
-            for path in sorted((ROOT / package).rglob("*.py")) if ">>> " in path.read_text(encoding="utf-8")]
+EXAMPLES = [
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    for package in ("rig", "vision", "calib", "synthetic")
+    for path in sorted((ROOT / package).rglob("*.py"))
+    if ">>> " in path.read_text(encoding="utf-8")
+]
 LONG = ("vision.recording_measurement",)  # measure images
 
 
@@ -40,7 +46,9 @@ def test_nothing_that_is_handed_on_hides_a_module():
 def test_importing_opens_nothing_that_takes_time():
     slow = ["numpy", "scipy", "cv2", "numba", "matplotlib"]
     words = f"import sys, rig, vision, calib; print(sorted(set({slow}) & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", words], cwd=ROOT, capture_output=True, text=True).stdout.strip() == "[]"
+    assert (
+        subprocess.run([sys.executable, "-c", words], cwd=ROOT, capture_output=True, text=True).stdout.strip() == "[]"
+    )
 
 
 @pytest.mark.parametrize("module", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in EXAMPLES])

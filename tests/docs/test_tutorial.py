@@ -24,7 +24,12 @@ def test_every_command_of_the_tutorial_does_what_it_says(tmp_path, monkeypatch):
     for command in commands(PAGE):
         said[command] = run(*words(command)).stdout
     assert len(said) >= 11
-    one = {key: text for command, text in said.items() for key in ("measure", "calibrate first", "verify", "diagnose") if f"rig {key}" in command}
+    one = {
+        key: text
+        for command, text in said.items()
+        for key in ("measure", "calibrate first", "verify", "diagnose")
+        if f"rig {key}" in command
+    }
     assert "24 of 24 frames solved" in one["measure"] and "times better" in one["calibrate first"]
     assert "the claim is kept" in one["verify"] and "backlash at strut 3" in one["diagnose"]
     assert len((tmp_path / "commands.csv").read_text().splitlines()) == 3

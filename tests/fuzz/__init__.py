@@ -1,1 +1,3 @@
-"""Rubbish into every reader of outside data: whatever it is, a RigError within a second and a gibibyte, or it is read."""
+"""Rubbish into every reader of outside data: whatever it is, a RigError within a second and a gibibyte, or it is
+read.
+"""

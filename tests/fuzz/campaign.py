@@ -1,6 +1,8 @@
-"""python -m tests.fuzz.campaign INPUTS OUT: so many inputs in all to the readers, coverage-guided, each reader in a process of its own.
+"""python -m tests.fuzz.campaign INPUTS OUT: so many inputs in all to the readers, coverage-guided, each reader in a
+process of its own.
 
-Inputs that a reader fails on are kept in OUT/<reader>/, what it did in OUT/failures.txt; exits with 1 where there are any.
+Inputs that a reader fails on are kept in OUT/<reader>/, what it did in OUT/failures.txt; exits with 1 where there are
+any.
 """
 
 import importlib
@@ -42,9 +44,26 @@ WATCHED = (
     "vision.lenses.calibration_board",
     "tomllib._parser",
 )
-SHARES = {"rig.toml": 0.25, "image": 4.0, "effect": 3.0, "place": 3.0, "board": 3.0, "trials": 3.0, "effect as JSON": 2.0, "plan": 0.02,
-          "calibration.json": 0.1, "state.json": 0.1, "frames.csv": 0.5, "sensors.csv": 0.5, "commands.csv": 0.5,
-          "whole calibration.json": 0.1, "number": 3.0, "text shown": 3.0, "port": 3.0, "pipeline": 3.0}  # of the inputs, 1 by default
+SHARES = {
+    "rig.toml": 0.25,
+    "image": 4.0,
+    "effect": 3.0,
+    "place": 3.0,
+    "board": 3.0,
+    "trials": 3.0,
+    "effect as JSON": 2.0,
+    "plan": 0.02,
+    "calibration.json": 0.1,
+    "state.json": 0.1,
+    "frames.csv": 0.5,
+    "sensors.csv": 0.5,
+    "commands.csv": 0.5,
+    "whole calibration.json": 0.1,
+    "number": 3.0,
+    "text shown": 3.0,
+    "port": 3.0,
+    "pipeline": 3.0,
+}  # of the inputs, 1 by default
 
 
 def one(name: str, inputs: int, out: Path, seed: int) -> None:
@@ -83,9 +102,21 @@ def one(name: str, inputs: int, out: Path, seed: int) -> None:
 
     limits = confined()  # held until the process ends: a limit that nobody holds is lifted
     limits.__enter__()
-    atheris.Setup([sys.argv[0], f"-runs={inputs}", f"-max_len={LONGEST}", f"-seed={seed}", "-rss_limit_mb=0", "-timeout=60", "-verbosity=0",
-                   "-print_final_stats=1",
-                   str(corpus)], feed, custom_mutator=mutator)
+    atheris.Setup(
+        [
+            sys.argv[0],
+            f"-runs={inputs}",
+            f"-max_len={LONGEST}",
+            f"-seed={seed}",
+            "-rss_limit_mb=0",
+            "-timeout=60",
+            "-verbosity=0",
+            "-print_final_stats=1",
+            str(corpus),
+        ],
+        feed,
+        custom_mutator=mutator,
+    )
     atheris.Fuzz()
 
 
@@ -108,8 +139,11 @@ def main(inputs: int, out: Path) -> int:
     status, fed = 0, 0
     for number, name in enumerate(names):
         count = int(inputs * SHARES.get(name, 1.0) / whole) + 1
-        done = subprocess.run([sys.executable, "-m", "tests.fuzz.campaign", name, str(count), str(out), str(number + 1)], capture_output=True,
-                              text=True)
+        done = subprocess.run(
+            [sys.executable, "-m", "tests.fuzz.campaign", name, str(count), str(out), str(number + 1)],
+            capture_output=True,
+            text=True,
+        )
         count = int(next(iter(re.findall(r"number_of_executed_units: +(\d+)", done.stderr)), 0))
         fed += count
         print(f"{name}: {count} inputs, exit status {done.returncode}", flush=True)

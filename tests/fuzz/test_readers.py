@@ -25,8 +25,13 @@ def test_valid_inputs_are_read(all_readers, tmp_path):
                 reader.read(tmp_path / "valid")
 
 
-@settings(max_examples=EXAMPLES, deadline=None, derandomize=True, database=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(number=st.integers(0, 2**32 - 1))
 def test_inputs_near_valid_ones_are_read_or_refused(all_readers, tmp_path, number):
     rng = np.random.default_rng(number)
@@ -36,8 +41,13 @@ def test_inputs_near_valid_ones_are_read_or_refused(all_readers, tmp_path, numbe
             assert failure(reader, data, tmp_path / "input") is None, (reader.name, data[:2000])
 
 
-@settings(max_examples=EXAMPLES, deadline=None, derandomize=True, database=None,
-          suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(parts=st.lists(st.one_of(st.binary(max_size=20), st.sampled_from(TOKENS)), max_size=6))
 def test_rubbish_is_refused(all_readers, tmp_path, parts):
     with confined():
@@ -54,9 +64,16 @@ def refusing(path):
     raise RigError("no")
 
 
-@pytest.mark.parametrize(("read", "says"), [(spinning, "TooLong"), (lambda path: np.ones(1 << 28), "MemoryError"),
-                                            (lambda path: int("x"), "ValueError"),
-                                            (refusing, None), (lambda path: None, None)])
+@pytest.mark.parametrize(
+    ("read", "says"),
+    [
+        (spinning, "TooLong"),
+        (lambda path: np.ones(1 << 28), "MemoryError"),
+        (lambda path: int("x"), "ValueError"),
+        (refusing, None),
+        (lambda path: None, None),
+    ],
+)
 def test_what_a_reader_does_wrong_is_seen(tmp_path, read, says):
     with confined():
         found = failure(Reader("any", (b"",), read), b"x", tmp_path / "input")

@@ -15,18 +15,119 @@ from tests.fuzz.readers import Reader
 SECONDS = 1.0  # CPU time of a reader on one input, so that a busy machine makes no false alarm
 BYTES = 1 << 30  # beyond what the process has when it begins
 LONGEST = 1 << 16  # bytes of an input
-TOKENS = tuple(t.encode("utf-8", "surrogateescape") for t in (
-    "1e308", "-1e308", "1e-400", "1e999", "nan", "-inf", "Infinity", "9" * 20, "9" * 5000, "0x" + "f" * 5000, "-1", "0", "1e15",
-    "18446744073709551616",
-    "\u00b2", "\u0661", "1_0", "true", "null", "{}", "[]", "[" * 400, "{\"a\":" * 400, "[[]]", "\"\"", "'", "\"", "\"\"\"", "\\u0000", "\0", "\udcff",
-    "\ufeff", "../../x", "/dev/zero", "$\\bad$", "left cam", ",", ",,", "\n", "\r", "\r\n", "\u2028", "=", ":", "/", "#", "a" * 300, "x" * 40000,
-    "1979-05-27", "07:32:00", "1e5", "0.0", "strut 0", "strut 9", "e", "E", "+", "1.", ".5", "NaN", "inf", "[[camera]]", "kind = \"arm\"\n", "\t"))
+TOKENS = tuple(
+    t.encode("utf-8", "surrogateescape")
+    for t in (
+        "1e308",
+        "-1e308",
+        "1e-400",
+        "1e999",
+        "nan",
+        "-inf",
+        "Infinity",
+        "9" * 20,
+        "9" * 5000,
+        "0x" + "f" * 5000,
+        "-1",
+        "0",
+        "1e15",
+        "18446744073709551616",
+        "\u00b2",
+        "\u0661",
+        "1_0",
+        "true",
+        "null",
+        "{}",
+        "[]",
+        "[" * 400,
+        '{"a":' * 400,
+        "[[]]",
+        '""',
+        "'",
+        '"',
+        '"""',
+        "\\u0000",
+        "\0",
+        "\udcff",
+        "\ufeff",
+        "../../x",
+        "/dev/zero",
+        "$\\bad$",
+        "left cam",
+        ",",
+        ",,",
+        "\n",
+        "\r",
+        "\r\n",
+        "\u2028",
+        "=",
+        ":",
+        "/",
+        "#",
+        "a" * 300,
+        "x" * 40000,
+        "1979-05-27",
+        "07:32:00",
+        "1e5",
+        "0.0",
+        "strut 0",
+        "strut 9",
+        "e",
+        "E",
+        "+",
+        "1.",
+        ".5",
+        "NaN",
+        "inf",
+        "[[camera]]",
+        'kind = "arm"\n',
+        "\t",
+    )
+)
 
 
-VALUES = (None, True, 0, -1, 0.5, 1e308, -1e308, float("nan"), float("inf"), 10**18, 10**30, 10**400, "", "x", "0", "\u00b2", "strut 9", "nothing",
-          [], {},
-          [[]], [0], [0] * 6, [[0] * 6] * 6, [0] * 42, {"a": 1}, [None] * 6, ["x"] * 6, 1e-300, 2**53 + 1, "\0", "../../x")
-KINDS = (0.08, 0.08, 0.08, 0.08, 0.55, 0.13)  # of changes: taken away, doubled, a byte, from another, a word, a word put in
+VALUES = (
+    None,
+    True,
+    0,
+    -1,
+    0.5,
+    1e308,
+    -1e308,
+    float("nan"),
+    float("inf"),
+    10**18,
+    10**30,
+    10**400,
+    "",
+    "x",
+    "0",
+    "\u00b2",
+    "strut 9",
+    "nothing",
+    [],
+    {},
+    [[]],
+    [0],
+    [0] * 6,
+    [[0] * 6] * 6,
+    [0] * 42,
+    {"a": 1},
+    [None] * 6,
+    ["x"] * 6,
+    1e-300,
+    2**53 + 1,
+    "\0",
+    "../../x",
+)
+KINDS = (
+    0.08,
+    0.08,
+    0.08,
+    0.08,
+    0.55,
+    0.13,
+)  # of changes: taken away, doubled, a byte, from another, a word, a word put in
 
 
 class TooLong(Exception):
@@ -36,6 +137,7 @@ class TooLong(Exception):
 @contextmanager
 def confined():
     """Within, readers have BYTES more of memory, and warnings are errors."""
+
     def over(*_):
         raise TooLong
 
@@ -52,7 +154,9 @@ def confined():
 
 
 def failure(reader: Reader, data: bytes, path: Path) -> str | None:
-    """What a reader, confined, did wrong with an input, put into a file at path, in words; None where it read it or raised a RigError."""
+    """What a reader, confined, did wrong with an input, put into a file at path, in words; None where it read it or
+    raised a RigError.
+    """
     path.write_bytes(data)
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
@@ -63,14 +167,18 @@ def failure(reader: Reader, data: bytes, path: Path) -> str | None:
         at = error.__traceback__
         while at.tb_next is not None:
             at = at.tb_next
-        return f"{type(error).__name__}: {str(error)[:200]} ({Path(at.tb_frame.f_code.co_filename).name}:{at.tb_lineno})"
+        return (
+            f"{type(error).__name__}: {str(error)[:200]} ({Path(at.tb_frame.f_code.co_filename).name}:{at.tb_lineno})"
+        )
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
     return None
 
 
 def mutated(data: bytes, others: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
-    """An input near a valid one: a few of its bytes, numbers and parts changed, doubled, taken away, or from another."""
+    """An input near a valid one: a few of its bytes, numbers and parts changed, doubled, taken away, or from
+    another.
+    """
     tree = _tree(data) if rng.random() < 0.6 else None
     if tree:
         return _other_tree(tree, rng)[:LONGEST]

@@ -20,18 +20,43 @@ def setting(design):
     t = np.cumsum(np.r_[0.0, rng.uniform(0.5, 4, 60)])
     values = middle + 0.7 * half * rng.uniform(-1, 1, (61, 6))
     values[10:15] = values[10]
-    sensors = Sensors(np.array([0.0, 1e4]), {"ambient_temperature_C": np.array([21.0, 25.0]), "payload_mass_kg": np.array([0.0, 0.0]),
-                                             **{f"strut{i}_temperature_C": np.array([20.0, 20.0 + 4 * i]) for i in range(1, 7)}})
+    sensors = Sensors(
+        np.array([0.0, 1e4]),
+        {
+            "ambient_temperature_C": np.array([21.0, 25.0]),
+            "payload_mass_kg": np.array([0.0, 0.0]),
+            **{f"strut{i}_temperature_C": np.array([20.0, 20.0 + 4 * i]) for i in range(1, 7)},
+        },
+    )
     return design, Commands(t, values), np.sort(rng.uniform(1, t[-1], 40)), sensors
 
 
 @pytest.fixture(scope="session")
 def driven_design(design):
-    """A design with a controller that counts from home and can home; speeds such that a move of 2 mm takes a quarter of a second."""
+    """A design with a controller that counts from home and can home; speeds such that a move of 2 mm takes a quarter of
+    a second.
+    """
     controller = Controller(
-        "grblhal", "none", 115200, "", (), homing=True, zero=home_lengths(design.mechanism), home=None, max_speed=np.full(6, 0.01),
-        max_acceleration=np.full(6, 0.1), tolerance=1e-5, max_step=None, margin=0.1, timeout=2.0, home_timeout=120.0, watchdog=1.0,
-        kinematics="joint", password="EMC", enable_password="EMCTOO")
+        "grblhal",
+        "none",
+        115200,
+        "",
+        (),
+        homing=True,
+        zero=home_lengths(design.mechanism),
+        home=None,
+        max_speed=np.full(6, 0.01),
+        max_acceleration=np.full(6, 0.1),
+        tolerance=1e-5,
+        max_step=None,
+        margin=0.1,
+        timeout=2.0,
+        home_timeout=120.0,
+        watchdog=1.0,
+        kinematics="joint",
+        password="EMC",
+        enable_password="EMCTOO",
+    )
     return replace(design, controller=controller)
 
 

@@ -1,4 +1,6 @@
-"""Any bytes as a controller's answers, or as a host's requests: nothing crashes, nothing hangs, and nothing is moved that was not told."""
+"""Any bytes as a controller's answers, or as a host's requests: nothing crashes, nothing hangs, and nothing is moved
+that was not told.
+"""
 
 import re
 from contextlib import suppress
@@ -18,12 +20,23 @@ from rig.driving.protocols.own_strut_protocol import Struts
 from rig.driving.protocols.protocol_interface import Segment
 from rig.errors import MotionError
 
-MAKE = {"grblhal": lambda: GrblHAL("XYZABC"), "gcs": lambda: GCS((), 6), "struts": lambda: Struts(6, 1.0),
-        "linuxcnc": lambda: LinuxCNC("XYZABC", "joint", "EMC", "EMCTOO")}
+MAKE = {
+    "grblhal": lambda: GrblHAL("XYZABC"),
+    "gcs": lambda: GCS((), 6),
+    "struts": lambda: Struts(6, 1.0),
+    "linuxcnc": lambda: LinuxCNC("XYZABC", "joint", "EMC", "EMCTOO"),
+}
 MOVES = re.compile(rb"G53G1|\$H|MOV |FRF \d|MOVE |\d HOME\*|SET MDI|SET HOME")
 LONGEST = 2000.0  # s on the simulated clock for one dialogue; more is a hang
 SEGMENT = Segment(np.zeros(6), np.full(6, 1e-3), 0.1, np.full(6, 0.01), np.full(6, 0.1))
-DIALOGUES = (lambda p: p.state(), lambda p: p.fence(), lambda p: p.hello(), lambda p: p.move(SEGMENT), lambda p: p.stop(), lambda p: p.unlock())
+DIALOGUES = (
+    lambda p: p.state(),
+    lambda p: p.fence(),
+    lambda p: p.hello(),
+    lambda p: p.move(SEGMENT),
+    lambda p: p.stop(),
+    lambda p: p.unlock(),
+)
 TELLING = 3  # the dialogue among them that moves, once
 
 
@@ -31,7 +44,7 @@ class Noise:
     """See rig.driving.controller_link.Port: answers each write with the next piece of some bytes, then with silence."""
 
     def __init__(self, data, clock):
-        self.pieces = [data[i:i + 64] for i in range(0, len(data), 64)]
+        self.pieces = [data[i : i + 64] for i in range(0, len(data), 64)]
         self.clock, self.sent, self.pending = clock, b"", b""
 
     def write(self, data):
@@ -66,7 +79,9 @@ def answers(protocol, data):
 def requests(data):
     """Bytes as requests to a controller of our own protocol that may move: only a sound frame moves it."""
     clock, faults = SimulatedClock(), Faults()
-    machine = Machine(Axes(0.0, np.zeros(6), np.full(6, 0.01), np.full(6, 0.1)), np.zeros(6), np.zeros(6), faults, known=True)
+    machine = Machine(
+        Axes(0.0, np.zeros(6), np.full(6, 0.01), np.full(6, 0.1)), np.zeros(6), np.zeros(6), faults, known=True
+    )
     emulator = EmulatedStruts(machine, faults, clock, np.array([[-0.1, 0.1]] * 6))
     emulator.receive(data)
     emulator.due()

@@ -30,7 +30,8 @@ def joints(pins, position, rpy):
 
 
 def forward(text, commands, start, unit):
-    """RigidTransform (n,) of motor commands (n, 6) m by its Newton iteration, pose as x y z and roll pitch yaw, in machine units.
+    """RigidTransform (n,) of motor commands (n, 6) m by its Newton iteration, pose as x y z and roll pitch yaw, in
+    machine units.
 
     start : RigidTransform to begin at; unit : machine units per m
     """
@@ -45,8 +46,13 @@ def forward(text, commands, start, unit):
             if np.abs(left).max() < pins["genhexkins.convergence-criterion"]:
                 break
             step = 1e-6 * scale
-            J = np.stack([(joints(pins, *np.split(x + d, [3])) - joints(pins, *np.split(x - d, [3]))) / (2 * d.sum())
-                          for d in np.diag(step)], axis=1)
+            J = np.stack(
+                [
+                    (joints(pins, *np.split(x + d, [3])) - joints(pins, *np.split(x - d, [3]))) / (2 * d.sum())
+                    for d in np.diag(step)
+                ],
+                axis=1,
+            )
             x = x - np.linalg.solve(J, left)
         out.append(x / scale)
     out = np.array(out)

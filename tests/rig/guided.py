@@ -1,4 +1,6 @@
-"""Coverage-guided inputs for every parser: python -m tests.rig.guided PROTOCOL|requests COUNT (needs the package atheris)."""
+"""Coverage-guided inputs for every parser: python -m tests.rig.guided PROTOCOL|requests COUNT (needs the package
+atheris).
+"""
 
 import sys
 

@@ -44,7 +44,9 @@ def bench(design, protocol, orders, seed, **controller):
 
 
 def judged(design, protocol, orders, moves, seed, **controller):
-    """Verdicts on moves to places that are all different, with an operator who homes, unlocks and switches off and on where a move was stopped."""
+    """Verdicts on moves to places that are all different, with an operator who homes, unlocks and switches off and on
+    where a move was stopped.
+    """
     driver, emulator, clock = bench(design, protocol, orders, seed, **controller)
     home, rng, verdicts = home_lengths(design.mechanism), np.random.default_rng(seed + 1), Verdicts()
     driver.open()
@@ -59,11 +61,21 @@ def judged(design, protocol, orders, moves, seed, **controller):
             verdicts.recovered += bool(note)
             if _count(emulator, before, target) != 1 or _off(emulator, clock, target) > ARRIVED:
                 verdicts.unacknowledged += 1
-                verdicts.cases.append((k, note, _count(emulator, before, target), _off(emulator, clock, target), emulator.faults.struck[struck:]))
+                verdicts.cases.append(
+                    (
+                        k,
+                        note,
+                        _count(emulator, before, target),
+                        _off(emulator, clock, target),
+                        emulator.faults.struck[struck:],
+                    )
+                )
         except MotionError as error:
             verdicts.stopped[type(error).__name__] += 1
             verdicts.reasonless += len(str(error)) < 15
-            verdicts.unsafe += bool(emulator.machine.axes.until > clock.now() + 1.0)  # still on its way after all the driver did
+            verdicts.unsafe += bool(
+                emulator.machine.axes.until > clock.now() + 1.0
+            )  # still on its way after all the driver did
             _recover(driver, emulator)
         verdicts.twice += int(_count(emulator, before, target) > 1)
         verdicts.hangs += int(clock.now() - begun > LONGEST)
@@ -80,7 +92,9 @@ def _off(emulator, clock, target):
 
 
 def _recover(driver, emulator):
-    """What an operator does until the rig is at home again: home; where that fails, clear the alarm; at last switch off and on."""
+    """What an operator does until the rig is at home again: home; where that fails, clear the alarm; at last switch off
+    and on.
+    """
     for attempt in range(12):
         try:
             if attempt % 3 == 1:

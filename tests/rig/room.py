@@ -35,10 +35,19 @@ class Instants:
 
 
 class Struts:
-    """A machine that outlives whoever drives it. visits : what it was told to go to; half : whether a killed driver's move stops half way"""
+    """A machine that outlives whoever drives it. visits : what it was told to go to; half : whether a killed driver's
+    move stops half way
+    """
 
     def __init__(self, clock, instants, start):
-        self.clock, self.instants, self.at, self.visits, self.half, self.stops = clock, instants, np.array(start, float), [], False, 0
+        self.clock, self.instants, self.at, self.visits, self.half, self.stops = (
+            clock,
+            instants,
+            np.array(start, float),
+            [],
+            False,
+            0,
+        )
 
     def lengths(self):
         self.instants.pass_()
@@ -113,7 +122,10 @@ class Room:
 
     def process(self, end_is_told=True):
         """One process, from the journal on, to the end or until it is killed."""
-        way = lambda start, goal, begun, ended: trapezoidal_profile(begun, ended, np.abs(goal - start).max() / SPEED, RAMP)  # noqa: E731
+
+        def way(start, goal, begun, ended):
+            return trapezoidal_profile(begun, ended, np.abs(goal - start).max() / SPEED, RAMP)
+
         shutter = Shutter((self.eye,), self.clock)
         bench = Bench(self.struts, shutter, self.clock, parse_settling("time:0.5"), 1e-5, way, self.save)
         self.onlooker = Onlooker()

@@ -18,8 +18,14 @@ def block(page, table):
     return found[1] if found else ""
 
 
-@pytest.mark.parametrize("page, table, kind", [("controllers.md", "controller", Controller), ("operating.md", "camera", Camera),
-                                               ("operating.md", "sensors", SensorPort)])
+@pytest.mark.parametrize(
+    "page, table, kind",
+    [
+        ("controllers.md", "controller", Controller),
+        ("operating.md", "camera", Camera),
+        ("operating.md", "sensors", SensorPort),
+    ],
+)
 def test_every_key_is_in_the_pages(page, table, kind):
     text = block(page, table)
     assert text and [field.name for field in fields(kind) if not re.search(rf"\b{field.name}\b", text)] == []
@@ -28,4 +34,6 @@ def test_every_key_is_in_the_pages(page, table, kind):
 def test_no_key_of_a_controller_is_made_up_and_every_protocol_is_told_of():
     text = block("controllers.md", "controller")
     stated = set(re.findall(r"(?:^    |; )(\w+) = ", text, re.MULTILINE))
-    assert stated == {field.name for field in fields(Controller)} and all(re.search(rf"\b{name}\b", text) for name in PROTOCOLS)
+    assert stated == {field.name for field in fields(Controller)} and all(
+        re.search(rf"\b{name}\b", text) for name in PROTOCOLS
+    )

@@ -1,10 +1,14 @@
-"""A wire whose far end follows a script: what is sent must be what the script says, and it answers with what the script says."""
+"""A wire whose far end follows a script: what is sent must be what the script says, and it answers with what the script
+says.
+"""
 
 from rig.errors import LinkLost
 
 
 class ScriptedPort:
-    """See rig.driving.controller_link.Port. script : pairs of bytes, sent and answered; None for an answer: the connection is lost."""
+    """See rig.driving.controller_link.Port. script : pairs of bytes, sent and answered; None for an answer: the
+    connection is lost.
+    """
 
     def __init__(self, script, clock):
         self.script, self.clock = list(script), clock

@@ -9,8 +9,9 @@ from vision import lens
 def edge_corners(image, corners, camera, reach=4.0, along=(0.2, 0.8), samples=41):
     """(4, 2) px corners of a marker known to a pixel or so, or None where an edge has no room.
 
-    Each edge is sampled across at many places along its middle part; the place where the brightness has made half its step
-    is the mean of the profile's slope; through these places, the lens taken out, goes a line; neighbouring lines meet.
+    Each edge is sampled across at many places along its middle part; the place where the brightness has made half its
+    step is the mean of the profile's slope; through these places, the lens taken out, goes a line; neighbouring lines
+    meet.
     """
     centre = corners.mean(axis=0)
     lines = []

@@ -1,4 +1,6 @@
-"""Blind cases of arms: each hardship is in the recording, an effect's strength is known, and a campaign of arms runs as any other."""
+"""Blind cases of arms: each hardship is in the recording, an effect's strength is known, and a campaign of arms runs as
+any other.
+"""
 
 import json
 from dataclasses import replace
@@ -24,8 +26,13 @@ def written(case, folder, *hard):
 
 def test_the_same_case_is_drawn_again_and_a_third_is_hard(case):
     again = blind_arm_cases.draw_arm_case(5, 1, 60, ["one"], ["scale_error"])
-    assert again.simulation.world.effects == case.simulation.world.effects and again.text == case.text and again.hard == ()
-    assert all(bool(blind_arm_cases.draw_arm_case(5, i, 30, ["nothing"]).hard) == (i % blind_arm_cases.HARD == 0) for i in range(1, 7))
+    assert (
+        again.simulation.world.effects == case.simulation.world.effects and again.text == case.text and again.hard == ()
+    )
+    assert all(
+        bool(blind_arm_cases.draw_arm_case(5, i, 30, ["nothing"]).hard) == (i % blind_arm_cases.HARD == 0)
+        for i in range(1, 7)
+    )
 
 
 def test_hardships_are_in_the_recording(case, tmp_path):
@@ -47,7 +54,12 @@ def test_an_effects_strength_grows_with_it_and_shrinks_with_the_noise(case):
 
     def strength(factor, sigma):
         return effect_strengths(
-            done.world.true, done.plan.commands, done.plan.t, sigma, (replace(effect, scale=factor * effect.scale),), done.sensors
+            done.world.true,
+            done.plan.commands,
+            done.plan.t,
+            sigma,
+            (replace(effect, scale=factor * effect.scale),),
+            done.sensors,
         )[0]
 
     assert strength(2, case.sigma) == pytest.approx(2 * strength(1, case.sigma), rel=1e-2)
@@ -62,4 +74,7 @@ def test_a_campaign_of_arms_is_blinded_diagnosed_and_scored(tmp_path, capsys):
     truth = json.loads((tmp_path / "campaign/truth/0001.json").read_text())
     tree = json.loads((tmp_path / "campaign/diagnoses/0001/diagnosis.json").read_text())
     assert truth["kind"] == "one" and truth["strengths"][0] > 7
-    assert (tree["findings"][0]["effect"], tree["findings"][0]["place"]) == ("scale_error", truth["effects"][0]["place"])
+    assert (tree["findings"][0]["effect"], tree["findings"][0]["place"]) == (
+        "scale_error",
+        truth["effects"][0]["place"],
+    )

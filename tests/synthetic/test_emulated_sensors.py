@@ -1,4 +1,6 @@
-"""An emulated rig's cameras and sensors show the pose that its struts truly give it at the moment of asking, over TCP as well."""
+"""An emulated rig's cameras and sensors show the pose that its struts truly give it at the moment of asking, over TCP
+as well.
+"""
 
 import threading
 from dataclasses import replace
@@ -20,7 +22,9 @@ from synthetic.image_simulation import Images
 
 @pytest.fixture
 def secret(design):
-    return secret_machine.draw_machine(design, np.random.default_rng(3), 1.0, (parse_effect("backlash:strut2:gap=3e-4"),))
+    return secret_machine.draw_machine(
+        design, np.random.default_rng(3), 1.0, (parse_effect("backlash:strut2:gap=3e-4"),)
+    )
 
 
 @pytest.fixture
@@ -32,7 +36,9 @@ def told(design):
 
 def test_what_is_shown_is_the_true_pose_with_what_the_way_did_to_it(secret, told):
     shown = emulated_sensors.Eyes(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
-    T = motion_simulation.run_machine(secret.true, Commands(told[0] - 100, told[1]), [5.0], secret.effects, None).T_base_platform[0]
+    T = motion_simulation.run_machine(
+        secret.true, Commands(told[0] - 100, told[1]), [5.0], secret.effects, None
+    ).T_base_platform[0]
     np.testing.assert_allclose(shown.pose(105.0), T.as_matrix(), atol=1e-12)
     other = motion_simulation.run_machine(
         secret.true, Commands(told[0][-2:] - 103, told[1][-1:].repeat(2, axis=0)), [2.0], secret.effects, None
@@ -50,7 +56,11 @@ def test_what_is_not_yet_told_is_waited_for_and_never_guessed(secret, told):
         return told[0][: rows[0]], told[1][: rows[0]]
 
     shown = emulated_sensors.Eyes(secret, Images(Sensor()), 1, grows, clock)
-    np.testing.assert_allclose(shown.pose(104.0), emulated_sensors.Eyes(secret, Images(Sensor()), 1, lambda: told, clock).pose(104.0), atol=1e-12)
+    np.testing.assert_allclose(
+        shown.pose(104.0),
+        emulated_sensors.Eyes(secret, Images(Sensor()), 1, lambda: told, clock).pose(104.0),
+        atol=1e-12,
+    )
     assert clock.now() >= 104.6
     with pytest.raises(RigError, match="no further for 20 s"):
         shown.pose(106.0)
@@ -82,25 +92,41 @@ def test_measuring_limbs_read_the_pose(design, told, tmp_path):
     limbs, T = secret.true.insitu, shown.pose(105.0)
     legs = limbs.platform_joints @ T[:3, :3].T + T[:3, 3] - limbs.base_joints
     read = shown.sensors(105.0)
-    np.testing.assert_allclose([read[f"m{i}"] for i in range(1, 7)], np.linalg.norm(legs, axis=1) - limbs.zeros, atol=6e-6)
+    np.testing.assert_allclose(
+        [read[f"m{i}"] for i in range(1, 7)], np.linalg.norm(legs, axis=1) - limbs.zeros, atol=6e-6
+    )
     assert 15 < read["ambient_temperature_C"] < 25
 
 
 def test_every_picture_is_of_its_own_moment(secret, told, opengl):
-    small = tuple(replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras)
-    shown = emulated_sensors.Eyes(replace(secret, true=replace(secret.true, cameras=small)), Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
+    small = tuple(
+        replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras
+    )
+    shown = emulated_sensors.Eyes(
+        replace(secret, true=replace(secret.true, cameras=small)),
+        Images(Sensor()),
+        1,
+        lambda: told,
+        SimulatedClock(105.0),
+    )
     home, away, again, back = (shown.image("cam0", t, 0.01).astype(int) for t in (100.5, 103.0, 103.0, 100.5))
     assert np.abs(home - away).max() > 50
     assert np.abs(away - again).max() == 0 and np.abs(home - back).max() == 0
 
 
 def test_cameras_answer_over_tcp_brighter_with_longer_exposures(secret, told, opengl):
-    small = tuple(replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras)
+    small = tuple(
+        replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras
+    )
     secret = replace(secret, true=replace(secret.true, cameras=small))
     clock, going = SystemClock(), [True]
     now = clock.now()
     server = camera_server.EyesServer(
-        emulated_sensors.Eyes(secret, Images(Sensor(bits=12)), 1, lambda: (told[0] - 105.0 + now + 3600, told[1]), clock), ("127.0.0.1", 0), clock
+        emulated_sensors.Eyes(
+            secret, Images(Sensor(bits=12)), 1, lambda: (told[0] - 105.0 + now + 3600, told[1]), clock
+        ),
+        ("127.0.0.1", 0),
+        clock,
     )
     asked = replace(small[1], source=f"emulator:{server.name}")
     got, done = {}, threading.Event()
@@ -129,5 +155,3 @@ def test_cameras_answer_over_tcp_brighter_with_longer_exposures(secret, told, op
     server.close()
     assert done.is_set() and got[0.01].image.shape == (128, 160) and got[0.01].image.dtype == np.uint16
     assert 1.7 < got[0.01].image.mean() / got[0.005].image.mean() < 2.1
-
-

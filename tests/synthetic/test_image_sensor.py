@@ -25,9 +25,13 @@ def test_twelve_bits_are_sixteen_times_finer():
 def test_noise_has_the_stated_variance(read, electrons):
     rng = np.random.default_rng(1)
     for light in (0.1, 0.8):
-        image = expose_image(np.full((400, 400), light, np.float32), Sensor(read_noise=read, electrons=electrons, bits=12), rng) * (255 / 4095)
+        image = expose_image(
+            np.full((400, 400), light, np.float32), Sensor(read_noise=read, electrons=electrons, bits=12), rng
+        ) * (255 / 4095)
         expected = read**2 + (230 * light / electrons if electrons else 0)
-        assert image.var() == pytest.approx(expected, rel=0.03) and image.mean() == pytest.approx(BLACK + 230 * light, abs=0.05)
+        assert image.var() == pytest.approx(expected, rel=0.03) and image.mean() == pytest.approx(
+            BLACK + 230 * light, abs=0.05
+        )
 
 
 def test_blur_and_defocus_spread_a_point_and_keep_its_light():
@@ -47,16 +51,24 @@ def test_next_to_no_defocus_is_none():
     picture = np.random.default_rng(2).random((40, 50), dtype=np.float32)
     for radius in (1e-6, 0.005, 0.02, 0.1):
         image = expose_image(picture, Sensor(defocus=radius), np.random.default_rng(0), samples=2)
-        assert np.abs(image.astype(int) - expose_image(picture, Sensor(), np.random.default_rng(0), samples=2)).max() <= 1
+        assert (
+            np.abs(image.astype(int) - expose_image(picture, Sensor(), np.random.default_rng(0), samples=2)).max() <= 1
+        )
 
 
 def test_vignetting_takes_its_share_from_the_corners():
-    image = expose_image(np.ones((401, 401), np.float32), Sensor(vignetting=0.4, bits=12), np.random.default_rng(0)) * (255 / 4095) - BLACK
+    image = (
+        expose_image(np.ones((401, 401), np.float32), Sensor(vignetting=0.4, bits=12), np.random.default_rng(0))
+        * (255 / 4095)
+        - BLACK
+    )
     assert image[200, 200] == pytest.approx(230, abs=0.1) and image[0, 0] == pytest.approx(230 * 0.6, abs=0.1)
 
 
 def test_of_many_cameras_no_pictures_are_kept():
-    """A campaign has a vignetting of its own for every recording: what is kept of it does not grow with their number."""
+    """A campaign has a vignetting of its own for every recording: what is kept of it does not grow with their
+    number.
+    """
     picture = np.full((400, 500), 0.5, np.float32)
     tracemalloc.start()
     try:

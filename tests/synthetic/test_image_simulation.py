@@ -15,9 +15,16 @@ def seen(opengl, design):
     """A simulation of two frames with three small cameras."""
     from dataclasses import replace
 
-    small = replace(design, cameras=tuple(replace(c, width=320, height=256, matrix=c.matrix * [[0.25], [0.25], [1]]) for c in design.cameras))
+    small = replace(
+        design,
+        cameras=tuple(
+            replace(c, width=320, height=256, matrix=c.matrix * [[0.25], [0.25], [1]]) for c in design.cameras
+        ),
+    )
     rng = np.random.default_rng(4)
-    return recording_simulation.simulate(secret_machine.draw_machine(small, rng), plan.build_plan(small, "sobol:2", 1), rng)
+    return recording_simulation.simulate(
+        secret_machine.draw_machine(small, rng), plan.build_plan(small, "sobol:2", 1), rng
+    )
 
 
 def drawn(folder, seen, processes):

@@ -1,4 +1,6 @@
-"""Cubes on sheets: what hangs together folds to a cube, every edge is glued once, nothing leaves the paper, papers too small are refused."""
+"""Cubes on sheets: what hangs together folds to a cube, every edge is glued once, nothing leaves the paper, papers too
+small are refused.
+"""
 
 from dataclasses import replace
 from itertools import chain
@@ -28,7 +30,12 @@ def test_neighbours_in_the_net_are_neighbours_on_the_cube():
         for other, place in NET.items():
             step = tuple(np.subtract(place, NET[face]))
             flipped = {"+": "-", "-": "+"}
-            towards = {SIDES["r"]: right, SIDES["t"]: up, SIDES["l"]: flipped[right[0]] + right[1], SIDES["b"]: flipped[up[0]] + up[1]}
+            towards = {
+                SIDES["r"]: right,
+                SIDES["t"]: up,
+                SIDES["l"]: flipped[right[0]] + right[1],
+                SIDES["b"]: flipped[up[0]] + up[1],
+            }
             if step in towards:
                 assert towards[step] == other
         x, y, z = ((1 if name[0] == "+" else -1) * np.eye(3)["xyz".index(name[1])] for name in (right, up, normal))
@@ -38,12 +45,16 @@ def test_neighbours_in_the_net_are_neighbours_on_the_cube():
 @pytest.mark.parametrize("paper", ["A4", "Letter", "A3"])
 @pytest.mark.parametrize("edge", [20.0, 51.0, 66.0, 93.0, 131.0, 170.0])
 def test_nothing_leaves_the_paper_or_lies_on_another(paper, edge):
-    size, found = arrange_net(edge, usable_area(print_sheets.PAPER[paper]), usable_area(print_sheets.PAPER[paper][::-1]))
+    size, found = arrange_net(
+        edge, usable_area(print_sheets.PAPER[paper]), usable_area(print_sheets.PAPER[paper][::-1])
+    )
     for sheet in found:
         room = usable_area(print_sheets.PAPER[paper][::-1] if sheet.turned else print_sheets.PAPER[paper])
         boxes = [np.array(one.piece.box(size)) + np.array([one.x, one.y] * 2) for one in sheet.placed]
         assert all((box >= -1e-9).all() and box[2] <= room[0] + 1e-9 and box[3] <= room[1] + 1e-9 for box in boxes)
-        assert not any(a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3] for k, a in enumerate(boxes) for b in boxes[:k])
+        assert not any(
+            a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3] for k, a in enumerate(boxes) for b in boxes[:k]
+        )
     assert sorted(chain(*(one.piece.faces for sheet in found for one in sheet.placed))) == sorted(NET)
 
 
@@ -63,11 +74,28 @@ def two_cubes(tmp_path, capsys):
 
 
 def test_sheets_of_a_rig_are_on_the_paper_asked_for(two_cubes, tmp_path, capsys):
-    assert main(["print", str(two_cubes), "--out", str(tmp_path / "s.pdf"), "--paper", "Letter", "--stl", str(tmp_path / "stl")]) == 0
+    assert (
+        main(
+            [
+                "print",
+                str(two_cubes),
+                "--out",
+                str(tmp_path / "s.pdf"),
+                "--paper",
+                "Letter",
+                "--stl",
+                str(tmp_path / "stl"),
+            ]
+        )
+        == 0
+    )
     said = capsys.readouterr().out
     assert "sheet 6 of 6: Letter" in said and "A3" not in said and "4 bodies" in said
     assert sorted(path.name for path in (tmp_path / "stl").glob("*.stl")) == ["B1.stl", "B2.stl", "P1.stl", "P2.stl"]
-    for words, says in ((["--paper", "B5"], "takes A4, Letter"), (["--paper-thickness", "80mm", "--stl", str(tmp_path / "no")], "nothing of its")):
+    for words, says in (
+        (["--paper", "B5"], "takes A4, Letter"),
+        (["--paper-thickness", "80mm", "--stl", str(tmp_path / "no")], "nothing of its"),
+    ):
         assert main(["print", str(two_cubes), "--out", str(tmp_path / "t.pdf"), *words]) == 1
         assert says in capsys.readouterr().err and not (tmp_path / "t.pdf").exists()
 

@@ -25,14 +25,18 @@ from vision.targets import marker_map
 def done(design):
     rng = np.random.default_rng(4)
     return recording_simulation.simulate(
-        secret_machine.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=5e-5"),)), plan.build_plan(design, "sobol:8,moving:6"), rng
+        secret_machine.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=5e-5"),)),
+        plan.build_plan(design, "sobol:8,moving:6"),
+        rng,
     )
 
 
 def test_what_is_written_is_read_back(done, tmp_path, rig_text):
     recording_simulation.write_recording(done, tmp_path / "rec", rig_text, np.random.default_rng(0), noise=0.0)
     found = recording_folder.load(tmp_path / "rec")
-    again = motion_simulation.run_machine(done.world.true, found.commands, found.exposures.times()[1], done.world.effects, found.sensors)
+    again = motion_simulation.run_machine(
+        done.world.true, found.commands, found.exposures.times()[1], done.world.effects, found.sensors
+    )
     np.testing.assert_allclose(pose_difference(again.T_base_platform, done.run.T_base_platform), 0, atol=1e-9)
     assert {"ambient_temperature_C", "strut6_temperature_C", "payload_mass_kg"} <= set(found.sensors.channels)
     assert len(found.corners.uv) > 14 * 3 * 4 * 6
@@ -45,10 +49,16 @@ def test_truth_makes_the_same_machine_again(done, tmp_path, design):
     secret_machine.write_truth(tmp_path / "t.json", done.world, done.run.T_base_platform)
     again = secret_machine.world_from_truth(tmp_path / "t.json", design)
     assert again.effects == done.world.effects
-    T = motion_simulation.run_machine(again.true, done.plan.commands, done.plan.t, again.effects, done.sensors).T_base_platform
+    T = motion_simulation.run_machine(
+        again.true, done.plan.commands, done.plan.t, again.effects, done.sensors
+    ).T_base_platform
     np.testing.assert_allclose(pose_difference(T, done.run.T_base_platform), 0, atol=1e-12)
     tree = json.loads((tmp_path / "t.json").read_text())
-    assert len(tree["poses"][0]) == 16 and tree["effects"][0] == {"effect": "backlash", "place": "strut 2", "parameters": {"gap": 5e-5}}
+    assert len(tree["poses"][0]) == 16 and tree["effects"][0] == {
+        "effect": "backlash",
+        "place": "strut 2",
+        "parameters": {"gap": 5e-5},
+    }
     (tmp_path / "half.json").write_text((tmp_path / "t.json").read_text()[:300])
     with pytest.raises(FileError, match="cut off"):
         secret_machine.world_from_truth(tmp_path / "half.json", design)
@@ -58,7 +68,9 @@ def test_same_seed_same_recording(design, tmp_path, rig_text):
     texts = []
     for name in "ab":
         rng = np.random.default_rng(9)
-        s = recording_simulation.simulate(secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:3", 9), rng)
+        s = recording_simulation.simulate(
+            secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:3", 9), rng
+        )
         recording_simulation.write_recording(s, tmp_path / name, rig_text, rng, noise=0.05)
         texts.append([path.read_bytes() for path in sorted((tmp_path / name).iterdir())])
     assert texts[0] == texts[1]
@@ -88,7 +100,11 @@ def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_
     rng = np.random.default_rng(2)
     s = recording_simulation.simulate(secret_machine.draw_machine(design, rng), plan.build_plan(design, "sobol:1"), rng)
     recording_simulation.write_recording(
-        s, tmp_path / "rec", rig_text, rng, images=image_simulation.Images(Sensor(blur=0.5, read_noise=0.5), "cluttered", processes=1)
+        s,
+        tmp_path / "rec",
+        rig_text,
+        rng,
+        images=image_simulation.Images(Sensor(blur=0.5, read_noise=0.5), "cluttered", processes=1),
     )
     found = collect_corners(recording_folder.load(tmp_path / "rec"), marker_map(design)).corners
     true = {tuple(row[:4]): row[4:] for row in recording_simulation.truth_corners(s)}
@@ -100,7 +116,9 @@ def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_
 
 def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl):
     rng = np.random.default_rng(3)
-    s = recording_simulation.simulate(secret_machine.draw_machine(design, rng), plan.build_plan(design, "moving:1"), rng)
+    s = recording_simulation.simulate(
+        secret_machine.draw_machine(design, rng), plan.build_plan(design, "moving:1"), rng
+    )
     images = image_simulation.Images(Sensor(exposure=0.1, exposures=3), processes=1)
     image_simulation._start(s, tmp_path, images, 5)
     image_simulation._prepare()
@@ -119,7 +137,9 @@ def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl
             late = (row - 512) * 3e-5
             then = [T[0] for T in s.at_times(np.array([s.plan.t[0] + late]))]
             fine = row * renderer.SAMPLES
-            np.testing.assert_allclose(rolled[fine], image_simulation._view(rolling, s.plan.t[0] + late, then)[fine], atol=0.02)
+            np.testing.assert_allclose(
+                rolled[fine], image_simulation._view(rolling, s.plan.t[0] + late, then)[fine], atol=0.02
+            )
         assert np.abs(rolled - image_simulation._view(rolling, s.plan.t[0], T)).max() > 0.01
     finally:
         image_simulation._state.pop("renderer").close()
@@ -128,7 +148,9 @@ def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl
 def test_effects_that_cannot_be_drawn_are_refused():
     with pytest.raises(RigError, match="edge_bias is not drawn"):
         image_simulation.check_drawable([parse_effect("edge_bias:cameras:bias=0.1")])
-    image_simulation.check_drawable([parse_effect("camera_bump:cam1:motion=1e-4/0/0/0/0/0,time=3"), parse_effect("backlash:1:gap=1e-5")])
+    image_simulation.check_drawable(
+        [parse_effect("camera_bump:cam1:motion=1e-4/0/0/0/0/0,time=3"), parse_effect("backlash:1:gap=1e-5")]
+    )
 
 
 def test_scene_has_everything(design):
@@ -146,9 +168,14 @@ def test_our_machine_moves_as_the_shared_recordings_did(name):
     """The conventions of signs, starts and forces are those of an independent simulator."""
     found = recording_folder.load(SHARED / "recordings" / name)
     truth = json.loads((SHARED / "truth" / f"{name}.json").read_text())
-    mechanism = replace(found.design.mechanism, **{key: truth[key] for key in ("base_joints", "platform_joints", "strut_zeros")})
-    effects = [parse_effect(f"{e['effect']}:{e['place']}:" + ",".join(f"{k}={v}" for k, v in e["parameters"].items()))
-               for e in truth["effects"] if e["parameters"]]
+    mechanism = replace(
+        found.design.mechanism, **{key: truth[key] for key in ("base_joints", "platform_joints", "strut_zeros")}
+    )
+    effects = [
+        parse_effect(f"{e['effect']}:{e['place']}:" + ",".join(f"{k}={v}" for k, v in e["parameters"].items()))
+        for e in truth["effects"]
+        if e["parameters"]
+    ]
     T = motion_simulation.run_machine(
         replace(found.design, mechanism=mechanism), found.commands, found.exposures.times()[1], effects, found.sensors
     ).T_base_platform

@@ -25,10 +25,22 @@ def rms(a, b):
 
 def test_the_machine_as_found_repeats_the_recording(tmp_path, capsys):
     (tmp_path / "rig.toml").write_text(hexapod_layout(0.3))
-    for argv in (["simulate", tmp_path / "rig.toml", "--plan", "sobol:30,ladder:4", "--effect", "backlash:strut2:gap=3e-4", "--noise", NOISE,
-                  "--out", tmp_path / "rec"],
-                 ["diagnose", tmp_path / "rec", "--only", "backlash", "--out", tmp_path / "found"],
-                 ["simulate", "--from", tmp_path / "found", "--noise", NOISE, "--out", tmp_path / "both"]):
+    for argv in (
+        [
+            "simulate",
+            tmp_path / "rig.toml",
+            "--plan",
+            "sobol:30,ladder:4",
+            "--effect",
+            "backlash:strut2:gap=3e-4",
+            "--noise",
+            NOISE,
+            "--out",
+            tmp_path / "rec",
+        ],
+        ["diagnose", tmp_path / "rec", "--only", "backlash", "--out", tmp_path / "found"],
+        ["simulate", "--from", tmp_path / "found", "--noise", NOISE, "--out", tmp_path / "both"],
+    ):
         assert command_line.main([str(word) for word in argv]) == 0, capsys.readouterr().err
     real, *drawn = (corners(tmp_path / name) for name in ("rec", "both/with", "both/without"))
     assert rms(real, drawn[0]) == pytest.approx(np.sqrt(2) * NOISE, rel=0.05)

@@ -1,4 +1,6 @@
-"""Pictures show corners where the lens model puts them, over lenses and tilts; and say plainly where they cannot be drawn."""
+"""Pictures show corners where the lens model puts them, over lenses and tilts; and say plainly where they cannot be
+drawn.
+"""
 
 import subprocess
 import sys
@@ -28,17 +30,31 @@ def wall(design, tilt, distortion, size=0.11):
     for k, (i, j) in enumerate([(i, j) for i in range(4) for j in range(3)]):
         axis = rng.normal(size=2)
         turn = np.r_[axis / np.linalg.norm(axis) * tilt, 0]
-        place = pose([0.16 * (i - 1.5), 0.17 * (j - 1), 1.0], [np.pi, 0, 0]) * pose([0, 0, 0], turn) * pose([0, 0, 0], [0, 0, rng.uniform(0, 6)])
+        place = (
+            pose([0.16 * (i - 1.5), 0.17 * (j - 1), 1.0], [np.pi, 0, 0])
+            * pose([0, 0, 0], turn)
+            * pose([0, 0, 0], [0, 0, rng.uniform(0, 6)])
+        )
         listed.append(Marker(k, size, place, size / 7))
-    camera = Camera("c", 1280, 1024, [[1500.0, 0, 645.3], [0, 1500, 508.7], [0, 0, 1]], np.array(distortion), RigidTransform.identity())
+    camera = Camera(
+        "c",
+        1280,
+        1024,
+        [[1500.0, 0, 645.3], [0, 1500, 508.7], [0, 0, 1]],
+        np.array(distortion),
+        RigidTransform.identity(),
+    )
     return replace(design, cameras=(camera,), targets=(Target("wall", "base", "DICT_5X5_100", listed=tuple(listed)),))
 
 
 def drawn(rig):
     """(fine picture of a wall, its markers' identities, their exact corners (k, 4, 2) px)."""
     home = rig.mechanism.home
-    parts = [part for part in rig_meshes.rig_parts(rig) if part.body in ("base", "world") and (part.uv is not None or part.normal is None
-                                                                                        or abs(part.centre[2]) > 0.3)]
+    parts = [
+        part
+        for part in rig_meshes.rig_parts(rig)
+        if part.body in ("base", "world") and (part.uv is not None or part.normal is None or abs(part.centre[2]) > 0.3)
+    ]
     renderer = render.Renderer(parts, rig)
     try:
         image = renderer.draw("c", home)
@@ -55,11 +71,17 @@ def edge_errors(image, exact, camera):
     return np.array([a - b for a, b in zip(seen, exact) if a is not None])
 
 
-LENSES = {"none": [0.0, 0, 0, 0, 0], "barrel": [-0.3, 0.12, 5e-4, -5e-4, 0.0], "pincushion": [0.15, -0.05, 0, 0, 0.0],
-          "fourteen terms": [-0.2, 0.1, 1e-4, 2e-4, 0.01, 0.05, 0.02, 0, 1e-3, 0, -1e-3, 0, 0.01, -0.01]}
+LENSES = {
+    "none": [0.0, 0, 0, 0, 0],
+    "barrel": [-0.3, 0.12, 5e-4, -5e-4, 0.0],
+    "pincushion": [0.15, -0.05, 0, 0, 0.0],
+    "fourteen terms": [-0.2, 0.1, 1e-4, 2e-4, 0.01, 0.05, 0.02, 0, 1e-3, 0, -1e-3, 0, 0.01, -0.01],
+}
 
 
-@pytest.mark.parametrize("name", [name if name == "fourteen terms" else pytest.param(name, marks=pytest.mark.slow) for name in LENSES])
+@pytest.mark.parametrize(
+    "name", [name if name == "fourteen terms" else pytest.param(name, marks=pytest.mark.slow) for name in LENSES]
+)
 def test_corners_are_where_the_lens_puts_them(design, name, opengl):
     errors, ours = [], []
     for tilt in np.radians([0, 20, 40, 55, 65]):
@@ -67,7 +89,9 @@ def test_corners_are_where_the_lens_puts_them(design, name, opengl):
         picture, numbers, exact = drawn(rig)
         mean = picture.reshape(1024, render.SAMPLES, 1280, render.SAMPLES).mean(axis=(1, 3))
         errors.append(edge_errors(mean.astype(float), exact, rig.cameras[0]))
-        image = expose_image(picture, Sensor(blur=0.5, bits=12), np.random.default_rng(0), render.SAMPLES) * np.float32(255 / 4095)
+        image = expose_image(picture, Sensor(blur=0.5, bits=12), np.random.default_rng(0), render.SAMPLES) * np.float32(
+            255 / 4095
+        )
         found = fit_read_markers(image, rig.cameras[0], marker_map(rig), Read(numbers, exact))
         ours.append(found.corners - exact[[numbers.tolist().index(k) for k in found.marker]])
     assert all(len(e) >= 6 for e in errors)
@@ -91,7 +115,9 @@ def test_struts_hide_markers(design, opengl):
 
 
 def test_each_camera_has_its_own_resolution(design, opengl):
-    small = replace(design.cameras[1], width=320, height=256, matrix=np.array([[400.0, 0, 160], [0, 400, 128], [0, 0, 1]]))
+    small = replace(
+        design.cameras[1], width=320, height=256, matrix=np.array([[400.0, 0, 160], [0, 400, 128], [0, 0, 1]])
+    )
     rig = replace(design, cameras=(design.cameras[0], small))
     renderer = render.Renderer(rig_meshes.rig_parts(rig, "cluttered", np.random.default_rng(0)), rig)
     try:
@@ -102,8 +128,11 @@ def test_each_camera_has_its_own_resolution(design, opengl):
 
 
 def test_without_opengl_one_clear_line(tmp_path):
-    code = ("import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.renderer import import_pyrender\nfrom rig.errors import MissingLibrary\n"
-            "try: import_pyrender()\nexcept MissingLibrary as e: print(e)")
+    code = (
+        "import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.renderer import import_pyrender\nfrom "
+        "rig.errors import MissingLibrary\n"
+        "try: import_pyrender()\nexcept MissingLibrary as e: print(e)"
+    )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
     assert "apt-get install -y libegl1 libgl1" in out and out.count("\n") == 1
     assert issubclass(MissingLibrary, Exception)
@@ -117,7 +146,12 @@ def test_a_lens_that_cannot_be_undone_is_refused(design, opengl):
 
 def test_the_same_picture_whatever_lies_where_in_memory(opengl, design):
     """Where two faces meet, which of them is seen must not hang on the order in which a set keeps what is drawn."""
-    small = replace(design, cameras=(replace(design.cameras[0], width=640, height=512, matrix=design.cameras[0].matrix * [[0.5], [0.5], [1]]),))
+    small = replace(
+        design,
+        cameras=(
+            replace(design.cameras[0], width=640, height=512, matrix=design.cameras[0].matrix * [[0.5], [0.5], [1]]),
+        ),
+    )
     pictures, kept = [], []
     for k in range(3):
         kept.append([object() for _ in range(1 + 997 * k)])

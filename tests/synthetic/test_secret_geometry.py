@@ -21,14 +21,28 @@ SIGMA = (2e-5, 1e-4)  # m, rad
 def simulated(folder, kind, *words, place="rig", rotations=True):
     """(Recording, true World, tree of the truth) of a machine of a kind under an instrument."""
     sigma = f"position_sigma = {SIGMA[0]}\n" + (f"rotation_sigma = {SIGMA[1]}\n" if rotations else "")
-    (folder / "rig.toml").write_text(f'schema = "rig/1"\n{RIGS[kind]}[instrument]\nbase = "{place}"\ntool = "{place}"\n{sigma}')
-    argv = ["simulate", folder / "rig.toml", "--plan", "sobol:60,ladder:2", *words, "--out", folder / "rec", "--truth", folder / "truth.json"]
+    (folder / "rig.toml").write_text(
+        f'schema = "rig/1"\n{RIGS[kind]}[instrument]\nbase = "{place}"\ntool = "{place}"\n{sigma}'
+    )
+    argv = [
+        "simulate",
+        folder / "rig.toml",
+        "--plan",
+        "sobol:60,ladder:2",
+        *words,
+        "--out",
+        folder / "rec",
+        "--truth",
+        folder / "truth.json",
+    ]
     assert command_line.main([str(word) for word in argv]) == 0
     found = recording_folder.load(folder / "rec")
     return found, world_from_truth(folder / "truth.json", found.design), json.loads((folder / "truth.json").read_text())
 
 
-@pytest.mark.parametrize("kind, effect, place", [("arm", "backlash:joint2:gap=1e-3", "free"), ("planar2", "backlash:strut2:gap=1e-4", "rig")])
+@pytest.mark.parametrize(
+    "kind, effect, place", [("arm", "backlash:joint2:gap=1e-3", "free"), ("planar2", "backlash:strut2:gap=1e-4", "rig")]
+)
 def test_an_instrument_sees_what_the_machine_did(tmp_path, kind, effect, place):
     found, world, tree = simulated(tmp_path, kind, "--effect", effect, place=place)
     frames, t = found.exposures.times()
@@ -36,8 +50,12 @@ def test_an_instrument_sees_what_the_machine_did(tmp_path, kind, effect, place):
     run = motion_simulation.run_machine(world.true, found.commands, t, world.effects, found.sensors)
     off = pose_difference(run.T_base_platform, found.poses.T_base_platform)
     np.testing.assert_allclose(off.std(axis=0), np.repeat(SIGMA, 3), rtol=0.25)
-    without = pose_difference(motion_simulation.run_machine(world.true, found.commands, t).T_base_platform, found.poses.T_base_platform)
-    assert np.abs(without[:, :3]).max() > 20 * SIGMA[0] if kind == "arm" else np.abs(without[:, :3]).max() > 3 * SIGMA[0]
+    without = pose_difference(
+        motion_simulation.run_machine(world.true, found.commands, t).T_base_platform, found.poses.T_base_platform
+    )
+    assert (
+        np.abs(without[:, :3]).max() > 20 * SIGMA[0] if kind == "arm" else np.abs(without[:, :3]).max() > 3 * SIGMA[0]
+    )
 
 
 def test_where_an_arm_stands_is_secret_only_where_nobody_knows(tmp_path):
@@ -56,10 +74,16 @@ def test_cameras_see_the_cubes_in_an_arms_hand(tmp_path):
     """The cameras and cubes of a hexapod's rig.toml about an arm that carries the platform's cubes."""
     text = hexapod_layout(0.3)
     start, end = text.index("[mechanism]"), text.index("[[camera]]")
-    arm = 'kind = "arm"\njoints = [[0.0, 0.2, 0.02, 0.1], [0.0, 0.25, 0.01, 0.0]]\nlimits = [[-0.3, 0.3], [-0.3, 0.3]]'  # its hand at 0.45 m
+    # its hand at 0.45 m
+    arm = 'kind = "arm"\njoints = [[0.0, 0.2, 0.02, 0.1], [0.0, 0.25, 0.01, 0.0]]\nlimits = [[-0.3, 0.3], [-0.3, 0.3]]'
     (tmp_path / "rig.toml").write_text(f"{text[:start]}[mechanism]\n{arm}\n\n{text[end:]}")
     assert load(tmp_path / "rig.toml").mechanism.kind == "arm"
-    assert command_line.main(["simulate", str(tmp_path / "rig.toml"), "--plan", "sobol:20", "--out", str(tmp_path / "rec")]) == 0
+    assert (
+        command_line.main(
+            ["simulate", str(tmp_path / "rig.toml"), "--plan", "sobol:20", "--out", str(tmp_path / "rec")]
+        )
+        == 0
+    )
     found = recording_folder.load(tmp_path / "rec")
     assert found.poses is None and len(found.corners.uv) > 100
     on_hand = {number for target in found.design.targets if target.body == "platform" for number in target.ids}
@@ -81,7 +105,9 @@ def test_an_arm_as_found_is_drawn_anew_by_the_same_machine(tmp_path):
         (folder / name).write_bytes((tmp_path / "rec" / name).read_bytes())
     (folder / "machine.json").write_bytes((tmp_path / "truth.json").read_bytes())
     assert command_line.main(["simulate", "--from", str(folder), "--out", str(tmp_path / "both")]) == 0
-    drawn = {kind: recording_folder.load(tmp_path / "both" / kind).poses.T_base_platform for kind in ("with", "without")}
+    drawn = {
+        kind: recording_folder.load(tmp_path / "both" / kind).poses.T_base_platform for kind in ("with", "without")
+    }
     off = {kind: pose_difference(T, found.poses.T_base_platform).std(axis=0) for kind, T in drawn.items()}
     np.testing.assert_allclose(off["with"], np.sqrt(2) * np.repeat(SIGMA, 3), rtol=0.3)
     assert off["without"][:3].max() > 5 * SIGMA[0]

@@ -13,7 +13,9 @@ from tests.truth.rigid import errors
 
 @dataclass(frozen=True)
 class Heated(Law):
-    """Axes grow with what is inside them, which follows the logged surface with a delay. per_kelvin : 1/K; delay : s (0: the log itself)"""
+    """Axes grow with what is inside them, which follows the logged surface with a delay. per_kelvin : 1/K; delay : s
+    (0: the log itself)
+    """
 
     per_kelvin: float
     delay: float
@@ -52,7 +54,9 @@ class GrownLinks(Law):
 
 @dataclass(frozen=True)
 class Warming(Law):
-    """Growth after switching on, two bodies heated one through the other. size : m in the end; first, second : s; share : of the first alone"""
+    """Growth after switching on, two bodies heated one through the other. size : m in the end; first, second : s;
+    share : of the first alone
+    """
 
     size: float
     first: float
@@ -67,7 +71,9 @@ class Warming(Law):
 
 @dataclass(frozen=True)
 class GrowingBase(Law):
-    """The base plate grows with the room. per_kelvin : (3,) 1/K along x, y, z; what the struts miss by it is solved with the pose."""
+    """The base plate grows with the room. per_kelvin : (3,) 1/K along x, y, z; what the struts miss by it is solved
+    with the pose.
+    """
 
     per_kelvin: np.ndarray
 

@@ -1,4 +1,6 @@
-"""Faults by name and size: for each of the catalogue's names that shows in poses, several laws that are not the product's."""
+"""Faults by name and size: for each of the catalogue's names that shows in poses, several laws that are not the
+product's.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,8 +17,10 @@ LEAD = 0.004  # m/rev, of every screw drawn here
 
 @dataclass(frozen=True)
 class Asked:
-    """What a fault is drawn from. size : m (of an arm's angles rad), about what it does to an axis; axes : (axes,) share of each axis
-    machine : as it really is; way : the recording's Journey; warmth : K, how much temperatures change; mass, centre, payload : of the platform"""
+    """What a fault is drawn from. size : m (of an arm's angles rad), about what it does to an axis; axes : (axes,)
+    share of each axis
+    machine : as it really is; way : the recording's Journey; warmth : K, how much temperatures change; mass, centre,
+        payload : of the platform"""
 
     size: float
     axes: np.ndarray
@@ -45,9 +49,11 @@ class Asked:
 
 
 def _play(a: Asked) -> list[Law]:
-    return [memories.Stops(a.axes, a.size, a.size, a.begun),
-            memories.Stops(a.axes, 1.5 * a.size, 0.5 * a.size, a.begun),
-            memories.Bristles(a.axes, np.array([a.size]), np.ones(1), 1.0, a.begun)]
+    return [
+        memories.Stops(a.axes, a.size, a.size, a.begun),
+        memories.Stops(a.axes, 1.5 * a.size, 0.5 * a.size, a.begun),
+        memories.Bristles(a.axes, np.array([a.size]), np.ones(1), 1.0, a.begun),
+    ]
 
 
 def _hysteresis(a: Asked) -> list[Law]:
@@ -55,15 +61,21 @@ def _hysteresis(a: Asked) -> list[Law]:
     sliders = np.exp(a.rng.normal(0, 0.5, 3))
     sliders *= a.size / (sliders @ reach)
     most = a.half * a.rng.uniform(0.05, 0.2)
-    return [memories.Bristles(a.axes, np.array([most]), np.array([a.size / most]), a.rng.uniform(0.55, 0.9), a.begun),
-            memories.Sliders(a.axes, reach, sliders, a.begun),
-            memories.Bristles(a.axes, np.array([most, most / 6]), np.array([0.6, 2.4]) * a.size / most, 1.0, a.begun)]
+    return [
+        memories.Bristles(a.axes, np.array([most]), np.array([a.size / most]), a.rng.uniform(0.55, 0.9), a.begun),
+        memories.Sliders(a.axes, reach, sliders, a.begun),
+        memories.Bristles(a.axes, np.array([most, most / 6]), np.array([0.6, 2.4]) * a.size / most, 1.0, a.begun),
+    ]
 
 
 def _creep(a: Asked) -> list[Law]:
     fraction, dwell = 3 * a.size / a.half, float(np.diff(a.way.t).max())
-    return [memories.TwoPaces(a.axes, fraction, dwell * a.rng.uniform(0.3, 1), dwell * a.rng.uniform(3, 10), a.rng.uniform(0.3, 0.7)),
-            memories.Logarithmic(a.axes, fraction, 0.2 * dwell, 30 * dwell)]
+    return [
+        memories.TwoPaces(
+            a.axes, fraction, dwell * a.rng.uniform(0.3, 1), dwell * a.rng.uniform(3, 10), a.rng.uniform(0.3, 0.7)
+        ),
+        memories.Logarithmic(a.axes, fraction, 0.2 * dwell, 30 * dwell),
+    ]
 
 
 def _heat(a: Asked) -> list[Law]:
@@ -75,31 +87,49 @@ def _heat(a: Asked) -> list[Law]:
 
 def _warm_up(a: Asked) -> list[Law]:
     first = a.span * a.rng.uniform(0.1, 0.3)
-    return [days.Warming(a.axes, 3 * a.size, first, 3 * first, 0.5), days.Warming(a.axes, 3 * a.size, first, 1.5 * first, 1.0)]
+    return [
+        days.Warming(a.axes, 3 * a.size, first, 3 * first, 0.5),
+        days.Warming(a.axes, 3 * a.size, first, 1.5 * first, 1.0),
+    ]
 
 
 def _pitch(a: Asked) -> list[Law]:
     rng = a.rng
-    return [places.Waves(a.axes, a.size * rng.uniform(0.4, 1, 3), np.array([1.3, 0.7, 0.4]) * rng.uniform(0.8, 1.2, 3), rng.uniform(0, 6.28, 3),
-                         a.size * rng.normal()),
-            places.Kinked(a.axes, a.size * rng.normal(0, 1.2, 6))]
+    return [
+        places.Waves(
+            a.axes,
+            a.size * rng.uniform(0.4, 1, 3),
+            np.array([1.3, 0.7, 0.4]) * rng.uniform(0.8, 1.2, 3),
+            rng.uniform(0, 6.28, 3),
+            a.size * rng.normal(),
+        ),
+        places.Kinked(a.axes, a.size * rng.normal(0, 1.2, 6)),
+    ]
 
 
 def _cyclic(a: Asked) -> list[Law]:
     pitch = LEAD if isinstance(a.machine, SixStruts) else 0.3 * a.half
-    return [places.Periodic(a.axes, pitch, a.size * np.array([1.3, 0.4]), a.rng.uniform(0, 6.28, 2)),
-            places.Sawtooth(a.axes, 1.7 * a.size, pitch, a.rng.uniform())]
+    return [
+        places.Periodic(a.axes, pitch, a.size * np.array([1.3, 0.4]), a.rng.uniform(0, 6.28, 2)),
+        places.Sawtooth(a.axes, 1.7 * a.size, pitch, a.rng.uniform()),
+    ]
 
 
 def _scale(a: Asked) -> list[Law]:
-    return [places.Scaled(a.axes, 2 * a.size / a.half, 0.0), places.Scaled(a.axes, 2 * a.size / a.half, 0.5 * a.size / a.half**2)]
+    return [
+        places.Scaled(a.axes, 2 * a.size / a.half, 0.0),
+        places.Scaled(a.axes, 2 * a.size / a.half, 0.5 * a.size / a.half**2),
+    ]
 
 
 def _coupled(a: Asked) -> list[Law]:
     only = np.zeros(a.machine.width)
     only[int(a.rng.integers(a.machine.width))] = 1.0
     other = int(a.rng.choice(np.flatnonzero(only == 0)))
-    return [places.Coupled(only, other, 2 * a.size / a.half, 0.0), places.Coupled(only, other, 2 * a.size / a.half, 0.3 * a.size / a.half**2)]
+    return [
+        places.Coupled(only, other, 2 * a.size / a.half, 0.0),
+        places.Coupled(only, other, 2 * a.size / a.half, 0.3 * a.size / a.half**2),
+    ]
 
 
 def _twist(a: Asked) -> list[Law]:
@@ -109,20 +139,27 @@ def _twist(a: Asked) -> list[Law]:
 
 def _give(a: Asked) -> list[Law]:
     force = a.mass * 9.8 / 6
-    return [loads.Springs(a.axes, a.mass, a.centre, a.payload, force / a.size, np.inf),
-            loads.Springs(a.axes, a.mass, a.centre, a.payload, force / a.size / 2, force)]
+    return [
+        loads.Springs(a.axes, a.mass, a.centre, a.payload, force / a.size, np.inf),
+        loads.Springs(a.axes, a.mass, a.centre, a.payload, force / a.size / 2, force),
+    ]
 
 
 def _loose(a: Asked) -> list[Law]:
-    return [loads.Loose(a.axes, a.mass, a.centre, a.payload, 2 * a.size, 0.0),
-            loads.Loose(a.axes, a.mass, a.centre, a.payload, 2 * a.size, 0.1 * a.mass)]
+    return [
+        loads.Loose(a.axes, a.mass, a.centre, a.payload, 2 * a.size, 0.0),
+        loads.Loose(a.axes, a.mass, a.centre, a.payload, 2 * a.size, 0.1 * a.mass),
+    ]
 
 
 def _base(a: Asked) -> list[Law]:
     machine = a.machine
     assert isinstance(machine, SixStruts)
     per_kelvin = 2 * a.size / float(np.linalg.norm(machine.base, axis=1).mean()) / (0.4 * a.warmth)
-    return [days.GrowingBase(a.axes, per_kelvin * np.array([1.0, 1.0, 1.0])), days.GrowingBase(a.axes, per_kelvin * np.array([1.3, 0.7, 1.0]))]
+    return [
+        days.GrowingBase(a.axes, per_kelvin * np.array([1.0, 1.0, 1.0])),
+        days.GrowingBase(a.axes, per_kelvin * np.array([1.3, 0.7, 1.0])),
+    ]
 
 
 def _lost(a: Asked) -> list[Law]:
@@ -134,8 +171,10 @@ def _shaken(a: Asked) -> list[Law]:
     mode = a.rng.normal(size=6) * np.r_[np.ones(3), np.full(3, 5.0)]
     mode *= 1.4 * a.size / np.linalg.norm(mode[:3])
     rate, other = a.rng.uniform(0.3, 30), 0.3 * mode[::-1] * np.repeat([0.2, 5.0], 3)
-    return [days.Shaken(a.axes, mode[None], np.array([rate]), a.rng.uniform(0, 6.28, 1)),
-            days.Shaken(a.axes, np.stack([mode, other]), np.array([rate, 2.3 * rate]), a.rng.uniform(0, 6.28, 2))]
+    return [
+        days.Shaken(a.axes, mode[None], np.array([rate]), a.rng.uniform(0, 6.28, 1)),
+        days.Shaken(a.axes, np.stack([mode, other]), np.array([rate, 2.3 * rate]), a.rng.uniform(0, 6.28, 2)),
+    ]
 
 
 def _speed(a: Asked) -> float:
@@ -157,15 +196,39 @@ def _lag(a: Asked) -> list[Law]:
 
 
 def _settling(a: Asked) -> list[Law]:
-    return [memories.LastStep(a.axes, a.size / a.half, 0.0), memories.LastStep(a.axes, 0.7 * a.size / a.half, 0.5 / a.half)]
+    return [
+        memories.LastStep(a.axes, a.size / a.half, 0.0),
+        memories.LastStep(a.axes, 0.7 * a.size / a.half, 0.5 / a.half),
+    ]
 
 
 FAULTS: dict[str, Callable[[Asked], list[Law]]] = {
-    "scale_error": _scale, "cyclic_error": _cyclic, "transmission_error": _pitch, "backlash": _play, "hysteresis": _hysteresis, "missed_steps": _lost,
-    "servo_lag": _lag, "creep": _creep, "thermal_expansion": _heat, "warm_up": _warm_up, "screw_coupling": _twist,
-    "compliance": _give,    "joint_clearance": _loose, "base_expansion": _base, "vibration": _shaken, "time_offset": _clock, "clock_drift": _drifting,
-    "axis_coupling": _coupled, "settling_error": _settling}
-HURRIED = ("servo_lag", "time_offset", "clock_drift", "rolling_shutter")  # which show while moving alone: looked at just as it should have arrived
+    "scale_error": _scale,
+    "cyclic_error": _cyclic,
+    "transmission_error": _pitch,
+    "backlash": _play,
+    "hysteresis": _hysteresis,
+    "missed_steps": _lost,
+    "servo_lag": _lag,
+    "creep": _creep,
+    "thermal_expansion": _heat,
+    "warm_up": _warm_up,
+    "screw_coupling": _twist,
+    "compliance": _give,
+    "joint_clearance": _loose,
+    "base_expansion": _base,
+    "vibration": _shaken,
+    "time_offset": _clock,
+    "clock_drift": _drifting,
+    "axis_coupling": _coupled,
+    "settling_error": _settling,
+}
+HURRIED = (
+    "servo_lag",
+    "time_offset",
+    "clock_drift",
+    "rolling_shutter",
+)  # which show while moving alone: looked at just as it should have arrived
 SLOW = ("thermal_expansion", "warm_up", "base_expansion")  # which take the better part of an hour
 LOADED = ("compliance", "joint_clearance")  # which depend on what is carried
 STRUTS_ALONE = ("screw_coupling", "compliance", "joint_clearance", "base_expansion")

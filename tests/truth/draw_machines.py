@@ -21,7 +21,9 @@ def nominal(kind: str, rng: np.random.Generator) -> Machine:
     if kind == "arm":
         return _six_joints(rng)
     if kind == "chain":
-        slide = Arm(np.array([[0.0, 0.0, 0.0, 0.0]]), np.array([True]), np.zeros(1), np.array([[-0.1, 0.1]]), np.zeros(1))
+        slide = Arm(
+            np.array([[0.0, 0.0, 0.0, 0.0]]), np.array([True]), np.zeros(1), np.array([[-0.1, 0.1]]), np.zeros(1)
+        )
         return Chain((slide, _six_struts(rng)))
     raise ValueError(f"no kind {kind!r}; there are {', '.join(KINDS)}")
 
@@ -43,14 +45,23 @@ def _six_struts(rng: np.random.Generator) -> SixStruts:
 def _six_joints(rng: np.random.Generator) -> Arm:
     reach = rng.uniform(0.35, 0.5)
     right = np.pi / 2
-    rows = np.array([[0, 0.4, 0.05, -right], [-right, 0, reach, 0], [0, 0, 0.05, -right], [0, 0.9 * reach, 0, right], [0, 0, 0, -right],
-                     [0, 0.1, 0, 0]])
+    rows = np.array(
+        [
+            [0, 0.4, 0.05, -right],
+            [-right, 0, reach, 0],
+            [0, 0, 0.05, -right],
+            [0, 0.9 * reach, 0, right],
+            [0, 0, 0, -right],
+            [0, 0.1, 0, 0],
+        ]
+    )
     mid = np.array([0, 0.3, 0.4, 0.2, 0.8, 0.0])
     return Arm(rows, np.zeros(6, bool), np.zeros(6), np.stack([mid - 0.8, mid + 0.8], axis=1), np.zeros(6))
 
 
 def secret(machine: Machine, size: float, rng: np.random.Generator) -> Machine:
     """The machine as built: its figures off by normal errors of size m (angles: size over 0.3 m)."""
+
     def off(shape: tuple[int, ...]) -> np.ndarray:
         return rng.normal(0, size, shape)
 
@@ -62,5 +73,9 @@ def secret(machine: Machine, size: float, rng: np.random.Generator) -> Machine:
         return Chain(tuple(secret(stage, size, rng) for stage in machine.stages))
     lengths, angles = off((machine.width, 2)), off((machine.width, 2)) / 0.3
     zeros = np.where(machine.slides, off((machine.width,)), off((machine.width,)) / 0.3)
-    return replace(machine, rows=machine.rows + np.stack([0 * zeros, lengths[:, 0], lengths[:, 1], angles[:, 0]], axis=1), zeros=zeros,
-                   tilts=angles[:, 1])
+    return replace(
+        machine,
+        rows=machine.rows + np.stack([0 * zeros, lengths[:, 0], lengths[:, 1], angles[:, 0]], axis=1),
+        zeros=zeros,
+        tilts=angles[:, 1],
+    )

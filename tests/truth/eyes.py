@@ -16,7 +16,9 @@ BETWEEN = 0.02  # s before and after an exposure, to which an image point is tak
 
 @dataclass(frozen=True)
 class Camera:
-    """place : (4, 4) camera in base, looking along its z, x right, y down; focal, middle : px; lens : (5,) k1 k2 p1 p2 k3"""
+    """place : (4, 4) camera in base, looking along its z, x right, y down; focal, middle : px; lens : (5,) k1 k2 p1 p2
+    k3
+    """
 
     name: str
     place: np.ndarray
@@ -27,7 +29,8 @@ class Camera:
 
 @dataclass(frozen=True)
 class Cube:
-    """moves : whether it stands on the platform; edge, side : m of the cube and of its markers; first : identity of the first face
+    """moves : whether it stands on the platform; edge, side : m of the cube and of its markers; first : identity of the
+    first face
     place : (4, 4) of its centre in its body"""
 
     name: str
@@ -86,8 +89,16 @@ class Eyes:
     sigma: float
     fault: Sight
 
-    def corners(self, t: np.ndarray, around: tuple[np.ndarray, np.ndarray, np.ndarray], day: Conditions, rng: np.random.Generator) -> np.ndarray:
-        """(k, 6) rows frame, camera, marker, corner, u, v of exposures at t (n,) s. around : poses (n, 4, 4) BETWEEN s before, at and after."""
+    def corners(
+        self,
+        t: np.ndarray,
+        around: tuple[np.ndarray, np.ndarray, np.ndarray],
+        day: Conditions,
+        rng: np.random.Generator,
+    ) -> np.ndarray:
+        """(k, 6) rows frame, camera, marker, corner, u, v of exposures at t (n,) s. around : poses (n, 4, 4) BETWEEN s
+        before, at and after.
+        """
         rows = []
         still = np.tile(np.eye(4), (len(t), 1, 1))
         for number, camera in enumerate(self.cameras):
@@ -96,7 +107,9 @@ class Eyes:
             for cube in self.cubes:
                 for face in range(len(FACES)):
                     moments = around if cube.moves else (still, still, still)
-                    early, now, late = (self._squares(camera, number, cube, face, bodies, places, zoom) for bodies in moments)
+                    early, now, late = (
+                        self._squares(camera, number, cube, face, bodies, places, zoom) for bodies in moments
+                    )
                     uv = self._rolled(early[0], now[0], late[0])
                     uv = self.fault.bordered(number, uv)
                     seen = now[1] & (uv > 8).all(axis=(1, 2)) & (uv < np.array([WIDE, HIGH]) - 9).all(axis=(1, 2))
@@ -106,8 +119,16 @@ class Eyes:
                         rows += [(frame, number, cube.first + there, corner, *uv[frame, corner]) for corner in range(4)]
         return np.array(rows)
 
-    def _squares(self, camera: Camera, number: int, cube: Cube, face: int, bodies: np.ndarray, places: np.ndarray,
-                 zoom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _squares(
+        self,
+        camera: Camera,
+        number: int,
+        cube: Cube,
+        face: int,
+        bodies: np.ndarray,
+        places: np.ndarray,
+        zoom: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """((n, 4, 2) px, (n,) whether the camera sees the face) of a face whose body stands at bodies (n, 4, 4)."""
         axes = _axes(face)
         half = cube.side / 2 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
@@ -123,7 +144,10 @@ class Eyes:
         k1, k2, p1, p2, k3 = camera.lens
         r = x * x + y * y
         radial = 1 + r * (k1 + r * (k2 + r * k3))
-        bent = np.stack([x * radial + 2 * p1 * x * y + p2 * (r + 2 * x * x), y * radial + p1 * (r + 2 * y * y) + 2 * p2 * x * y], axis=-1)
+        bent = np.stack(
+            [x * radial + 2 * p1 * x * y + p2 * (r + 2 * x * x), y * radial + p1 * (r + 2 * y * y) + 2 * p2 * x * y],
+            axis=-1,
+        )
         uv = camera.focal * zoom[:, None] * bent + camera.middle
         return self.fault.warped(number, uv), seen
 
@@ -139,7 +163,9 @@ class Eyes:
 
 
 def _axes(face: int) -> np.ndarray:
-    """(3, 3) columns right, up and out of a face in its cube, seen from outside: up is +z at the sides and +y on top."""
+    """(3, 3) columns right, up and out of a face in its cube, seen from outside: up is +z at the sides and +y on
+    top.
+    """
     out = np.zeros(3)
     out["xxyyzz".index(FACES[face][1]) // 2] = 1 if FACES[face][0] == "+" else -1
     up = np.array([0.0, 1, 0]) if FACES[face][1] == "z" else np.array([0.0, 0, 1])
@@ -169,10 +195,19 @@ def watching(radius: float, height: float, fault: Sight, sigma: float, rng: np.r
     stated, cameras = [], []
     for k in range(3):
         angle = 2.1 * k + 0.7
-        place = radius * np.array([4.2 * np.cos(angle), 4.2 * np.sin(angle), 0]) + np.array([0, 0, height + 2.2 * radius])
+        place = radius * np.array([4.2 * np.cos(angle), 4.2 * np.sin(angle), 0]) + np.array(
+            [0, 0, height + 2.2 * radius]
+        )
         camera = looking(f"cam{k}", place, np.array([0, 0, 0.7 * height]), 1650.0, np.array([-0.1, 0.05, 0, 0, 0]))
         stated.append(camera)
         off = displaced(camera.place[None], np.r_[rng.normal(0, 2e-3, 3), rng.normal(0, 2e-3, 3)][None])[0]
-        cameras.append(replace(camera, place=off, focal=camera.focal * (1 + rng.normal(0, 3e-4)), middle=camera.middle + rng.normal(0, 1, 2),
-                               lens=camera.lens + rng.normal(0, 1, 5) * [1e-3, 1e-3, 1e-4, 1e-4, 0]))
+        cameras.append(
+            replace(
+                camera,
+                place=off,
+                focal=camera.focal * (1 + rng.normal(0, 3e-4)),
+                middle=camera.middle + rng.normal(0, 1, 2),
+                lens=camera.lens + rng.normal(0, 1, 5) * [1e-3, 1e-3, 1e-4, 1e-4, 0],
+            )
+        )
     return Eyes(tuple(cameras), tuple(stated), tuple(cubes), sigma, fault)

@@ -1,4 +1,6 @@
-"""Plans and their course in time: which configurations are visited, how fast, how long the machine stands there, when it is looked at."""
+"""Plans and their course in time: which configurations are visited, how fast, how long the machine stands there, when
+it is looked at.
+"""
 
 from dataclasses import dataclass
 
@@ -38,8 +40,8 @@ def spread(axes: int, count: int, rng: np.random.Generator) -> np.ndarray:
 def visits(plan: str, ranges: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """(n, axes) configurations of a plan in order.
 
-    sobol : count in the order of the sequence; shuffled : the same in random order; ladders : count scattered ones, then two
-    axes alone, out and back in growing steps; revisits : count, then a third of them once more
+    sobol : count in the order of the sequence; shuffled : the same in random order; ladders : count scattered ones,
+    then two axes alone, out and back in growing steps; revisits : count, then a third of them once more
     """
     axes = len(ranges)
     places = middle(ranges, spread(axes, count, rng))

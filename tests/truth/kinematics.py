@@ -1,6 +1,8 @@
-"""The machines' own kinematics: a platform on six struts, two struts to a hinge, an arm by Denavit-Hartenberg rows, and one upon the other.
+"""The machines' own kinematics: a platform on six struts, two struts to a hinge, an arm by Denavit-Hartenberg rows, and
+one upon the other.
 
-Every machine has `width` (axes), `ranges` (width, 2), `names` (columns of commands.csv), `forward(values)` and `inverse(poses, guess)`.
+Every machine has `width` (axes), `ranges` (width, 2), `names` (columns of commands.csv), `forward(values)` and
+`inverse(poses, guess)`.
 The values are what the controller is given: zeros of the axes are part of the machine.
 """
 
@@ -40,14 +42,18 @@ class SixStruts:
         return np.linalg.norm(self.legs(poses), axis=2) - self.zeros
 
     def rates(self, poses: np.ndarray) -> np.ndarray:
-        """(n, 6, 6) change of the lengths with (translation, rotation) of the platform about its own origin, in base axes."""
+        """(n, 6, 6) change of the lengths with (translation, rotation) of the platform about its own origin, in base
+        axes.
+        """
         legs = self.legs(poses)
         u = legs / np.linalg.norm(legs, axis=2, keepdims=True)
         arms = np.einsum("nij,kj->nki", poses[:, :3, :3], self.plate)
         return np.concatenate([u, np.cross(arms, u)], axis=2)
 
     def forward(self, values: np.ndarray) -> np.ndarray:
-        """(n, 4, 4) poses of commands (n, 6) m: Newton's steps with rotations in base axes, from home. Raises ArithmeticError."""
+        """(n, 4, 4) poses of commands (n, 6) m: Newton's steps with rotations in base axes, from home. Raises
+        ArithmeticError.
+        """
         goal = np.atleast_2d(values) + self.zeros
         poses = np.tile(matrices(np.array([[0, 0, self.height, 0, 0, 0]])), (len(goal), 1, 1))
         for _ in range(60):
@@ -59,7 +65,10 @@ class SixStruts:
             poses[:, :3, 3] += step[:, :3]
             poses[:, :3, :3] = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ poses[:, :3, :3]
         if np.abs(miss).max() > 1e-12:
-            raise ArithmeticError(f"no pose for {(np.abs(miss).max(axis=1) > 1e-12).sum()} of {len(goal)} commands, {np.abs(miss).max():.3g} m left")
+            raise ArithmeticError(
+                f"no pose for {(np.abs(miss).max(axis=1) > 1e-12).sum()} of {len(goal)} commands, "
+                f"{np.abs(miss).max():.3g} m left"
+            )
         return poses
 
 
@@ -92,7 +101,8 @@ class Hinge:
 
 @dataclass(frozen=True)
 class Arm:
-    """rows : (k, 4) theta rad, d m, a m, alpha rad, distal; slides : (k,) whether a joint is a slide; zeros : (k,) rad or m
+    """rows : (k, 4) theta rad, d m, a m, alpha rad, distal; slides : (k,) whether a joint is a slide; zeros : (k,) rad
+    or m
     ranges : (k, 2) of commands; tilts : (k,) rad, Hayati's turn about y behind each row"""
 
     rows: np.ndarray
@@ -178,14 +188,19 @@ Machine = SixStruts | Hinge | Arm | Chain
 
 
 def _sought(machine: Arm | Chain, poses: np.ndarray, guess: np.ndarray | None) -> np.ndarray:
-    """Commands at poses, by Gauss and Newton's steps of least length from guess. Raises ArithmeticError where more than 1e-10 is left."""
+    """Commands at poses, by Gauss and Newton's steps of least length from guess. Raises ArithmeticError where more than
+    1e-10 is left.
+    """
     values = np.tile(machine.ranges.mean(axis=1), (len(poses), 1)) if guess is None else np.array(guess, float)
     small = 1e-6 * np.eye(machine.width)
     for _ in range(60):
         miss = errors(machine.forward(values), poses)
         if np.abs(miss).max() < 1e-13:
             break
-        slopes = [(errors(machine.forward(values + d), poses) - errors(machine.forward(values - d), poses)) / 2e-6 for d in small]
+        slopes = [
+            (errors(machine.forward(values + d), poses) - errors(machine.forward(values - d), poses)) / 2e-6
+            for d in small
+        ]
         step = (np.linalg.pinv(np.stack(slopes, axis=2)) @ miss[..., None])[..., 0]
         values = values - step / np.maximum(1.0, np.abs(step).max(axis=1) / 0.3)[:, None]
     left = np.abs(errors(machine.forward(values), poses)).max(axis=1)

@@ -40,7 +40,9 @@ class Law:
         return np.zeros((len(motion.at), 6))
 
 
-def stood(machine: Machine, way: Journey, day: Conditions, laws: tuple[Any, ...], looked: np.ndarray | None = None) -> np.ndarray:
+def stood(
+    machine: Machine, way: Journey, day: Conditions, laws: tuple[Any, ...], looked: np.ndarray | None = None
+) -> np.ndarray:
     """(n, 4, 4) poses at which a machine with laws stands when looked at at (n,) s, a Journey's own times by default.
 
     Raises ArithmeticError where lengths and poses that depend on each other come to no rest.
@@ -53,7 +55,9 @@ def stood(machine: Machine, way: Journey, day: Conditions, laws: tuple[Any, ...]
         motion = replace(motion, values=law.followed(motion))
     poses = machine.forward(motion.values[motion.at])
     for _ in range(60):
-        lengths = motion.values[motion.at] + sum((law.beyond(motion, poses) for law in laws), np.zeros((len(looked), machine.width)))
+        lengths = motion.values[motion.at] + sum(
+            (law.beyond(motion, poses) for law in laws), np.zeros((len(looked), machine.width))
+        )
         after = machine.forward(lengths)
         moved, poses = np.abs(after - poses).max(), after
         if moved < 1e-12 or not any(law.posed for law in laws):

@@ -1,4 +1,6 @@
-"""Faults of force: struts that give, joints with clearance, under the weight of platform and payload in static balance."""
+"""Faults of force: struts that give, joints with clearance, under the weight of platform and payload in static
+balance.
+"""
 
 from dataclasses import dataclass
 
@@ -21,17 +23,25 @@ class Weighed(Law):
     posed = True
 
     def forces(self, motion: Motion, poses: np.ndarray) -> np.ndarray:
-        """(n, 6) N with which struts push the platform: sum f u = -weight, sum f (r x u) = -moment about the platform's origin."""
+        """(n, 6) N with which struts push the platform: sum f u = -weight, sum f (r x u) = -moment about the platform's
+        origin.
+        """
         carried = motion.day.load_at(motion.looked)
         turned = poses[:, :3, :3]
         weight = (self.mass + carried)[:, None] * GRAVITY
-        moment = np.cross(turned @ self.centre, self.mass * GRAVITY) + np.cross(turned @ self.payload, carried[:, None] * GRAVITY)
-        return np.linalg.solve(np.swapaxes(motion.machine.rates(poses), 1, 2), -np.concatenate([weight, moment], axis=1)[..., None])[..., 0]
+        moment = np.cross(turned @ self.centre, self.mass * GRAVITY) + np.cross(
+            turned @ self.payload, carried[:, None] * GRAVITY
+        )
+        return np.linalg.solve(
+            np.swapaxes(motion.machine.rates(poses), 1, 2), -np.concatenate([weight, moment], axis=1)[..., None]
+        )[..., 0]
 
 
 @dataclass(frozen=True)
 class Springs(Weighed):
-    """Struts of stiffness N/m that stiffen: compressed by f / stiffness / (1 + |f| / stiffening N); infinite stiffening is a plain spring."""
+    """Struts of stiffness N/m that stiffen: compressed by f / stiffness / (1 + |f| / stiffening N); infinite stiffening
+    is a plain spring.
+    """
 
     stiffness: float
     stiffening: float
@@ -43,7 +53,9 @@ class Springs(Weighed):
 
 @dataclass(frozen=True)
 class Loose(Weighed):
-    """Joints with a clearance of `gap` m on which they lie the way the force points; soft : N over which they change sides (0: at once)."""
+    """Joints with a clearance of `gap` m on which they lie the way the force points; soft : N over which they change
+    sides (0: at once).
+    """
 
     gap: float
     soft: float

@@ -10,7 +10,9 @@ from tests.truth.motion import Motion
 
 @dataclass(frozen=True)
 class Stops(Law):
-    """Play between two stops: the driver floats between `short` (m ahead, outward) and `long` (inward); begun : (axes,) -1..1 in the gap."""
+    """Play between two stops: the driver floats between `short` (m ahead, outward) and `long` (inward); begun : (axes,)
+    -1..1 in the gap.
+    """
 
     short: float
     long: float
@@ -28,9 +30,11 @@ class Stops(Law):
 
 @dataclass(frozen=True)
 class Bristles(Law):
-    """Bristles that bend and slip (Dahl; Bouc-Wen of order 1): z' = 1 - share z sign(dx) / most - (1 - share) |z| / most.
+    """Bristles that bend and slip (Dahl; Bouc-Wen of order 1): z' = 1 - share z sign(dx) / most - (1 - share) |z| /
+    most.
 
-    most : (m,) greatest bends; weights : (m,) of each set of bristles; share : of Bouc-Wen's beta, 1 is Dahl's. The axis stays short by weights @ z
+    most : (m,) greatest bends; weights : (m,) of each set of bristles; share : of Bouc-Wen's beta, 1 is Dahl's. The
+        axis stays short by weights @ z
     """
 
     most: np.ndarray
@@ -48,7 +52,9 @@ class Bristles(Law):
         return -self.axes * out[motion.at]
 
     def _moved(self, z: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """z (m, axes) after a step (axes,): along y = z sign(step), y' = 1 - share y / most - (1 - share) |y| / most, in closed form."""
+        """z (m, axes) after a step (axes,): along y = z sign(step), y' = 1 - share y / most - (1 - share) |y| / most,
+        in closed form.
+        """
         sign, far = np.sign(step), np.abs(step)[None] + np.zeros_like(z)
         y, most = z * sign, self.most[:, None]
         slow = (2 * self.share - 1) / most  # where y < 0: y' = 1 - slow y
@@ -67,7 +73,9 @@ class Bristles(Law):
 
 @dataclass(frozen=True)
 class Sliders(Law):
-    """Springs in parallel with sliders (Maxwell, Iwan): each holds at most its own reach of travel. reach, weights : (m,) m and shares."""
+    """Springs in parallel with sliders (Maxwell, Iwan): each holds at most its own reach of travel. reach,
+    weights : (m,) m and shares.
+    """
 
     reach: np.ndarray
     weights: np.ndarray
@@ -86,7 +94,9 @@ class Sliders(Law):
 
 @dataclass(frozen=True)
 class Late(Law):
-    """Part of each move comes late; `area(s)` s is the integral over s seconds of the share that is still missing, 1 at first."""
+    """Part of each move comes late; `area(s)` s is the integral over s seconds of the share that is still missing, 1 at
+    first.
+    """
 
     fraction: float
 
@@ -111,7 +121,9 @@ class TwoPaces(Late):
     share: float
 
     def area(self, s: np.ndarray) -> np.ndarray:
-        return -self.share * self.fast * np.expm1(-s / self.fast) - (1 - self.share) * self.slow * np.expm1(-s / self.slow)
+        return -self.share * self.fast * np.expm1(-s / self.fast) - (1 - self.share) * self.slow * np.expm1(
+            -s / self.slow
+        )
 
 
 @dataclass(frozen=True)
@@ -128,7 +140,9 @@ class Logarithmic(Late):
 
 @dataclass(frozen=True)
 class Damped(Late):
-    """A drive of the second order that follows its command: natural frequency rad/s, damping below 1; fraction 1 is the drive itself."""
+    """A drive of the second order that follows its command: natural frequency rad/s, damping below 1; fraction 1 is the
+    drive itself.
+    """
 
     frequency: float
     damping: float
@@ -141,7 +155,9 @@ class Damped(Late):
 
 @dataclass(frozen=True)
 class LastStep(Law):
-    """An axis stops short by a part of its last step, part grown or not with the step's own length. fraction; bend : 1/unit of travel"""
+    """An axis stops short by a part of its last step, part grown or not with the step's own length. fraction;
+    bend : 1/unit of travel
+    """
 
     fraction: float
     bend: float

@@ -1,4 +1,6 @@
-"""What a machine lives through: its commands in time and the conditions around it, as the laws of its faults see them."""
+"""What a machine lives through: its commands in time and the conditions around it, as the laws of its faults see
+them.
+"""
 
 from dataclasses import dataclass
 
@@ -13,7 +15,8 @@ REFERENCE = 20.0  # C at which lengths are stated
 
 @dataclass(frozen=True)
 class Conditions:
-    """Of a day, from t = 0 on. room : (start C, drift C, wave C, period s, span s); warmer : (axes,) C that each axis gets warmer than the room
+    """Of a day, from t = 0 on. room : (start C, drift C, wave C, period s, span s); warmer : (axes,) C that each axis
+    gets warmer than the room
     loads : (m, 2) from t s on, kg; a payload's mass"""
 
     room: tuple[float, float, float, float, float]
@@ -36,7 +39,8 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Motion:
-    """t, values : (k,) s, (k, axes) everything the machine passes; at : (n,) indices of what is looked at; day : Conditions
+    """t, values : (k,) s, (k, axes) everything the machine passes; at : (n,) indices of what is looked at;
+    day : Conditions
     machine : as it really is"""
 
     t: np.ndarray

@@ -1,4 +1,6 @@
-"""Faults that depend on where the axes stand alone: scale, periods, profiles, one axis' travel in another, twist of screws."""
+"""Faults that depend on where the axes stand alone: scale, periods, profiles, one axis' travel in another, twist of
+screws.
+"""
 
 from dataclasses import dataclass
 
@@ -35,7 +37,9 @@ class Periodic(Law):
 
 @dataclass(frozen=True)
 class Sawtooth(Law):
-    """An even zigzag of the axis' own place, as of an eccentric gear with a flat. size : from zero to a tip; pitch; phase : of a period"""
+    """An even zigzag of the axis' own place, as of an eccentric gear with a flat. size : from zero to a tip; pitch;
+    phase : of a period
+    """
 
     size: float
     pitch: float
@@ -48,7 +52,9 @@ class Sawtooth(Law):
 
 @dataclass(frozen=True)
 class Waves(Law):
-    """A screw's profile: sines of a few travels' length, a drift on top. sizes, waves, phases : (m,) waves in strokes; drift : over the stroke"""
+    """A screw's profile: sines of a few travels' length, a drift on top. sizes, waves, phases : (m,) waves in strokes;
+    drift : over the stroke
+    """
 
     sizes: np.ndarray
     waves: np.ndarray
@@ -57,7 +63,9 @@ class Waves(Law):
 
     def beyond(self, motion: Motion, poses: np.ndarray) -> np.ndarray:
         share = (motion.values[motion.at] - motion.home) / np.ptp(motion.machine.ranges, axis=1)
-        return self.axes * (np.sin(2 * np.pi * share[..., None] / self.waves + self.phases) @ self.sizes + self.drift * share)
+        return self.axes * (
+            np.sin(2 * np.pi * share[..., None] / self.waves + self.phases) @ self.sizes + self.drift * share
+        )
 
 
 @dataclass(frozen=True)
@@ -86,7 +94,9 @@ class Coupled(Law):
 
 @dataclass(frozen=True)
 class Twisted(Law):
-    """A screw's nut turns with the platform-side cardan against the base-side one. lead : m/rev; gain : of it, and `more` of its square (1/rad)."""
+    """A screw's nut turns with the platform-side cardan against the base-side one. lead : m/rev; gain : of it, and
+    `more` of its square (1/rad).
+    """
 
     lead: float
     gain: float
@@ -102,7 +112,9 @@ class Twisted(Law):
 
     @staticmethod
     def _turn(motion: Motion, poses: np.ndarray) -> np.ndarray:
-        """(n, 6) rad about the strut from the base's cross to the platform's, by the angle of each second axis in a plane square to the strut."""
+        """(n, 6) rad about the strut from the base's cross to the platform's, by the angle of each second axis in a
+        plane square to the strut.
+        """
         machine = motion.machine
         legs = machine.legs(poses)
         u = legs / np.linalg.norm(legs, axis=2, keepdims=True)

@@ -1,4 +1,6 @@
-"""Rigid motions as 4 x 4 matrices: between pose rows (x, y, z, rx, ry, rz) and matrices, and the error of one against another."""
+"""Rigid motions as 4 x 4 matrices: between pose rows (x, y, z, rx, ry, rz) and matrices, and the error of one against
+another.
+"""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,7 +22,9 @@ def rows_of(poses: np.ndarray) -> np.ndarray:
 
 
 def displaced(poses: np.ndarray, small: np.ndarray) -> np.ndarray:
-    """(n, 4, 4) poses moved by small motions (n, 6) in their own frames: translation and rotation vector apart, translation first."""
+    """(n, 4, 4) poses moved by small motions (n, 6) in their own frames: translation and rotation vector apart,
+    translation first.
+    """
     out = poses.copy()
     out[:, :3, 3] += np.einsum("nij,nj->ni", poses[:, :3, :3], small[:, :3])
     out[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_rotvec(small[:, 3:]).as_matrix()
@@ -36,4 +40,6 @@ def errors(real: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 def rms(error: np.ndarray) -> tuple[float, float]:
     """(position m, rotation rad): root mean square lengths of errors (n, 6)."""
-    return float(np.sqrt((error[:, :3] ** 2).sum(axis=1).mean())), float(np.sqrt((error[:, 3:] ** 2).sum(axis=1).mean()))
+    return float(np.sqrt((error[:, :3] ** 2).sum(axis=1).mean())), float(
+        np.sqrt((error[:, 3:] ** 2).sum(axis=1).mean())
+    )

@@ -14,7 +14,9 @@ MIDDLE = np.array([WIDE, HIGH]) / 2
 
 @dataclass(frozen=True)
 class Lens(Sight):
-    """A lens that leaves its terms. camera; size : px at the image's edge; kind : 0 a seventh power of the radius, 1 a bump at `where` (2,) px"""
+    """A lens that leaves its terms. camera; size : px at the image's edge; kind : 0 a seventh power of the radius, 1 a
+    bump at `where` (2,) px
+    """
 
     camera: int
     size: float
@@ -43,7 +45,9 @@ class Zooming(Sight):
 
 @dataclass(frozen=True)
 class Moving(Sight):
-    """One camera's mount moves by a small motion (6,): at once at a moment, or creeping with two times. times : s, one or two"""
+    """One camera's mount moves by a small motion (6,): at once at a moment, or creeping with two times. times : s, one
+    or two
+    """
 
     camera: int
     motion: np.ndarray
@@ -69,7 +73,9 @@ class Rolling(Sight):
 
 @dataclass(frozen=True)
 class Window(Sight):
-    """A plane glass before one camera: thickness m, of index 1.5; square : its normal in the camera's frame. Snell's law, ray by ray."""
+    """A plane glass before one camera: thickness m, of index 1.5; square : its normal in the camera's frame. Snell's
+    law, ray by ray.
+    """
 
     camera: int
     thickness: float
@@ -91,7 +97,9 @@ class Window(Sight):
 
 @dataclass(frozen=True)
 class Edges(Sight):
-    """Every edge of the black moves inward by px: along the edge's normal in the image. slope : how much more at the image's edge"""
+    """Every edge of the black moves inward by px: along the edge's normal in the image. slope : how much more at the
+    image's edge
+    """
 
     inward: float
     slope: float
@@ -171,7 +179,8 @@ class Swapped(Sight):
 
 @dataclass(frozen=True)
 class Scene:
-    """What a fault of seeing is drawn from. px : its size; focal : px; far : m to what is seen; span : s; warmth : K; pace : m/s as it moves
+    """What a fault of seeing is drawn from. px : its size; focal : px; far : m to what is seen; span : s; warmth : K;
+    pace : m/s as it moves
     side : m of a marker"""
 
     px: float
@@ -212,8 +221,10 @@ class Scene:
 
 def _window(s: Scene) -> list[Sight]:
     thick = 3 * s.metres / 0.05
-    return [Window(s.camera, thick, np.array([0, 0, 1.0])),
-            Window(s.camera, min(thick, 0.03), np.array([np.sin(0.4), 0, np.cos(0.4)]))]
+    return [
+        Window(s.camera, thick, np.array([0, 0, 1.0])),
+        Window(s.camera, min(thick, 0.03), np.array([np.sin(0.4), 0, np.cos(0.4)])),
+    ]
 
 
 def _askew(s: Scene) -> list[Sight]:
@@ -227,15 +238,24 @@ def _misplaced(s: Scene) -> list[Sight]:
 
 
 SIGHTS: dict[str, Callable[[Scene], list[Sight]]] = {
-    "lens_distortion": lambda s: [Lens(s.camera, 3 * s.px, 0, MIDDLE), Lens(s.camera, 3 * s.px, 1, MIDDLE + s.rng.uniform(-150, 150, 2))],
+    "lens_distortion": lambda s: [
+        Lens(s.camera, 3 * s.px, 0, MIDDLE),
+        Lens(s.camera, 3 * s.px, 1, MIDDLE + s.rng.uniform(-150, 150, 2)),
+    ],
     "focal_drift": lambda s: [Zooming(np.full(2, s.zooms)), Zooming(np.array([1.2, 0.8]) * s.zooms)],
-    "camera_drift": lambda s: [Moving(s.camera, 2 * s.mount, (s.span / 4, s.span), False), Moving(s.camera, 2 * s.mount, (s.span * 5,), False)],
-    "camera_bump": lambda s: [Moving(s.camera, s.mount, (s.span * s.rng.uniform(0.3, 0.7),), True),
-                              Moving(s.camera, s.mount, (s.span * 0.3, s.span * 0.6), True)],
+    "camera_drift": lambda s: [
+        Moving(s.camera, 2 * s.mount, (s.span / 4, s.span), False),
+        Moving(s.camera, 2 * s.mount, (s.span * 5,), False),
+    ],
+    "camera_bump": lambda s: [
+        Moving(s.camera, s.mount, (s.span * s.rng.uniform(0.3, 0.7),), True),
+        Moving(s.camera, s.mount, (s.span * 0.3, s.span * 0.6), True),
+    ],
     "rolling_shutter": lambda s: [Rolling(min(s.metres / s.pace / 200, 3e-5))],
     "refraction": _window,
     "edge_bias": lambda s: [Edges(s.px, 0.0), Edges(0.8 * s.px, 0.5)],
     "print_scale": lambda s: [Printed(np.full(2, s.larger)), Printed(np.array([1.2, 0.8]) * s.larger)],
     "face_misplacement": _askew,
     "cube_misplacement": _misplaced,
-    "marker_swap": lambda s: [Swapped("P1", (0, 2), 0), Swapped("P2", (4, 1), 1)]}
+    "marker_swap": lambda s: [Swapped("P1", (0, 2), 0), Swapped("P2", (4, 1), 1)],
+}

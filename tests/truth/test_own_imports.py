@@ -12,7 +12,17 @@ def test_only_numpy_and_scipy_are_imported():
         if path.name.startswith("test_"):
             continue
         for node in ast.walk(ast.parse(path.read_text())):
-            names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module] if isinstance(node, ast.ImportFrom) else []
+            names = (
+                [a.name for a in node.names]
+                if isinstance(node, ast.Import)
+                else [node.module]
+                if isinstance(node, ast.ImportFrom)
+                else []
+            )
             for name in names:
                 root = name.split(".")[0]
-                assert root in sys.stdlib_module_names or root in ("numpy", "scipy") or f"{name}.".startswith("tests.truth."), (path.name, name)
+                assert (
+                    root in sys.stdlib_module_names
+                    or root in ("numpy", "scipy")
+                    or f"{name}.".startswith("tests.truth.")
+                ), (path.name, name)

@@ -41,10 +41,18 @@ def test_bristles_follow_their_equation(share):
     z, seen = 0.0, [0.0]
     for step in np.diff(places):
         sign = np.sign(step)
-        done = solve_ivp(lambda x, y: 1 - share * y / most - (1 - share) * np.abs(y) / most, (0, abs(step)), [z * sign], rtol=1e-10, atol=1e-13)
+        done = solve_ivp(
+            lambda x, y: 1 - share * y / most - (1 - share) * np.abs(y) / most,
+            (0, abs(step)),
+            [z * sign],
+            rtol=1e-10,
+            atol=1e-13,
+        )
         z = float(done.y[0, -1]) * sign
         seen.append(-z)
-    assert np.allclose(moved(Bristles(ONE, np.array([most]), np.ones(1), share, STILL), places.tolist()), seen, atol=1e-9)
+    assert np.allclose(
+        moved(Bristles(ONE, np.array([most]), np.ones(1), share, STILL), places.tolist()), seen, atol=1e-9
+    )
 
 
 def test_sliders_hold_no_more_than_their_reach():
@@ -56,34 +64,52 @@ def test_what_comes_late_comes():
     t = np.array([0.0, 1.0, 1.001, 2.0, 10.0, 1e5])
     for law in (TwoPaces(ONE, 0.01, 1.0, 5.0, 0.4), Logarithmic(ONE, 0.01, 1.0, 1e4)):
         out = moved(law, [0.4, 0.4, 0.41, 0.41, 0.41, 0.41], t)
-        assert out[1] == 0 and np.isclose(out[2], -1e-4, rtol=2e-3) and out[2] < out[3] < out[4] < -1e-6 and abs(out[5]) < 1e-12
+        assert (
+            out[1] == 0
+            and np.isclose(out[2], -1e-4, rtol=2e-3)
+            and out[2] < out[3] < out[4] < -1e-6
+            and abs(out[5]) < 1e-12
+        )
     s = 10.0 - 1.0005
-    assert np.isclose(moved(TwoPaces(ONE, 0.01, 1.0, 5.0, 0.4), [0.4, 0.4, 0.41, 0.41, 0.41, 0.41], t)[4],
-                      -1e-4 * (0.4 * np.exp(-s) + 0.6 * np.exp(-s / 5)), rtol=1e-6)
+    assert np.isclose(
+        moved(TwoPaces(ONE, 0.01, 1.0, 5.0, 0.4), [0.4, 0.4, 0.41, 0.41, 0.41, 0.41], t)[4],
+        -1e-4 * (0.4 * np.exp(-s) + 0.6 * np.exp(-s / 5)),
+        rtol=1e-6,
+    )
 
 
 def test_a_drive_of_the_second_order_settles_and_trails_a_ramp():
     t = np.array([0.0, 1.0, 3.0, 30.0])
     out = moved(Damped(ONE, 1.0, 10.0, 0.7), [0.4, 0.4, 0.42, 0.42], t)
-    assert np.isclose(out[2], -0.01 * 2 * 0.7 / 10.0, rtol=1e-4) and abs(out[3]) < 1e-12  # speed times 2 damping / frequency
+    assert (
+        np.isclose(out[2], -0.01 * 2 * 0.7 / 10.0, rtol=1e-4) and abs(out[3]) < 1e-12
+    )  # speed times 2 damping / frequency
 
 
 def test_the_last_step_is_that_of_the_whole_move():
-    assert np.allclose(moved(LastStep(ONE, 1e-3, 0.0), [0.4, 0.4, 0.41, 0.42, 0.42, 0.39, 0.39]),
-                       [0, 0, -1e-5, -2e-5, -2e-5, 3e-5, 3e-5])
+    assert np.allclose(
+        moved(LastStep(ONE, 1e-3, 0.0), [0.4, 0.4, 0.41, 0.42, 0.42, 0.39, 0.39]),
+        [0, 0, -1e-5, -2e-5, -2e-5, 3e-5, 3e-5],
+    )
 
 
 def test_two_bodies_warm_one_through_the_other():
     law = Warming(ONE, 1e-5, 10.0, 30.0, 0.0)
     t = np.array([0.0, 5.0, 50.0])
-    done = solve_ivp(lambda t, h: [(1 - h[0]) / 10, (h[0] - h[1]) / 30], (0, 50), [0, 0], t_eval=t, rtol=1e-9, atol=1e-12)
+    done = solve_ivp(
+        lambda t, h: [(1 - h[0]) / 10, (h[0] - h[1]) / 30], (0, 50), [0, 0], t_eval=t, rtol=1e-9, atol=1e-12
+    )
     assert np.allclose(moved(law, [0.4, 0.4, 0.4], t), 1e-5 * done.y[1], atol=1e-11)
 
 
 def test_a_base_that_grows_is_a_larger_base():
     rng = np.random.default_rng(3)
     machine = nominal("hexapod", rng)
-    way = Journey(np.array([0.0, 60.0]), np.tile(machine.ranges.mean(axis=1), (2, 1)) + rng.normal(0, 5e-3, (1, 6)), np.array([50.0]))
+    way = Journey(
+        np.array([0.0, 60.0]),
+        np.tile(machine.ranges.mean(axis=1), (2, 1)) + rng.normal(0, 5e-3, (1, 6)),
+        np.array([50.0]),
+    )
     day = replace(DAY, warmer=np.zeros(6))
     grown = replace(machine, base=machine.base * (1 + 1e-4 * 3.0))  # 20 C and 6 K in 100 s: 3 K
     law = GrowingBase(np.ones(6), np.full(3, 1e-4))
@@ -95,7 +121,9 @@ def test_level_struts_share_the_weight_by_hand():
     law = Springs(np.ones(6), 12.0, np.zeros(3), np.zeros(3), 1e7, np.inf)
     way = Journey(np.array([0.0, 1.0]), np.tile(machine.ranges.mean(axis=1), (2, 1)), np.array([1.0]))
     legs = machine.legs(machine.forward(way.values[:1]))[0]
-    force = 12.0 * 9.80665 / 6 / (legs[:, 2] / np.linalg.norm(legs, axis=1))  # by symmetry a sixth each, along the strut
+    force = (
+        12.0 * 9.80665 / 6 / (legs[:, 2] / np.linalg.norm(legs, axis=1))
+    )  # by symmetry a sixth each, along the strut
     motion = passed(way, way.looked, Conditions((20, 0, 0, 1, 1), np.zeros(6), np.array([[0.0, 0.0]])), machine)
     assert np.allclose(law.beyond(motion, machine.forward(way.values[:1]))[0], -force / 1e7, rtol=1e-12)
 
@@ -103,7 +131,12 @@ def test_level_struts_share_the_weight_by_hand():
 def test_a_late_clock_sees_what_comes_later():
     t = np.array([0.0, 10.0])
     way = Journey(t, np.array([[0.4, 0.4], [0.45, 0.4]]), np.array([4.0]))
-    assert np.abs(errors(stood(HINGE, way, DAY, (Clocked(STILL, 0.5, 0.125),)), HINGE.forward(np.array([[0.425, 0.4]])))).max() < 1e-12
+    assert (
+        np.abs(
+            errors(stood(HINGE, way, DAY, (Clocked(STILL, 0.5, 0.125),)), HINGE.forward(np.array([[0.425, 0.4]])))
+        ).max()
+        < 1e-12
+    )
 
 
 def test_links_grow_by_hand():
@@ -120,7 +153,14 @@ def test_strong_faults_show_and_none_do_not(effect):
         sound = stood(case.machine, case.way, case.day, ())
         real = stood(case.machine, case.way, case.day, case.laws)
         assert 0.1 * case.size < rms(errors(real, sound))[0] < 30 * case.size
-        assert rms(errors(stood(case.machine, case.way, case.day, draw(3, effect, "none", "shuffled", count=20).laws), sound))[0] == 0
+        assert (
+            rms(
+                errors(
+                    stood(case.machine, case.way, case.day, draw(3, effect, "none", "shuffled", count=20).laws), sound
+                )
+            )[0]
+            == 0
+        )
 
 
 def test_homing_takes_lost_steps_away():

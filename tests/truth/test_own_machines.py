@@ -45,7 +45,13 @@ def test_a_level_platform_rises_by_hand():
 
 
 def test_an_arm_by_hand():
-    arm = Arm(np.array([[0, 0.3, 0.0, 0], [0, 0, 0.5, 0]]), np.array([True, False]), np.zeros(2), np.full((2, 2), [-1.0, 1.0]), np.zeros(2))
+    arm = Arm(
+        np.array([[0, 0.3, 0.0, 0], [0, 0, 0.5, 0]]),
+        np.array([True, False]),
+        np.zeros(2),
+        np.full((2, 2), [-1.0, 1.0]),
+        np.zeros(2),
+    )
     pose = arm.forward(np.array([[0.2, np.pi / 2]]))[0]
     assert np.allclose(pose[:3, 3], [0.0, 0.5, 0.5])
     assert np.allclose(pose[:3, 0], [0.0, 1.0, 0.0])

@@ -26,14 +26,22 @@ def seen(fault, moving=0.0):
 
 def test_the_top_of_a_cube_by_hand():
     camera = looking("above", np.array([0.1, 0.0, 2.0]), np.array([0.1, 1e-9, 0.0]), 1000.0, np.zeros(5))
-    eyes = replace(watching(0.3, 0.4, Sight(), 0.0, np.random.default_rng(0)), cameras=(camera,), cubes=(Cube("B1", False, 0.2, 0.1, 30, np.eye(4)),))
+    eyes = replace(
+        watching(0.3, 0.4, Sight(), 0.0, np.random.default_rng(0)),
+        cameras=(camera,),
+        cubes=(Cube("B1", False, 0.2, 0.1, 30, np.eye(4)),),
+    )
     rows = eyes.corners(np.zeros(1), (np.tile(np.eye(4), (1, 1, 1)),) * 3, DAY, np.random.default_rng(0))
     assert set(rows[:, 2]) == {34}  # the top alone, 1.9 m away; its up is +y, and so is the camera's
     uv = rows[:, 4:] - np.array([(WIDE - 1) / 2, (HIGH - 1) / 2])
     half, left = 1000 * 0.05 / 1.9, 1000 * 0.1 / 1.9
-    assert np.allclose(np.abs(uv - uv.mean(axis=0)), half, atol=1e-6) and np.isclose(np.linalg.norm(uv.mean(axis=0)), left)
+    assert np.allclose(np.abs(uv - uv.mean(axis=0)), half, atol=1e-6) and np.isclose(
+        np.linalg.norm(uv.mean(axis=0)), left
+    )
     sides = np.roll(uv, -1, axis=0) - uv
-    assert (sides[:, 0] * np.roll(sides, -1, axis=0)[:, 1] - sides[:, 1] * np.roll(sides, -1, axis=0)[:, 0] > 0).all()  # clockwise, v down
+    assert (
+        sides[:, 0] * np.roll(sides, -1, axis=0)[:, 1] - sides[:, 1] * np.roll(sides, -1, axis=0)[:, 0] > 0
+    ).all()  # clockwise, v down
 
 
 def test_a_window_shifts_a_ray_as_drawn():
@@ -52,15 +60,21 @@ def test_a_window_shifts_a_ray_as_drawn():
 
 def test_edges_move_inward_by_so_many_px():
     square = np.array([[[600.0, 500], [640, 500], [640, 540], [600, 540]]])
-    assert np.allclose(Edges(0.5, 0.0).bordered(0, square), [[[600.5, 500.5], [639.5, 500.5], [639.5, 539.5], [600.5, 539.5]]])
+    assert np.allclose(
+        Edges(0.5, 0.0).bordered(0, square), [[[600.5, 500.5], [639.5, 500.5], [639.5, 539.5], [600.5, 539.5]]]
+    )
 
 
 def test_zoom_prints_and_rows():
     eyes, rows = seen(Sight())
-    zoomed, printed, rolled = (seen(fault)[1] for fault in (Zooming(np.full(2, 1e-4)), Printed(np.full(2, 0.01)), Rolling(1e-5)))
+    zoomed, printed, rolled = (
+        seen(fault)[1] for fault in (Zooming(np.full(2, 1e-4)), Printed(np.full(2, 0.01)), Rolling(1e-5))
+    )
     middle = np.stack([eyes.cameras[int(k)].middle for k in rows[:, 1]])
     assert np.allclose(zoomed[:, 4:] - middle, (rows[:, 4:] - middle) * 1.0005, atol=1e-9)  # 5 K above the reference
-    spread = [r[:, 4:].reshape(-1, 4, 2) - r[:, 4:].reshape(-1, 4, 2).mean(axis=1, keepdims=True) for r in (rows, printed)]
+    spread = [
+        r[:, 4:].reshape(-1, 4, 2) - r[:, 4:].reshape(-1, 4, 2).mean(axis=1, keepdims=True) for r in (rows, printed)
+    ]
     assert np.allclose(np.linalg.norm(spread[1], axis=2) / np.linalg.norm(spread[0], axis=2), 1.01, atol=3e-3)
     assert np.allclose(rolled, rows)  # nothing moves
     (_, still), (_, early) = seen(Sight(), 0.1), seen(Rolling(1e-5), 0.1)
@@ -77,7 +91,9 @@ def test_faults_of_seeing_show_in_corners(effect):
 
     (sound, sigma), (weak, _), (strong, _) = (corners(s) for s in ("none", "weak", "strong"))
     common = sorted(set(sound) & set(weak) & set(strong))
-    sizes = [np.sqrt(np.mean([((found[k] - sound[k]) ** 2).sum() / 2 for k in common])) / sigma for found in (weak, strong)]
+    sizes = [
+        np.sqrt(np.mean([((found[k] - sound[k]) ** 2).sum() / 2 for k in common])) / sigma for found in (weak, strong)
+    ]
     assert len(common) > 500 and sizes[1] > (0.5 if effect == "rolling_shutter" else 1.2)
     assert effect == "marker_swap" or sizes[0] < sizes[1]
 

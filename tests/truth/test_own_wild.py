@@ -30,4 +30,6 @@ def test_corners_of_all_other_frames_stay():
         rows = [{tuple(row) for row in seen[~np.isin(seen[:, 0], frames)]} for seen in (case.seen, bad.seen)]
         assert rows[0] == rows[1]
         for frame in frames:
-            assert {tuple(row) for row in case.seen[case.seen[:, 0] == frame]} != {tuple(row) for row in bad.seen[bad.seen[:, 0] == frame]}
+            assert {tuple(row) for row in case.seen[case.seen[:, 0] == frame]} != {
+                tuple(row) for row in bad.seen[bad.seen[:, 0] == frame]
+            }

@@ -14,9 +14,11 @@ LAWS = ("jump", "exchange", "flip", "stale", "unit")
 
 
 def spoilt(case: Case, seed: int, share: float = SHARE) -> tuple[Case, np.ndarray, list[str]]:
-    """(the case with wild rows, their frames (k,), the law of each) of a case without; share : of its frames, at least two
+    """(the case with wild rows, their frames (k,), the law of each) of a case without; share : of its frames, at least
+    two
 
-    An exchange spoils two frames. Where cameras look, a jump, a flip and a wrong unit are of one marker in one image, all else of whole frames.
+    An exchange spoils two frames. Where cameras look, a jump, a flip and a wrong unit are of one marker in one image,
+    all else of whole frames.
     """
     rng = np.random.default_rng([case.seed, seed, 5])
     count = len(case.way.looked)
@@ -34,7 +36,9 @@ def spoilt(case: Case, seed: int, share: float = SHARE) -> tuple[Case, np.ndarra
 
 
 def _pose(seen: np.ndarray, case: Case, frame: int, other: int, law: str, rng: np.random.Generator) -> np.ndarray:
-    """Poses (n, 6) with that of one frame spoilt, of two where it is an exchange. other : the frame it is exchanged with, or the one before it"""
+    """Poses (n, 6) with that of one frame spoilt, of two where it is an exchange. other : the frame it is exchanged
+    with, or the one before it
+    """
     seen = seen.copy()
     flat = case.kind == "planar2"  # whose rows tell where a point of the plane is
     if law == "exchange":
@@ -54,7 +58,9 @@ def _pose(seen: np.ndarray, case: Case, frame: int, other: int, law: str, rng: n
             turned[:3, :3] = turned[:3, :3] @ (2 * np.outer(np.eye(3)[axis], np.eye(3)[axis]) - np.eye(3))
         seen[frame] = rows_of(turned[None])[0]
     else:
-        part, factor = [(slice(0, 3), 1e-3), (slice(0, 3), 0.0254), (slice(3, 6), float(np.radians(1)))][int(rng.integers(2 if flat else 3))]
+        part, factor = [(slice(0, 3), 1e-3), (slice(0, 3), 0.0254), (slice(3, 6), float(np.radians(1)))][
+            int(rng.integers(2 if flat else 3))
+        ]
         seen[frame, part] *= factor
     return seen
 

@@ -1,4 +1,6 @@
-"""A case's recording as a folder: rig.toml as the owner believes the machine to be, and the tables of what was commanded and seen."""
+"""A case's recording as a folder: rig.toml as the owner believes the machine to be, and the tables of what was
+commanded and seen.
+"""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,8 +25,10 @@ def record(case: Case, folder: str | Path) -> Path:
     table(folder / "commands.csv", ("t", *case.owner.names), np.column_stack([case.way.t, case.way.values]))
     frames = np.arange(len(case.way.looked))
     names = [""] if case.eyes is None else [camera.name for camera in case.eyes.stated]
-    (folder / "frames.csv").write_text("frame,t,camera,image\n" + "".join(f"{k},{t:.9f},{name},\n" for k, t in zip(frames, case.way.looked)
-                                                                          for name in names))
+    (folder / "frames.csv").write_text(
+        "frame,t,camera,image\n"
+        + "".join(f"{k},{t:.9f},{name},\n" for k, t in zip(frames, case.way.looked) for name in names)
+    )
     (_write_poses if case.eyes is None else _write_corners)(case, folder)
     if case.logged:
         write_sensors(case, folder / "sensors.csv", float(case.way.t[-1]))
@@ -42,19 +46,27 @@ def _write_corners(case: Case, folder: Path) -> None:
     assert case.eyes is not None
     rows = ["frame,camera,marker,corner,u,v,sigma"]
     for frame, camera, marker, corner, u, v in case.seen[np.lexsort(case.seen[:, 3::-1].T)]:
-        rows.append(f"{frame:.0f},{case.eyes.stated[int(camera)].name},{marker:.0f},{corner:.0f},{u:.6f},{v:.6f},{case.eyes.sigma:.6g}")
+        rows.append(
+            f"{frame:.0f},{case.eyes.stated[int(camera)].name},{marker:.0f},{corner:.0f},"
+            f"{u:.6f},{v:.6f},{case.eyes.sigma:.6g}"
+        )
     (folder / "corners.csv").write_text("\n".join(rows) + "\n")
 
 
 def write_sensors(case: Case, path: Path, last: float) -> None:
-    """Write what the sensors logged from 0 to last s: the channels that the case keeps. A change of payload is a step within 1 ms."""
+    """Write what the sensors logged from 0 to last s: the channels that the case keeps. A change of payload is a step
+    within 1 ms.
+    """
     t = np.arange(0.0, last + EVERY, EVERY)
     if case.logged == "payload":
         changes = case.day.loads[1:, 0]
         t = np.union1d(t, np.concatenate([changes - 1e-3, changes]))
         table(path, ("t", "payload_mass_kg"), np.column_stack([t, case.day.load_at(t)]))
         return
-    names = ["ambient_temperature_C", *(f"strut{i + 1}_temperature_C" for i in range(case.owner.width) if case.kind in ("hexapod", "planar2"))]
+    names = [
+        "ambient_temperature_C",
+        *(f"strut{i + 1}_temperature_C" for i in range(case.owner.width) if case.kind in ("hexapod", "planar2")),
+    ]
     columns = [case.day.room_at(t), *(case.day.axes_at(t).T if len(names) > 1 else [])]
     table(path, ("t", *names), np.column_stack([t, *columns]))
 
@@ -75,14 +87,38 @@ def table(path: Path, names: Iterable[str], rows: np.ndarray) -> None:
 
 def rig_toml(case: Case) -> str:
     """Text of the owner's rig.toml."""
-    parts = ['schema = "rig/1"', f'name = "truth {case.seed}"', "", "[environment]", "gravity = [0.0, 0.0, -9.80665]", "",
-             *_mechanism(case.owner), "", "[actuator]", f"screw_lead = {LEAD}",
-             'joints = "cardan-cardan"', f"max_speed = {float(case.speeds[0])!r}", ""]
+    parts = [
+        'schema = "rig/1"',
+        f'name = "truth {case.seed}"',
+        "",
+        "[environment]",
+        "gravity = [0.0, 0.0, -9.80665]",
+        "",
+        *_mechanism(case.owner),
+        "",
+        "[actuator]",
+        f"screw_lead = {LEAD}",
+        'joints = "cardan-cardan"',
+        f"max_speed = {float(case.speeds[0])!r}",
+        "",
+    ]
     if case.kind == "hexapod":
-        parts += ["[platform]", f"mass = {case.mass!r}", f"centre_of_mass = {_list(case.centre)}",
-                  f"payload_centre_of_mass = {_list(case.payload)}", ""]
+        parts += [
+            "[platform]",
+            f"mass = {case.mass!r}",
+            f"centre_of_mass = {_list(case.centre)}",
+            f"payload_centre_of_mass = {_list(case.payload)}",
+            "",
+        ]
     if case.eyes is None:
-        parts += ["[instrument]", 'base = "rig"', 'tool = "rig"', f"position_sigma = {case.sigma[0]!r}", f"rotation_sigma = {case.sigma[1]!r}", ""]
+        parts += [
+            "[instrument]",
+            'base = "rig"',
+            'tool = "rig"',
+            f"position_sigma = {case.sigma[0]!r}",
+            f"rotation_sigma = {case.sigma[1]!r}",
+            "",
+        ]
     else:
         parts += _cameras(case.eyes)
     return "\n".join(parts)
@@ -91,13 +127,34 @@ def rig_toml(case: Case) -> str:
 def _cameras(eyes: Eyes) -> list[str]:
     lines = []
     for camera in eyes.stated:
-        matrix = [[camera.focal, 0.0, float(camera.middle[0])], [0.0, camera.focal, float(camera.middle[1])], [0.0, 0.0, 1.0]]
-        lines += ["[[camera]]", f'name = "{camera.name}"', f"width = {WIDE}", f"height = {HIGH}", f"matrix = {matrix}",
-                  f"distortion = {_list(camera.lens)}", f"pose = {_pose(camera.place)}", ""]
+        matrix = [
+            [camera.focal, 0.0, float(camera.middle[0])],
+            [0.0, camera.focal, float(camera.middle[1])],
+            [0.0, 0.0, 1.0],
+        ]
+        lines += [
+            "[[camera]]",
+            f'name = "{camera.name}"',
+            f"width = {WIDE}",
+            f"height = {HIGH}",
+            f"matrix = {matrix}",
+            f"distortion = {_list(camera.lens)}",
+            f"pose = {_pose(camera.place)}",
+            "",
+        ]
     for cube in eyes.cubes:
         faces = ", ".join(f'"{face}" = {cube.first + k}' for k, face in enumerate(FACES))
-        lines += ["[[target]]", f'name = "{cube.name}"', f'body = "{"platform" if cube.moves else "base"}"', f"edge = {cube.edge!r}",
-                  f"marker = {cube.side!r}", 'dictionary = "DICT_5X5_100"', f"faces = {{ {faces} }}", f"pose = {_pose(cube.place)}", ""]
+        lines += [
+            "[[target]]",
+            f'name = "{cube.name}"',
+            f'body = "{"platform" if cube.moves else "base"}"',
+            f"edge = {cube.edge!r}",
+            f"marker = {cube.side!r}",
+            'dictionary = "DICT_5X5_100"',
+            f"faces = {{ {faces} }}",
+            f"pose = {_pose(cube.place)}",
+            "",
+        ]
     return lines
 
 
@@ -112,13 +169,26 @@ def _list(values: np.ndarray) -> str:
 
 def _mechanism(machine: Machine, head: str = "[mechanism]") -> list[str]:
     if isinstance(machine, SixStruts):
-        return [head, 'kind = "hexapod"', f"base_joints = {_list(machine.base)}", f"platform_joints = {_list(machine.plate)}",
-                f"strut_range = {_list(machine.ranges)}", f"home = {{ position = [0.0, 0.0, {machine.height!r}], rotvec = [0.0, 0.0, 0.0] }}"]
+        return [
+            head,
+            'kind = "hexapod"',
+            f"base_joints = {_list(machine.base)}",
+            f"platform_joints = {_list(machine.plate)}",
+            f"strut_range = {_list(machine.ranges)}",
+            f"home = {{ position = [0.0, 0.0, {machine.height!r}], rotvec = [0.0, 0.0, 0.0] }}",
+        ]
     if isinstance(machine, Hinge):
-        return [head, 'kind = "planar2"', f"base_joints = {_list(machine.base)}", f"strut_range = {_list(machine.ranges)}"]
+        return [
+            head,
+            'kind = "planar2"',
+            f"base_joints = {_list(machine.base)}",
+            f"strut_range = {_list(machine.ranges)}",
+        ]
     if isinstance(machine, Arm):
-        rows = ", ".join("[" + ", ".join((['"prismatic"'] if slide else []) + [repr(float(x)) for x in row]) + "]"
-                         for slide, row in zip(machine.slides, machine.rows))
+        rows = ", ".join(
+            "[" + ", ".join((['"prismatic"'] if slide else []) + [repr(float(x)) for x in row]) + "]"
+            for slide, row in zip(machine.slides, machine.rows)
+        )
         return [head, 'kind = "arm"', f"joints = [{rows}]", f"limits = {_list(machine.ranges)}"]
     if isinstance(machine, Chain):
         lines = [head, 'kind = "chain"', ""]

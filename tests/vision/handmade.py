@@ -1,4 +1,6 @@
-"""A body that somebody made by hand, markers some millimetres off, turned before two fixed cameras of long focal length; no base in sight."""
+"""A body that somebody made by hand, markers some millimetres off, turned before two fixed cameras of long focal
+length; no base in sight.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -28,10 +30,18 @@ class Handmade:
     corners: Corners
 
 
-def handmade(seed: int, frames: int = 100, noise: float = 0.1, off: tuple[float, float] = (2e-3, 0.03), far: float = 1.0) -> Handmade:
-    """A Handmade. off : m and rad, RMS length of what the markers' places are off by; far : times the usual distance of the cameras"""
+def handmade(
+    seed: int, frames: int = 100, noise: float = 0.1, off: tuple[float, float] = (2e-3, 0.03), far: float = 1.0
+) -> Handmade:
+    """A Handmade. off : m and rad, RMS length of what the markers' places are off by; far : times the usual distance of
+    the cameras
+    """
     rng = np.random.default_rng([5, seed])
-    places = [face_pose(face, EDGE) * pose([x, y, 0], [0, 0, rng.uniform(-np.pi, np.pi)]) for face in FACES for x, y in ON_A_FACE]
+    places = [
+        face_pose(face, EDGE) * pose([x, y, 0], [0, 0, rng.uniform(-np.pi, np.pi)])
+        for face in FACES
+        for x, y in ON_A_FACE
+    ]
     askew = [T * exp(np.repeat(off, 3) / np.sqrt(3) * rng.normal(size=6)) for T in places]
     cameras = tuple(_looking(name, far * eye) for name, eye in zip("ab", EYES))
     stated = _design(tuple(_believed(c, rng) for c in cameras), places)
@@ -47,9 +57,19 @@ def handmade(seed: int, frames: int = 100, noise: float = 0.1, off: tuple[float,
     inside = ((uv > 5) & (uv < np.array(SIZE) - 6)).all(axis=(1, 2))
     shown, uv = shown.take(inside), uv[inside] + rng.normal(0, noise, uv[inside].shape)
     n = len(uv)
-    return Handmade(stated, true, T, Corners(
-        np.repeat(shown.frame, 4), [true.cameras[i].name for i in np.repeat(shown.camera, 4)], markers.id[np.repeat(shown.marker, 4)],
-        np.tile(np.arange(4), n), uv.reshape(-1, 2), np.tile(noise**2 * np.eye(2), (4 * n, 1, 1))))
+    return Handmade(
+        stated,
+        true,
+        T,
+        Corners(
+            np.repeat(shown.frame, 4),
+            [true.cameras[i].name for i in np.repeat(shown.camera, 4)],
+            markers.id[np.repeat(shown.marker, 4)],
+            np.tile(np.arange(4), n),
+            uv.reshape(-1, 2),
+            np.tile(noise**2 * np.eye(2), (4 * n, 1, 1)),
+        ),
+    )
 
 
 def _looking(name: str, eye: np.ndarray) -> Camera:
@@ -58,7 +78,13 @@ def _looking(name: str, eye: np.ndarray) -> Camera:
     x /= np.linalg.norm(x)
     turn = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
     centre = (np.array(SIZE) - 1) / 2
-    return Camera(name, *SIZE, [[FOCAL, 0, centre[0]], [0, FOCAL, centre[1]], [0, 0, 1]], np.array(LENS), RigidTransform.from_components(eye, turn))
+    return Camera(
+        name,
+        *SIZE,
+        [[FOCAL, 0, centre[0]], [0, FOCAL, centre[1]], [0, 0, 1]],
+        np.array(LENS),
+        RigidTransform.from_components(eye, turn),
+    )
 
 
 def _believed(camera: Camera, rng: np.random.Generator) -> Camera:
@@ -70,5 +96,13 @@ def _believed(camera: Camera, rng: np.random.Generator) -> Camera:
 
 def _design(cameras: tuple[Camera, ...], places: list[RigidTransform]) -> Design:
     listed = tuple(Marker(k, SIDE, T, WHITE) for k, T in enumerate(places))
-    return Design("block", np.array([0, 0, -9.8]), Free(), None, Actuator(None, None, None), Platform(None, None, None), cameras,
-                  (Target("block", "platform", "DICT_5X5_100", listed=listed),))
+    return Design(
+        "block",
+        np.array([0, 0, -9.8]),
+        Free(),
+        None,
+        Actuator(None, None, None),
+        Platform(None, None, None),
+        cameras,
+        (Target("block", "platform", "DICT_5X5_100", listed=listed),),
+    )

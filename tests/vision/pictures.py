@@ -13,13 +13,34 @@ SIZE = 180
 
 def camera(distortion=(0.0, 0, 0, 0, 0), size=SIZE):
     """A camera whose image is just large enough for one marker."""
-    return Camera("c", size, size, [[900.0, 0, size / 2], [0, 900, size / 2], [0, 0, 1]], np.array(distortion), pose([0, 0, 0], [0, 0, 0]))
+    return Camera(
+        "c",
+        size,
+        size,
+        [[900.0, 0, size / 2], [0, 900, size / 2], [0, 0, 1]],
+        np.array(distortion),
+        pose([0, 0, 0], [0, 0, 0]),
+    )
 
 
-def picture(corners, dictionary, number, blur=0.6, white=190.0, black=20.0, beyond=70.0, margin=0.9, samples=12, size=SIZE, sharp=False):
-    """(size, size) float grey picture of a flat marker with corners (4, 2) px, no lens; margin : cells of white around it.
+def picture(
+    corners,
+    dictionary,
+    number,
+    blur=0.6,
+    white=190.0,
+    black=20.0,
+    beyond=70.0,
+    margin=0.9,
+    samples=12,
+    size=SIZE,
+    sharp=False,
+):
+    """(size, size) float grey picture of a flat marker with corners (4, 2) px, no lens; margin : cells of white around
+    it.
 
-    sharp : each of the samples x samples of a pixel sees one point, as a ray caster's do, and not its share of each cell
+    sharp : each of the samples x samples of a pixel sees one point, as a ray caster's do, and not its share of each
+        cell
     """
     cells = marker_cells(dictionary, number)
     n = len(cells) - 4
@@ -33,21 +54,32 @@ def picture(corners, dictionary, number, blur=0.6, white=190.0, black=20.0, beyo
     u, v = np.meshgrid(grid, grid)
     w = H[2, 0] * u + H[2, 1] * v + H[2, 2]
     X, Y = (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / w, (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / w
-    gx, gy = (np.hypot(H[k, 0] - Z * H[2, 0], H[k, 1] - Z * H[2, 1]) / w / samples for k, Z in ((0, X), (1, Y)))  # of a sample
+    gx, gy = (
+        np.hypot(H[k, 0] - Z * H[2, 0], H[k, 1] - Z * H[2, 1]) / w / samples for k, Z in ((0, X), (1, Y))
+    )  # of a sample
     if sharp:
         gx, gy = 1e-9, 1e-9
-    paper = _beyond(X + 1 + margin, gx) * _beyond(n + 1 + margin - X, gx) * _beyond(Y + 1 + margin, gy) * _beyond(n + 1 + margin - Y, gy) * (w > 0)
+    paper = (
+        _beyond(X + 1 + margin, gx)
+        * _beyond(n + 1 + margin - X, gx)
+        * _beyond(Y + 1 + margin, gy)
+        * _beyond(n + 1 + margin - Y, gy)
+        * (w > 0)
+    )
     i, j = np.rint(X), np.rint(Y)  # the lines nearest to the sample, and how much of it lies beyond them
     right, below = _beyond(X - i, gx), _beyond(Y - j, gy)
     (left, past), (top, under) = (np.clip(np.stack([k + 1, k + 2]).astype(int), 0, n + 3) for k in (i, j))
-    share = ((1 - below) * ((1 - right) * cells[top, left] + right * cells[top, past])
-             + below * ((1 - right) * cells[under, left] + right * cells[under, past]))
+    share = (1 - below) * ((1 - right) * cells[top, left] + right * cells[top, past]) + below * (
+        (1 - right) * cells[under, left] + right * cells[under, past]
+    )
     grey = beyond + paper * (black + (white - black) * share - beyond)
     return gaussian_filter(grey, blur * samples, truncate=6).reshape(size, samples, size, samples).mean(axis=(1, 3))
 
 
 def _beyond(distance, width):
-    """Share of a sample on the positive side of a line at a signed distance: a ramp with the variance that the sample's own square has."""
+    """Share of a sample on the positive side of a line at a signed distance: a ramp with the variance that the sample's
+    own square has.
+    """
     return np.clip(distance / width + 0.5, 0, 1)
 
 

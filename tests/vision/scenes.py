@@ -11,22 +11,38 @@ from vision.targets import marker_map
 
 
 def scene(design, seed, frames=12, noise=0.04, size=1.0, spoil=None):
-    """(Observations, stated Design, true Design, true poses) of one simulated recording. spoil : Corners -> Corners, or None."""
+    """(Observations, stated Design, true Design, true poses) of one simulated recording. spoil : Corners -> Corners, or
+    None.
+    """
     rng = np.random.default_rng(seed)
     secret = secret_machine.draw_machine(design, rng, size)
     strokes = design.mechanism.strut_range
-    route = plan.settled_plan(plan.low_discrepancy(strokes, frames, seed=seed), strokes.mean(axis=1), plan.plan_speed(design))
+    route = plan.settled_plan(
+        plan.low_discrepancy(strokes, frames, seed=seed), strokes.mean(axis=1), plan.plan_speed(design)
+    )
     done = recording_simulation.simulate(secret, route, rng)
     corners = recording_simulation.noisy_corners(done, noise, rng)
     corners = spoil(corners) if spoil else corners
-    return observations_from_corners(corners, np.arange(frames), design, marker_map(design)), design, secret.true, done.run.T_base_platform
+    return (
+        observations_from_corners(corners, np.arange(frames), design, marker_map(design)),
+        design,
+        secret.true,
+        done.run.T_base_platform,
+    )
 
 
 def standing(observations, rng, sigma):
-    """Observations with errors (px) added that come back in every frame wherever a base marker's corner stands still, and do not elsewhere."""
-    _, index = np.unique((observations.camera * 1000 + observations.marker) * 4 + observations.corner, return_inverse=True)
+    """Observations with errors (px) added that come back in every frame wherever a base marker's corner stands still,
+    and do not elsewhere.
+    """
+    _, index = np.unique(
+        (observations.camera * 1000 + observations.marker) * 4 + observations.corner, return_inverse=True
+    )
     still = sigma * rng.normal(size=(index.max() + 1, 2))[index]
-    return replace(observations, uv=observations.uv + np.where(observations.on_platform[:, None], sigma * rng.normal(size=still.shape), still))
+    return replace(
+        observations,
+        uv=observations.uv + np.where(observations.on_platform[:, None], sigma * rng.normal(size=still.shape), still),
+    )
 
 
 def known(design, true):

@@ -1,4 +1,6 @@
-"""A body that is not as stated: its markers' places are freed where the scatter says so, found to their uncertainty, and nothing bends for them."""
+"""A body that is not as stated: its markers' places are freed where the scatter says so, found to their uncertainty,
+and nothing bends for them.
+"""
 
 import numpy as np
 import pytest
@@ -21,7 +23,9 @@ def measured(made: Handmade, places: str = "auto") -> Measurement:
 
 
 def squares(made: Handmade, m: Measurement) -> np.ndarray:
-    """(markers,) normalised error squared of the places found, truth seen from the frame that the stated places hold; 6 is expected."""
+    """(markers,) normalised error squared of the places found, truth seen from the frame that the stated places hold; 6
+    is expected.
+    """
     stated, true = marker_map(made.stated), marker_map(made.true)
     a, out, seen = m.adjustment, [], m.adjustment.unknowns.seen
     truth = align_points(true.corners[seen].reshape(-1, 3), stated.corners[seen].reshape(-1, 3)) * true.T_body_marker
@@ -36,7 +40,9 @@ def test_a_handmade_body_is_measured(far):
     made = handmade(1, far=far)
     m = measured(made)
     assert m.places_free and len(m.frames) == 100 and m.noise < 1.1 * 0.1 and m.inliers.mean() > 0.999
-    assert len(marker_displacements(m.adjustment)) == 18 and all(move.moved for move in marker_displacements(m.adjustment))
+    assert len(marker_displacements(m.adjustment)) == 18 and all(
+        move.moved for move in marker_displacements(m.adjustment)
+    )
     assert squares(made, m).max() < chi2.isf(1e-4, 6)
     for stated, true, found in zip(made.stated.cameras, made.true.cameras, m.design.cameras):
         assert abs(found.matrix[0, 0] - true.matrix[0, 0]) < 15 and stated.name == found.name

@@ -19,7 +19,17 @@ from vision.recording_measurement import measure_recording
 def measured(request, tmp_path_factory):
     """(Measurement, Design) of an arm with cubes in its hand, or a camera."""
     at = tmp_path_factory.mktemp(request.param)
-    rig("design", "--arm", "ur10", "--seen", request.param, "--cameras", 2 if request.param == "cubes" else 1, "--out", at / "rig.toml")
+    rig(
+        "design",
+        "--arm",
+        "ur10",
+        "--seen",
+        request.param,
+        "--cameras",
+        2 if request.param == "cubes" else 1,
+        "--out",
+        at / "rig.toml",
+    )
     rig("simulate", at / "rig.toml", "--plan", "sobol:24", "--seed", "4", "--out", at / "rec")
     read = recording_folder.load(at / "rec")
     return measure_recording(read)[0], read.design
@@ -35,7 +45,9 @@ def test_poses_seen_already_are_foretold_as_they_were_measured(measured):
         assert 0.8 < np.median(sizes[0] / sizes[1]) < 1.25
     sigma = np.sqrt(np.einsum("nii->ni", found.covariance))[..., None]
     moved, shared = told.common / sigma, found.common / sigma
-    alike = (moved * shared).sum() / np.linalg.norm(moved) / np.linalg.norm(shared)  # the same draws, the same way round
+    alike = (
+        (moved * shared).sum() / np.linalg.norm(moved) / np.linalg.norm(shared)
+    )  # the same draws, the same way round
     assert alike > 0.85
 
 

@@ -33,27 +33,38 @@ def test_a_picture_that_claims_more_than_a_photograph_has_is_never_decoded(tmp_p
     (tmp_path / "rig.toml").write_text(RIG)
     bomb = b"\0\0\0\rIHDR" + struct.pack(">IIBBBBB", 30000, 30000, 16, 2, 0, 0, 0)
     bomb += struct.pack(">I", zlib.crc32(bomb[4:])) + struct.pack(">I", len(row)) + b"IDAT" + row
-    (tmp_path / "bomb.png").write_bytes(PNG + bomb + struct.pack(">I", zlib.crc32(b"IDAT" + row)) + b"\0\0\0\0IEND\xaeB`\x82")
+    (tmp_path / "bomb.png").write_bytes(
+        PNG + bomb + struct.pack(">I", zlib.crc32(b"IDAT" + row)) + b"\0\0\0\0IEND\xaeB`\x82"
+    )
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert main(["check-print", str(tmp_path / "bomb.png"), str(tmp_path / "rig.toml")]) == 1
-    assert "bomb.png: is no picture that can be read (cut off?): claims 30000 x 30000 px; an image has at most 67108864" in capsys.readouterr().err
+    assert (
+        "bomb.png: is no picture that can be read (cut off?): claims 30000 x 30000 px; an image has at most 67108864"
+        in capsys.readouterr().err
+    )
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 17  # KiB
 
 
 def photograph(path, scale, folder):
-    """A photograph, aslant, of an A4 sheet with four markers of 50 mm printed `scale` times as large, (across, along); px of a ruler of 100 mm."""
+    """A photograph, aslant, of an A4 sheet with four markers of 50 mm printed `scale` times as large, (across, along);
+    px of a ruler of 100 mm.
+    """
     flat = np.full((int((HEIGHT + 80) * PIXEL), int((WIDTH + 80) * PIXEL)), 60, np.uint8)
-    flat[int(40 * PIXEL):int((40 + HEIGHT) * PIXEL), int(40 * PIXEL):int((40 + WIDTH) * PIXEL)] = 235
+    flat[int(40 * PIXEL) : int((40 + HEIGHT) * PIXEL), int(40 * PIXEL) : int((40 + WIDTH) * PIXEL)] = 235
     for number, (x, y) in enumerate(((70, 80), (150, 80), (70, 200), (150, 200))):
         wide, high = (round(50 * s * PIXEL) for s in scale)
         cells = marker_cells("DICT_4X4_50", number)[1:-1, 1:-1]
         drawn = cv2.resize((20 + 215 * cells).astype(np.uint8), (wide, high), interpolation=cv2.INTER_NEAREST)
         top, left = int((y) * PIXEL), int((x) * PIXEL)
-        flat[top:top + high, left:left + wide] = drawn
+        flat[top : top + high, left : left + wide] = drawn
     a = np.array([[0, 0], [flat.shape[1], 0], [flat.shape[1], flat.shape[0]], [0, flat.shape[0]]], np.float32)
     H = cv2.getPerspectiveTransform(a, np.array([[120, 60], [1500, 110], [1440, 1930], [60, 1880]], np.float32))
-    image = cv2.GaussianBlur(cv2.warpPerspective(flat, H, (1600, 2000), flags=cv2.INTER_AREA, borderValue=60), (0, 0), 0.8)
-    cv2.imwrite(str(path), np.clip(image + np.random.default_rng(0).normal(0, 1.5, image.shape), 0, 255).astype(np.uint8))
+    image = cv2.GaussianBlur(
+        cv2.warpPerspective(flat, H, (1600, 2000), flags=cv2.INTER_AREA, borderValue=60), (0, 0), 0.8
+    )
+    cv2.imwrite(
+        str(path), np.clip(image + np.random.default_rng(0).normal(0, 1.5, image.shape), 0, 255).astype(np.uint8)
+    )
     (folder / "rig.toml").write_text(RIG)
     return cv2.perspectiveTransform(np.array([[[50 * PIXEL, 300 * PIXEL], [150 * PIXEL, 300 * PIXEL]]]), H)[0]
 
@@ -71,7 +82,11 @@ def test_scale_is_found_both_ways(tmp_path, capsys, scale):
     np.testing.assert_allclose(found["scale"], scale, atol=2e-3)
     assert np.all(np.abs(np.subtract(found["scale"], scale)) < 3 * np.array(found["standard_uncertainty"]) + 5e-4)
     main(["check-print", str(tmp_path / "p.png"), str(tmp_path / "rig.toml"), "--sheet", "210mmx297mm"])
-    assert capsys.readouterr().out.splitlines()[-1].startswith({0.964: "check: write", 1.0: "good", 0.98: "bad: the printer stretches"}[scale[0]])
+    assert (
+        capsys.readouterr()
+        .out.splitlines()[-1]
+        .startswith({0.964: "check: write", 1.0: "good", 0.98: "bad: the printer stretches"}[scale[0]])
+    )
 
 
 def test_a_ruler_tells_the_scale(tmp_path, capsys):
@@ -88,7 +103,12 @@ def test_what_cannot_be_told_is_refused(tmp_path, capsys):
     cv2.imwrite(str(tmp_path / "part.png"), image[:, 300:])
     cv2.imwrite(str(tmp_path / "none.png"), np.full((400, 400), 200, np.uint8))
     (tmp_path / "half.png").write_bytes((tmp_path / "p.png").read_bytes()[:200])
-    for name, says in (("part.png", "no whole sheet"), ("none.png", "no marker of the rig"), ("typo.png", "no such file"), ("half.png", "cut off?")):
+    for name, says in (
+        ("part.png", "no whole sheet"),
+        ("none.png", "no marker of the rig"),
+        ("typo.png", "no such file"),
+        ("half.png", "cut off?"),
+    ):
         assert main(["check-print", str(tmp_path / name), str(tmp_path / "rig.toml")]) == 1
         assert says in capsys.readouterr().err
     for words in (["--sheet", "B9"], ["--ruler", "1,2,3"], ["--ruler", "1,2,1,2=100mm"]):

@@ -56,7 +56,11 @@ def test_covariance_of_each_pose_is_true_over_many_recordings(design):
 
 def test_stated_covariance_is_brought_to_the_scatter_seen(design):
     observations, stated, true, T = scene(design, 2, frames=40, noise=0.08)
-    m = measure(replace(observations, stated=True, covariance=0.01**2 * np.tile(np.eye(2), (len(observations), 1, 1))), stated, marker_map(design))
+    m = measure(
+        replace(observations, stated=True, covariance=0.01**2 * np.tile(np.eye(2), (len(observations), 1, 1))),
+        stated,
+        marker_map(design),
+    )
     assert m.noise == pytest.approx(0.08, rel=0.03) and m.factor == pytest.approx(64, rel=0.06)
 
 
@@ -99,7 +103,9 @@ def test_a_frame_that_cannot_be_solved_is_reported_and_not_filled_in(design):
 
 @pytest.mark.parametrize("left", [0, 1])
 def test_a_camera_that_the_base_does_not_place_joins_by_the_others_poses(design, left):
-    """It sees no base marker, or one, and stands 160 mm and 10 degrees from where it is stated: the others tell where."""
+    """It sees no base marker, or one, and stands 160 mm and 10 degrees from where it is stated: the others tell
+    where.
+    """
     observations, stated, true, _ = scene(design, 6, frames=8)
     o, first = observations, stated.cameras[0]
     base = np.unique(o.marker[(o.camera == 0) & ~o.on_platform])
@@ -107,7 +113,12 @@ def test_a_camera_that_the_base_does_not_place_joins_by_the_others_poses(design,
     away = replace(first, pose=first.pose * exp(np.array([0.12, -0.08, 0.07, 0.1, -0.1, 0.1])))
     m = measure(seen, replace(stated, cameras=(away, *stated.cameras[1:])), marker_map(design))
     off = m.design.cameras[0].pose.inv() * true.cameras[0].pose
-    assert len(m.frames) == 8 and m.inliers.mean() > 0.98 and np.linalg.norm(off.translation) < 1e-3 and off.rotation.magnitude() < 6e-3
+    assert (
+        len(m.frames) == 8
+        and m.inliers.mean() > 0.98
+        and np.linalg.norm(off.translation) < 1e-3
+        and off.rotation.magnitude() < 6e-3
+    )
 
 
 def test_nothing_solved_is_an_error_with_reasons(design):
@@ -130,7 +141,9 @@ def test_a_cube_turned_round_is_cast_out_whole(design):
 
 
 def correlated(observations, rng, sigma):
-    """Observations whose corners' errors are correlated within each sighting, as those of a marker fitted as a whole are."""
+    """Observations whose corners' errors are correlated within each sighting, as those of a marker fitted as a whole
+    are.
+    """
     o = observations
     first = np.flatnonzero(o.corner == 0)
     assert (o.corner.reshape(-1, 4) == range(4)).all() and len(first) * 4 == len(o)

@@ -1,4 +1,6 @@
-"""Recordings of one to six frames: what they can tell is told, with a covariance that holds; what they cannot is said."""
+"""Recordings of one to six frames: what they can tell is told, with a covariance that holds; what they cannot is
+said.
+"""
 
 import numpy as np
 import pytest
@@ -25,7 +27,9 @@ def seen(design, text, folder, seed, count, home, noise=0.04):
     if home:
         commands[0] = hexapod.inverse(design.mechanism.home, design.mechanism)
     done = recording_simulation.simulate(
-        secret_machine.draw_machine(design, rng), plan.settled_plan(commands, strokes.mean(axis=1), plan.plan_speed(design)), rng
+        secret_machine.draw_machine(design, rng),
+        plan.settled_plan(commands, strokes.mean(axis=1), plan.plan_speed(design)),
+        rng,
     )
     recording_simulation.write_recording(done, folder, text, rng, noise)
     return recording_folder.load(folder), done.run.T_base_platform
@@ -55,7 +59,9 @@ def test_few_frames_are_measured(design, rig_text, tmp_path, home, noise):
 @pytest.mark.parametrize("count", range(1, 7))
 @pytest.mark.parametrize("home", [False, True], ids=["", "home"])
 def test_few_frames_are_measured_whatever_the_draw(design, rig_text, tmp_path, count, home):
-    scores = [agrees(design, rig_text, tmp_path / str(seed), seed, count, home, (0.04, 0.004)[seed % 2]) for seed in range(20)]
+    scores = [
+        agrees(design, rig_text, tmp_path / str(seed), seed, count, home, (0.04, 0.004)[seed % 2]) for seed in range(20)
+    ]
     assert 3.5 < np.mean(scores) < 9
 
 
@@ -68,8 +74,8 @@ def test_an_optimum_is_found_although_its_cost_is_rounded(design, rig_text, tmp_
 
 
 def test_a_camera_that_shows_no_base_stands_where_it_is_stated(tmp_path):
-    """Two cubes hide each other from some camera; its stated pose is then worth 10 mm, and what it alone sees is no better. What others see as well
-    says where it stands."""
+    """Two cubes hide each other from some camera; its stated pose is then worth 10 mm, and what it alone sees is no
+    better. What others see as well says where it stands."""
     text = hexapod_layout.hexapod_layout(0.3, cameras=3, cubes=2)
     (tmp_path / "rig.toml").write_text(text)
     design = design_file.load(tmp_path / "rig.toml")
@@ -81,7 +87,10 @@ def test_a_camera_that_shows_no_base_stands_where_it_is_stated(tmp_path):
         statement = " ".join(determined_combinations(measured.adjustment).lines())
         assert "shows too little of the base" in statement and "worth 10 mm" in statement
         stated = np.sqrt(np.trace(measured.covariance[0, :3, :3]))
-        assert least < stated < most and np.linalg.norm(pose_difference(measured.T_base_platform, true)[0, :3]) < 3 * stated
+        assert (
+            least < stated < most
+            and np.linalg.norm(pose_difference(measured.T_base_platform, true)[0, :3]) < 3 * stated
+        )
 
 
 def test_what_nothing_determines_is_named(tmp_path):
@@ -103,6 +112,13 @@ def only_rows(read, keep):
     from dataclasses import replace
 
     c = read.corners
-    some = replace(c, frame=c.frame[keep], camera=[name for name, kept in zip(c.camera, keep) if kept], marker=c.marker[keep],
-                   corner=c.corner[keep], uv=c.uv[keep], covariance=None if c.covariance is None else c.covariance[keep])
+    some = replace(
+        c,
+        frame=c.frame[keep],
+        camera=[name for name, kept in zip(c.camera, keep) if kept],
+        marker=c.marker[keep],
+        corner=c.corner[keep],
+        uv=c.uv[keep],
+        covariance=None if c.covariance is None else c.covariance[keep],
+    )
     return replace(read, corners=some)

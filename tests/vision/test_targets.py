@@ -9,11 +9,15 @@ from rig.model.pose import transform_points
 from vision.targets import face_pose, marker_map
 
 HALF, EDGE = 0.5, 2.0
-# corner 0 (top left, seen from outside, top to +z on the sides and +y on +z and -z) and corner 1 (top right) of a marker of side 1
+# corner 0 (top left, seen from outside, top to +z on the sides and +y on +z and -z) and corner 1 (top right) of a
+# marker of side 1
 BY_HAND = {
-    "+x": ([1, -0.5, 0.5], [1, 0.5, 0.5]), "-x": ([-1, 0.5, 0.5], [-1, -0.5, 0.5]),
-    "+y": ([0.5, 1, 0.5], [-0.5, 1, 0.5]), "-y": ([-0.5, -1, 0.5], [0.5, -1, 0.5]),
-    "+z": ([-0.5, 0.5, 1], [0.5, 0.5, 1]), "-z": ([0.5, 0.5, -1], [-0.5, 0.5, -1]),
+    "+x": ([1, -0.5, 0.5], [1, 0.5, 0.5]),
+    "-x": ([-1, 0.5, 0.5], [-1, -0.5, 0.5]),
+    "+y": ([0.5, 1, 0.5], [-0.5, 1, 0.5]),
+    "-y": ([-0.5, -1, 0.5], [0.5, -1, 0.5]),
+    "+z": ([-0.5, 0.5, 1], [0.5, 0.5, 1]),
+    "-z": ([0.5, 0.5, -1], [-0.5, 0.5, -1]),
 }
 
 
@@ -33,7 +37,11 @@ def test_a_marker_faces_outward(design):
 
 def test_rows_find_identities(design):
     markers = marker_map(design)
-    assert markers.rows(np.array([7, 99, 0])).tolist() == [markers.id.tolist().index(7), -1, markers.id.tolist().index(0)]
+    assert markers.rows(np.array([7, 99, 0])).tolist() == [
+        markers.id.tolist().index(7),
+        -1,
+        markers.id.tolist().index(0),
+    ]
 
 
 def test_a_design_without_targets_is_refused(design):

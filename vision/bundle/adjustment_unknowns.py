@@ -16,7 +16,8 @@ class Unknowns:
     """Which columns belong to whom.
 
     poses, lenses : {camera index: slice}; markers : {row of the marker map: slice}; targets : {target name: slice}
-    local_poses : {moving camera: slice within a frame's block}; shared, local : how many; used : (F, local) bool, seen at all
+    local_poses : {moving camera: slice within a frame's block}; shared, local : how many; used : (F, local) bool, seen
+        at all
     scale : (shared,) own units per unknown; prior : (shared,) 1 where the stated value holds it, else 0
     names : (who, which part) of each shared unknown; basis : (shared, k) motions that leave the datums where they are
     middles : {target name: (3,) m, what it turns about}; seen : rows of the marker map that are observed
@@ -42,7 +43,9 @@ class Unknowns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """State, and how far markers (m,) and targets have moved from where they were stated: T_stated_now, along their own axes."""
+    """State, and how far markers (m,) and targets have moved from where they were stated: T_stated_now, along their own
+    axes.
+    """
 
     state: State
     marker_moves: RigidTransform | None

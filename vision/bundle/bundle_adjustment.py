@@ -1,4 +1,5 @@
-"""Many frames -> cameras, lenses, markers' places and platform poses together: Gauss-Newton with the Schur complement over frames.
+"""Many frames -> cameras, lenses, markers' places and platform poses together: Gauss-Newton with the Schur complement
+over frames.
 
 Unknowns are shared (each fixed camera's pose, each lens, each marker's and target's place) or belong to one frame (the
 platform's pose, each moving camera's pose). The stated places of the base's markers, all together, hold the base frame,
@@ -36,9 +37,11 @@ class Adjustment:
     """The optimum and what is known of it, for corners' covariance as given (scale it by what the residuals say).
 
     state : State; residuals : (n, 2) px, seen less predicted; whitened : (n, 2)
-    platform_given_cameras : (F, 6, 6) covariance of each platform pose were all shared unknowns known, tangent on the right
+    platform_given_cameras : (F, 6, 6) covariance of each platform pose were all shared unknowns known, tangent on the
+        right
     platform_common : (F, 6, k) factor of what the shared unknowns' uncertainty adds, the same k draws for every frame
-    shared_factor : (s, k) of the shared unknowns in their own units, named by shared_names: with the same draws they are off by this times z
+    shared_factor : (s, k) of the shared unknowns in their own units, named by shared_names: with the same draws they
+        are off by this times z
     prior : (s,) standard deviation that each was given before the images, infinite for none
     dof : observations less the unknowns that they determine; cost : sum of whitened squares, priors' included
     unknowns : Unknowns, what was adjusted, being of the groups `free`; stated : State that the priors pull to
@@ -91,22 +94,25 @@ def adjust_bundle(
     """Cameras, places and poses that fit all corners best, weighted by the corners' covariance.
 
     observations : Observations, outliers taken out; state : State to start from, with its markers where these are free
-    free : which of "poses" (of fixed cameras), "lenses", "markers" (each on its target: face misplacement) and "targets" (each
-    in its body: cube misplacement) are adjusted; the rest is held and taken as known
+    free : which of "poses" (of fixed cameras), "lenses", "markers" (each on its target: face misplacement) and
+    "targets" (each in its body: cube misplacement) are adjusted; the rest is held and taken as known
     progress : called after each iteration with the cost, or None
     stated : State whose lenses and places are what the owner stated, `state` by default
     worth : function of a Camera, the standard deviations (4 + terms,) that its stated lens is given
     printing : how far printed markers are taken to be off where they are not free, or None
-    The mean motion of all corners of a body's markers from where they are stated is held at zero, and so is the mean motion
-    of a target's markers on it where both are free. Without targets on the base the stated camera poses hold the base
-    frame: their mean motion is held at zero.
-    Returns Adjustment. Raises NotEnoughData where unknowns outnumber observations, NoOptimum where there is none to be found.
+    The mean motion of all corners of a body's markers from where they are stated is held at zero, and so is the mean
+    motion of a target's markers on it where both are free. Without targets on the base the stated camera poses hold the
+    base frame: their mean motion is held at zero.
+    Returns Adjustment. Raises NotEnoughData where unknowns outnumber observations, NoOptimum where there is none to be
+        found.
     Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000
     """
     stated = state if stated is None else stated
     u, estimate = adjustment_unknowns(observations, state, stated, free, worth, printing)
     if 2 * len(observations) < int(u.used.sum()) + int((u.prior == 0).sum()):
-        raise NotEnoughData(f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns")
+        raise NotEnoughData(
+            f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns"
+        )
     few, spare = merge_repeated_corners(observations, state)
     W = whitener(few)
     damping, cost, blocks = 0.0, np.inf, None
@@ -125,30 +131,50 @@ def adjust_bundle(
             if predicted_decrease(blocks, *(solve_step(blocks, u) if damping else steps)) <= CONVERGED * max(cost, 1.0):
                 if new - cost <= CONVERGED * max(cost, 1.0):
                     estimate = moved
-                break  # at the bottom: what a step still promises drowns in the rounding of the cost; taken, it is as good to the last digits
+                # at the bottom: what a step still promises drowns in the rounding of the cost; taken, it is as good to
+                # the last digits
+                break
             damping = max(MORE * damping, LEAST)
             if damping > 1e8:
-                raise NoOptimum(f"the adjustment of {len(observations)} corners finds no way down from a cost of {cost:.6g}")
+                raise NoOptimum(
+                    f"the adjustment of {len(observations)} corners finds no way down from a cost of {cost:.6g}"
+                )
             continue
         done = cost - new <= CONVERGED * max(cost, 1.0)
         estimate, damping, blocks = moved, damping / MORE if damping > LEAST else 0.0, None
         if done:
             break
     else:
-        raise NoOptimum(f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations")
-    return replace(_finish(observations, few, W, to_datums(estimate, stated, u), stated, u, tuple(free)), printing=printing)
+        raise NoOptimum(
+            f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations"
+        )
+    return replace(
+        _finish(observations, few, W, to_datums(estimate, stated, u), stated, u, tuple(free)), printing=printing
+    )
 
 
-def adjustment_cost(observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, W: Whitener) -> float:
+def adjustment_cost(
+    observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, W: Whitener
+) -> float:
     """Sum of whitened squares, the priors' included; infinite where a corner falls behind its camera. W : Whitener."""
     uv, ahead = predict(observations, estimate.state)
     if (ahead[:, 2] <= 0).any():
         return np.inf
-    return float((W(observations.uv - uv) ** 2).sum() + (unknowns.prior * offset_from_stated(estimate, stated, unknowns) ** 2).sum())
+    return float(
+        (W(observations.uv - uv) ** 2).sum()
+        + (unknowns.prior * offset_from_stated(estimate, stated, unknowns) ** 2).sum()
+    )
 
 
-def _finish(observations: Observations, few: Observations, W: Whitener, estimate: Estimate, stated: State, u: Unknowns,
-            free: tuple[str, ...]) -> Adjustment:
+def _finish(
+    observations: Observations,
+    few: Observations,
+    W: Whitener,
+    estimate: Estimate,
+    stated: State,
+    u: Unknowns,
+    free: tuple[str, ...],
+) -> Adjustment:
     """The Adjustment of Observations that were adjusted as few, with their Whitener."""
     residual, derivatives = linearise(few, estimate, u, W)
     away = offset_from_stated(estimate, stated, u)
@@ -160,14 +186,31 @@ def _finish(observations: Observations, few: Observations, W: Whitener, estimate
     given = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2
     cost = float((residual**2).sum() + (u.prior * away**2).sum())
     own = factor * u.scale[:, None]
-    taken = u.basis.shape[1] - (u.prior[:, None] * factor**2).sum()  # a term held by what was stated takes no observation
+    taken = (
+        u.basis.shape[1] - (u.prior[:, None] * factor**2).sum()
+    )  # a term held by what was stated takes no observation
     dof = float(2 * len(observations) - u.used.sum() - taken)
-    return Adjustment(estimate.state, observations.uv - uv, residual, given, (gain @ factor)[:, :6] * POSE_SCALE, own, u.names,
-                      np.where(u.prior > 0, u.scale, np.inf), dof, cost, u, stated, free)
+    return Adjustment(
+        estimate.state,
+        observations.uv - uv,
+        residual,
+        given,
+        (gain @ factor)[:, :6] * POSE_SCALE,
+        own,
+        u.names,
+        np.where(u.prior > 0, u.scale, np.inf),
+        dof,
+        cost,
+        u,
+        stated,
+        free,
+    )
 
 
 def _inverse_root(information: np.ndarray, u: Unknowns) -> np.ndarray:
-    """Square root of the inverse of what the images say (k, k) of the basis' directions. Raises NotEnoughData naming what they leave open."""
+    """Square root of the inverse of what the images say (k, k) of the basis' directions. Raises NotEnoughData naming
+    what they leave open.
+    """
     if not len(information):
         return np.zeros((0, 0))
     values, vectors = np.linalg.eigh((information + information.T) / 2)

@@ -1,4 +1,6 @@
-"""An estimate, moved by a step of its unknowns: how far it has gone from what was stated, and seen from the frames that hold it."""
+"""An estimate, moved by a step of its unknowns: how far it has gone from what was stated, and seen from the frames that
+hold it.
+"""
 
 from dataclasses import replace
 
@@ -13,7 +15,9 @@ from vision.targets import MarkerMap
 
 
 def target_motion(name: str, markers: MarkerMap, stated: MarkerMap, unknowns: Unknowns) -> RigidTransform:
-    """RigidTransform, how the seen markers of a target, together, have moved from where they were stated, about its middle."""
+    """RigidTransform, how the seen markers of a target, together, have moved from where they were stated, about its
+    middle.
+    """
     own = [row for row in unknowns.seen if markers.target[row] == name]
     middle = RigidTransform.from_translation(unknowns.middles[name])
     return middle.inv() * align_points(stated.corners[own].reshape(-1, 3), markers.corners[own].reshape(-1, 3)) * middle
@@ -21,7 +25,11 @@ def target_motion(name: str, markers: MarkerMap, stated: MarkerMap, unknowns: Un
 
 def marker_motions(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
     """RigidTransform (m,), what moved each marker beyond its target's own motion; nothing where the marker is held."""
-    own = stated.placed.T_body_marker.inv() * marker_shifts(estimate, unknowns).inv() * estimate.state.placed.T_body_marker
+    own = (
+        stated.placed.T_body_marker.inv()
+        * marker_shifts(estimate, unknowns).inv()
+        * estimate.state.placed.T_body_marker
+    )
     held = np.array([row not in unknowns.markers for row in range(len(estimate.state.placed.id))])
     return RigidTransform.from_matrix(np.where(held[:, None, None], np.eye(4), own.as_matrix()))
 
@@ -41,8 +49,10 @@ def update_estimate(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, 
         d = step[columns]
         matrix = cameras[i].matrix + np.array([[d[0], 0, d[2]], [0, d[1], d[3]], [0, 0, 0]])
         cameras[i] = replace(cameras[i], matrix=matrix, distortion=cameras[i].distortion + d[4:])
-    moving = {i: T * exp(local[:, unknowns.local_poses[i]] * POSE_SCALE) if i in unknowns.local_poses else T
-              for i, T in state.moving.items()}
+    moving = {
+        i: T * exp(local[:, unknowns.local_poses[i]] * POSE_SCALE) if i in unknowns.local_poses else T
+        for i, T in state.moving.items()
+    }
     markers, marker_moves, target_moves = state.markers, estimate.marker_moves, dict(estimate.target_moves)
     if unknowns.markers or unknowns.targets:
         before = marker_shifts(estimate, unknowns)
@@ -57,7 +67,11 @@ def update_estimate(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, 
         markers = replace(state.placed, T_body_marker=T)
     elif unknowns.prints.rows:
         markers = apply_printing_errors(state.placed, unknowns.prints, step)
-    return Estimate(State(tuple(cameras), state.platform * exp(local[:, :6] * POSE_SCALE), moving, markers), marker_moves, target_moves)
+    return Estimate(
+        State(tuple(cameras), state.platform * exp(local[:, :6] * POSE_SCALE), moving, markers),
+        marker_moves,
+        target_moves,
+    )
 
 
 def marker_shifts(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
@@ -71,14 +85,22 @@ def marker_shifts(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
 
 
 def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) -> np.ndarray:
-    """(s,) how far lenses, places, prints and cameras' poses that are held have moved from what was stated, in scaled units; 0 for other poses."""
+    """(s,) how far lenses, places, prints and cameras' poses that are held have moved from what was stated, in scaled
+    units; 0 for other poses.
+    """
     out, cameras = np.zeros(unknowns.shared), estimate.state.cameras
     for i, columns in unknowns.poses.items():
         if unknowns.prior[columns].any():
             out[columns] = log(stated.cameras[i].pose.inv() * cameras[i].pose)
     for i, columns in unknowns.lenses.items():
         matrix = cameras[i].matrix - stated.cameras[i].matrix
-        out[columns] = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *(cameras[i].distortion - stated.cameras[i].distortion)]
+        out[columns] = [
+            matrix[0, 0],
+            matrix[1, 1],
+            matrix[0, 2],
+            matrix[1, 2],
+            *(cameras[i].distortion - stated.cameras[i].distortion),
+        ]
     if unknowns.markers:
         moved = log(estimate.marker_moves)
         for row, columns in unknowns.markers.items():
@@ -91,7 +113,8 @@ def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) ->
 
 
 def to_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate:
-    """The same cameras, markers and poses seen from the frames that the stated places hold: small steps drift off by their squares.
+    """The same cameras, markers and poses seen from the frames that the stated places hold: small steps drift off by
+    their squares.
 
     Corners of all seen markers of a body, taken together, end where they were stated, in the least-squares sense.
     """
@@ -102,18 +125,32 @@ def to_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate
     for on in (False, True):
         body = unknowns.seen[on_platform[unknowns.seen] == on]
         held = not on and cameras_hold_base(unknowns, state)
-        D[on] = RigidTransform.identity() if held or not len(body) else align_points(
-            state.placed.corners[body].reshape(-1, 3), stated.placed.corners[body].reshape(-1, 3))
-    free = np.array([row in unknowns.markers or name in unknowns.targets for row, name in enumerate(state.placed.target)])
-    shift = RigidTransform.concatenate([D[on] if moves else RigidTransform.identity() for on, moves in zip(on_platform.tolist(), free)])
+        D[on] = (
+            RigidTransform.identity()
+            if held or not len(body)
+            else align_points(state.placed.corners[body].reshape(-1, 3), stated.placed.corners[body].reshape(-1, 3))
+        )
+    free = np.array(
+        [row in unknowns.markers or name in unknowns.targets for row, name in enumerate(state.placed.target)]
+    )
+    shift = RigidTransform.concatenate(
+        [D[on] if moves else RigidTransform.identity() for on, moves in zip(on_platform.tolist(), free)]
+    )
     base, markers = D[False], replace(state.placed, T_body_marker=shift * T)
     cameras = tuple(replace(c, pose=base * c.pose) if i in unknowns.poses else c for i, c in enumerate(state.cameras))
-    moved = State(cameras, base * state.platform * D[True].inv(), {i: base * T_camera for i, T_camera in state.moving.items()}, markers)
+    moved = State(
+        cameras,
+        base * state.platform * D[True].inv(),
+        {i: base * T_camera for i, T_camera in state.moving.items()},
+        markers,
+    )
     target_moves = dict(estimate.target_moves)
     if not unknowns.markers:
         for name, T_target in target_moves.items():
             middle = RigidTransform.from_translation(unknowns.middles[name])
-            target_moves[name] = middle.inv() * D[bool(on_platform[state.placed.target.index(name)])] * middle * T_target
+            target_moves[name] = (
+                middle.inv() * D[bool(on_platform[state.placed.target.index(name)])] * middle * T_target
+            )
         return Estimate(moved, estimate.marker_moves, target_moves)
     found = Estimate(moved, estimate.marker_moves, target_moves)
     return replace(found, marker_moves=marker_motions(found, stated, unknowns))

@@ -48,7 +48,8 @@ class Measured(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """How far one marker or target sits from its stated place, along its own axes: by : (6,) m, rad; ci95 : (6,) half widths;
+    """How far one marker or target sits from its stated place, along its own axes: by : (6,) m, rad; ci95 : (6,) half
+    widths;
     moved : whether chance is ruled out."""
 
     name: str
@@ -60,9 +61,9 @@ class Move:
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
     """What adjusting places did. moves : one per marker or target; frames : (f,) numbers
-    before, after : (f,) px, RMS per axis over the platform's corners of each frame, places as stated and as adjusted, all
-    else adjusted both times, the same corners; weighted : (before, after) whitened squares over degrees of freedom, of all
-    corners; odd : {frame number: degrees} that turn against the frames around them
+    before, after : (f,) px, RMS per axis over the platform's corners of each frame, places as stated and as adjusted,
+    all else adjusted both times, the same corners; weighted : (before, after) whitened squares over degrees of freedom,
+    of all corners; odd : {frame number: degrees} that turn against the frames around them
     """
 
     moves: tuple[Move, ...]
@@ -79,16 +80,28 @@ def marker_places(measurement: Measured, t: np.ndarray) -> Places:
     solved = np.searchsorted(m.observations.frames, m.frames)
     kept = m.used()
     rest = tuple(group for group in a.free if group not in ("markers", "targets"))
-    stated = replace(a.stated, platform=a.state.platform, moving=a.state.moving, markers=a.stated.markers,
-                     cameras=tuple(replace(s, pose=c.pose) for s, c in zip(a.stated.cameras, a.state.cameras)))
+    stated = replace(
+        a.stated,
+        platform=a.state.platform,
+        moving=a.state.moving,
+        markers=a.stated.markers,
+        cameras=tuple(replace(s, pose=c.pose) for s, c in zip(a.stated.cameras, a.state.cameras)),
+    )
     before = adjust_bundle(kept, stated, rest, stated=a.stated)
     weighted = before.cost / before.dof, a.cost / a.dof
-    return Places(marker_displacements(a), m.frames, _by_frame(kept, before.state, len(m.frames)), _by_frame(kept, a.state, len(m.frames)),
-                  weighted, _odd(m, t[solved]))
+    return Places(
+        marker_displacements(a),
+        m.frames,
+        _by_frame(kept, before.state, len(m.frames)),
+        _by_frame(kept, a.state, len(m.frames)),
+        weighted,
+        _odd(m, t[solved]),
+    )
 
 
 def are_places_doubtful(measurement: Measured, markers: MarkerMap) -> bool:
-    """Whether the stated places of the markers are what most of the corners' scatter comes from: what one linear step with all of them free
+    """Whether the stated places of the markers are what most of the corners' scatter comes from: what one linear step
+    with all of them free
     promises to take away. markers : MarkerMap as stated"""
     a, kept = measurement.adjustment, measurement.used()
     state = replace(a.state, markers=markers)
@@ -107,7 +120,9 @@ def adjusted_markers(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
     m = measurement.adjustment.state.placed
     out: dict[str, list[Marker]] = {}
     for row, name in enumerate(m.target):
-        out.setdefault(name, []).append(Marker(int(m.id[row]), float(m.side[row]), m.T_body_marker[row], float(m.margin[row])))
+        out.setdefault(name, []).append(
+            Marker(int(m.id[row]), float(m.side[row]), m.T_body_marker[row], float(m.margin[row]))
+        )
     return {name: tuple(rows) for name, rows in out.items()}
 
 
@@ -123,7 +138,14 @@ def marker_displacements(a: Adjustment) -> tuple[Move, ...]:
         values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
         free = values > 1e-12
         square = ((vectors.T @ (by / scale))[free] ** 2 / values[free]).sum()
-        out.append(Move(f"marker {ids[row]}", by, WIDE * np.sqrt(np.diag(C)), bool(free.any() and special.chdtrc(free.sum(), square) < 1 - PROOF)))
+        out.append(
+            Move(
+                f"marker {ids[row]}",
+                by,
+                WIDE * np.sqrt(np.diag(C)),
+                bool(free.any() and special.chdtrc(free.sum(), square) < 1 - PROOF),
+            )
+        )
     return tuple(out)
 
 
@@ -136,7 +158,9 @@ def _by_frame(observations: Observations, state: State, count: int) -> np.ndarra
 
 
 def _odd(m: Measured, t: np.ndarray) -> dict[int, float]:
-    """{frame number: degrees} of solved frames whose platform turns against those around it by more than these predict."""
+    """{frame number: degrees} of solved frames whose platform turns against those around it by more than these
+    predict.
+    """
     found = dict(enumerate(m.T_base_platform.as_matrix()))
     reach = neighbour_distance(found, t)
     out: dict[int, float] = {}

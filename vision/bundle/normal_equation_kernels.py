@@ -7,7 +7,9 @@ from rig.compute.numba_kernels import njit
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def motion_derivatives(J: np.ndarray, points: np.ndarray, out: np.ndarray) -> None:
-    """Into out (n, 2, 6) the derivatives to small motions on the right, from those J (n, 2, 3) to the points (n, 3) that they move."""
+    """Into out (n, 2, 6) the derivatives to small motions on the right, from those J (n, 2, 3) to the points (n, 3)
+    that they move.
+    """
     for n in range(len(J)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         for c in range(2):
@@ -18,18 +20,24 @@ def motion_derivatives(J: np.ndarray, points: np.ndarray, out: np.ndarray) -> No
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def rotate_derivatives(J: np.ndarray, R: np.ndarray, at: np.ndarray, some: np.ndarray, out: np.ndarray) -> None:
-    """Into out (n, 2, 3) J (n, 2, 3) times the matrix of R (m, 3, 3) that each is `at` (n,), or J itself but for `some` (n,)."""
+    """Into out (n, 2, 3) J (n, 2, 3) times the matrix of R (m, 3, 3) that each is `at` (n,), or J itself but for `some`
+    (n,).
+    """
     for n in range(len(J)):
         for c in range(2):
             for k in range(3):
                 out[n, c, k] = J[n, c, k]
                 if some[n]:
-                    out[n, c, k] = J[n, c, 0] * R[at[n], 0, k] + J[n, c, 1] * R[at[n], 1, k] + J[n, c, 2] * R[at[n], 2, k]
+                    out[n, c, k] = (
+                        J[n, c, 0] * R[at[n], 0, k] + J[n, c, 1] * R[at[n], 1, k] + J[n, c, 2] * R[at[n], 2, k]
+                    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def whiten(own: np.ndarray, scale: np.ndarray, marker: np.ndarray, rows: np.ndarray) -> None:
-    """Rows (n, 2, k) of each corner become own (n, 2, 2) times themselves, column by column in the scale (markers, k) of its marker (n,)."""
+    """Rows (n, 2, k) of each corner become own (n, 2, 2) times themselves, column by column in the scale (markers, k)
+    of its marker (n,).
+    """
     for n in range(len(rows)):
         for k in range(rows.shape[2]):
             u, v = rows[n, 0, k] * scale[marker[n], k], rows[n, 1, k] * scale[marker[n], k]
@@ -38,11 +46,19 @@ def whiten(own: np.ndarray, scale: np.ndarray, marker: np.ndarray, rows: np.ndar
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_corners(rows: np.ndarray, frame: np.ndarray, marker: np.ndarray, own_columns: np.ndarray, shared_columns: np.ndarray,
-        sums: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]) -> None:
-    """Add a camera's corners to sums (local (F, l, l), cross (F, l, s), shared (s, s), own (F, l), common (s,)) of normal equations.
+def add_corners(
+    rows: np.ndarray,
+    frame: np.ndarray,
+    marker: np.ndarray,
+    own_columns: np.ndarray,
+    shared_columns: np.ndarray,
+    sums: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """Add a camera's corners to sums (local (F, l, l), cross (F, l, s), shared (s, s), own (F, l), common (s,)) of
+    normal equations.
 
-    rows : (n, 2, k + w + 1) derivatives to unknowns of the corner's frame, to shared ones, and residual; frame, marker : (n,), each sighting's
+    rows : (n, 2, k + w + 1) derivatives to unknowns of the corner's frame, to shared ones, and residual;
+        frame, marker : (n,), each sighting's
     corners together; own_columns : (k,); shared_columns : (markers, w)
     """
     local, cross, shared, own, common = sums

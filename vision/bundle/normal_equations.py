@@ -1,4 +1,6 @@
-"""Corners -> normal equations of an adjustment in blocks: every frame's own, the shared, and the cross terms between them."""
+"""Corners -> normal equations of an adjustment in blocks: every frame's own, the shared, and the cross terms between
+them.
+"""
 
 from dataclasses import dataclass
 
@@ -41,7 +43,9 @@ class Derivatives:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
-    """Normal equations. local : (F, l, l); cross : (F, l, s); shared : (s, s); right sides own : (F, l), common : (s,)."""
+    """Normal equations. local : (F, l, l); cross : (F, l, s); shared : (s, s); right sides own : (F, l),
+    common : (s,).
+    """
 
     local: np.ndarray
     cross: np.ndarray
@@ -50,7 +54,9 @@ class Blocks:
     common: np.ndarray
 
 
-def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns, whitener: Whitener) -> tuple[np.ndarray, dict[int, Derivatives]]:
+def linearise(
+    observations: Observations, estimate: Estimate, unknowns: Unknowns, whitener: Whitener
+) -> tuple[np.ndarray, dict[int, Derivatives]]:
     """Whitened residuals (n, 2), seen less predicted, and {camera index: Derivatives} of the prediction.
 
     whitener : Whitener of the observations
@@ -88,14 +94,18 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
                 shared.append(printed[..., SIDE:])
                 columns.append(np.tile(_range(unknowns.prints.together), (markers, 1)))
             shared.append(printed[..., parts])
-            columns.append(np.array([_range(unknowns.prints.rows.get(row, slice(0, len(parts)))) for row in range(markers)]))
+            columns.append(
+                np.array([_range(unknowns.prints.rows.get(row, slice(0, len(parts)))) for row in range(markers)])
+            )
         if unknowns.targets:
             shared.append(motion_jacobian(rotate_jacobian(J_body, turns, marker), arms[marker, corner]))
             names = state.placed.target[:markers]
             columns.append(np.array([_range(unknowns.targets.get(name, slice(0, 6))) for name in names]))
         every, mine = np.concatenate(columns, axis=1), np.concatenate(own_columns)
         whole = np.concatenate([*local, *shared, (observations.uv[rows] - uv)[..., None]], axis=-1)
-        scale = np.concatenate([np.full((markers, len(mine)), POSE_SCALE), unknowns.scale[every], np.ones((markers, 1))], axis=1)
+        scale = np.concatenate(
+            [np.full((markers, len(mine)), POSE_SCALE), unknowns.scale[every], np.ones((markers, 1))], axis=1
+        )
         normal_equation_kernels.whiten(whitener.own[rows], scale, marker, whole)
         return Derivatives(rows, whitener.mix(whole, rows), mine, every)
 
@@ -120,28 +130,49 @@ def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[np.ndarray, 
     return before - middle[:, None], turns
 
 
-def normal_equations(observations: Observations, derivatives: dict[int, Derivatives], unknowns: Unknowns, offset: np.ndarray) -> Blocks:
-    """Blocks of the whitened residuals and of what the stated values are worth. offset : (s,) scaled, from the stated."""
+def normal_equations(
+    observations: Observations, derivatives: dict[int, Derivatives], unknowns: Unknowns, offset: np.ndarray
+) -> Blocks:
+    """Blocks of the whitened residuals and of what the stated values are worth. offset : (s,) scaled, from the
+    stated.
+    """
     frames, l, s = len(observations.frames), unknowns.local, unknowns.shared
-    blocks = Blocks(np.zeros((frames, l, l)), np.zeros((frames, l, s)), np.diag(unknowns.prior), np.zeros((frames, l)), -unknowns.prior * offset)
+    blocks = Blocks(
+        np.zeros((frames, l, l)),
+        np.zeros((frames, l, s)),
+        np.diag(unknowns.prior),
+        np.zeros((frames, l)),
+        -unknowns.prior * offset,
+    )
     sums = blocks.local, blocks.cross, blocks.shared, blocks.own, blocks.common
     for found in derivatives.values():
         normal_equation_kernels.add_corners(
-            found.whole, observations.frame[found.rows], observations.marker[found.rows], found.own_columns, found.shared_columns, sums
+            found.whole,
+            observations.frame[found.rows],
+            observations.marker[found.rows],
+            found.own_columns,
+            found.shared_columns,
+            sums,
         )
     blocks.local[:, np.arange(l), np.arange(l)] += ~unknowns.used  # unknowns that nothing sees stay put
     return blocks
 
 
 def solve_step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of the shared unknowns (s,) and of each frame's own (F, l), scaled: the frames' eliminated first (Schur complement)."""
+    """Steps of the shared unknowns (s,) and of each frame's own (F, l), scaled: the frames' eliminated first (Schur
+    complement).
+    """
     diagonal = np.einsum("fii->fi", blocks.local)
     H = blocks.local + damping * diagonal[:, :, None] * np.eye(unknowns.local)
     solved = np.linalg.solve(H, np.concatenate([blocks.cross, blocks.own[..., None]], axis=-1))
     reduced, right = _reduced(blocks, solved)
     reduced += damping * np.diag(np.diag(blocks.shared))
     basis = unknowns.basis
-    shared = basis @ np.linalg.solve(basis.T @ reduced @ basis, basis.T @ right) if basis.shape[1] else np.zeros(unknowns.shared)
+    shared = (
+        basis @ np.linalg.solve(basis.T @ reduced @ basis, basis.T @ right)
+        if basis.shape[1]
+        else np.zeros(unknowns.shared)
+    )
     return shared, solved[..., -1] - solved[..., :-1] @ shared
 
 

@@ -1,7 +1,9 @@
-"""Printed markers are a little off their stated places and sides, as printers and glue leave them: shared unknowns held by priors.
+"""Printed markers are a little off their stated places and sides, as printers and glue leave them: shared unknowns held
+by priors.
 
-Of each marker its place (x, y on its face), how far it stands off it (z), how it is turned, its side; and the side of all together, because
-one printer's feed and one paper stretch them alike. How much of each there is, a recording tells: vision/bundle/printing_variance.py.
+Of each marker its place (x, y on its face), how far it stands off it (z), how it is turned, its side; and the side of
+all together, because one printer's feed and one paper stretch them alike. How much of each there is, a recording tells:
+vision/bundle/printing_variance.py.
 """
 
 from __future__ import annotations
@@ -16,15 +18,22 @@ from rig.model.pose import exp, log
 from vision.targets import MarkerMap
 
 NAMES = ("x", "y", "z", "rx", "ry", "rz", "side")
-KINDS = (slice(0, 2), slice(2, 3), slice(3, 6), slice(6, 7))  # of NAMES that vary alike: on the face, off it, turned, larger
+KINDS = (
+    slice(0, 2),
+    slice(2, 3),
+    slice(3, 6),
+    slice(6, 7),
+)  # of NAMES that vary alike: on the face, off it, turned, larger
 SIDE = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Printing:
-    """place, lift, turn, side : standard deviations of printed markers' x and y, z, angles and side, as shares of what is tolerated; 0 for none.
+    """place, lift, turn, side : standard deviations of printed markers' x and y, z, angles and side, as shares of what
+    is tolerated; 0 for none.
 
-    What is tolerated is PLACES.sigma (m) of a place, the same at the middle of its edges of an angle, SIDES.sigma of a side
+    What is tolerated is PLACES.sigma (m) of a place, the same at the middle of its edges of an angle, SIDES.sigma of a
+    side
     """
 
     place: float
@@ -35,9 +44,15 @@ class Printing:
     def __str__(self) -> str:
         """In words, standard deviations."""
         um, kinds = self.place * PLACES.sigma * 1e6, []
-        kinds += [f"places on their faces by {um:.1f} um"] * (self.place > 0) + [f"off their faces by {self.lift * PLACES.sigma * 1e6:.1f} um"] * (
-            self.lift > 0) + [f"turned by {self.turn * PLACES.sigma * 1e6:.1f} um at their edges"] * (self.turn > 0)
-        return ", ".join(kinds + [f"sides by {self.side * SIDES.sigma:.3%}"] * (self.side > 0)) + " (standard deviations, told by this recording)"
+        kinds += (
+            [f"places on their faces by {um:.1f} um"] * (self.place > 0)
+            + [f"off their faces by {self.lift * PLACES.sigma * 1e6:.1f} um"] * (self.lift > 0)
+            + [f"turned by {self.turn * PLACES.sigma * 1e6:.1f} um at their edges"] * (self.turn > 0)
+        )
+        return (
+            ", ".join(kinds + [f"sides by {self.side * SIDES.sigma:.3%}"] * (self.side > 0))
+            + " (standard deviations, told by this recording)"
+        )
 
     @property
     def parts(self) -> list[int]:
@@ -53,8 +68,8 @@ class Printing:
 
 
 class Prints(NamedTuple):
-    """Columns of the unknowns. parts : which of NAMES each marker has; rows : {row of the marker map: slice}; together : slice of the side of all,
-    empty where sides are as stated."""
+    """Columns of the unknowns. parts : which of NAMES each marker has; rows : {row of the marker map: slice};
+    together : slice of the side of all, empty where sides are as stated."""
 
     parts: list[int]
     rows: dict[int, slice]
@@ -70,15 +85,20 @@ def apply_printing_errors(markers: MarkerMap, prints: Prints, step: np.ndarray) 
     for row, columns in prints.rows.items():
         own[row, prints.parts] = step[columns]
         own[row, SIDE] += grown
-    return replace(markers, T_body_marker=markers.T_body_marker * exp(own[:, :SIDE]), side=markers.side * np.exp(own[:, SIDE]))
+    return replace(
+        markers, T_body_marker=markers.T_body_marker * exp(own[:, :SIDE]), side=markers.side * np.exp(own[:, SIDE])
+    )
 
 
 def printing_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, out: np.ndarray) -> None:
     """Write into out (s,) how far markers are from stated, m, rad and shares.
 
-    Only each marker's whole side shows in images: of it the part that all have in common is what its prior and theirs make likeliest.
+    Only each marker's whole side shows in images: of it the part that all have in common is what its prior and theirs
+    make likeliest.
     """
-    away = np.concatenate([log(stated.T_body_marker.inv() * markers.T_body_marker), np.log(markers.side / stated.side)[:, None]], axis=1)
+    away = np.concatenate(
+        [log(stated.T_body_marker.inv() * markers.T_body_marker), np.log(markers.side / stated.side)[:, None]], axis=1
+    )
     rows = list(prints.rows)
     if prints.together.stop > prints.together.start:
         grown = away[rows, SIDE].sum() / (len(rows) + 1)
@@ -89,6 +109,7 @@ def printing_offsets(markers: MarkerMap, stated: MarkerMap, prints: Prints, out:
 
 
 def printing_jacobian(J: np.ndarray, moved: np.ndarray, in_marker: np.ndarray) -> np.ndarray:
-    """(n, 2, 7) of corners to NAMES. J : (n, 2, 3) to the corner in its marker's frame; moved : (n, 2, 6) to a motion; in_marker : (n, 3) m"""
+    """(n, 2, 7) of corners to NAMES. J : (n, 2, 3) to the corner in its marker's frame; moved : (n, 2, 6) to a motion;
+    in_marker : (n, 3) m
+    """
     return np.concatenate([moved, J @ in_marker[..., None]], axis=2)
-

@@ -1,6 +1,8 @@
-"""How far printed markers are off beyond chance, told by the recording itself: variance components of an adjustment, by restricted likelihood.
+"""How far printed markers are off beyond chance, told by the recording itself: variance components of an adjustment, by
+restricted likelihood.
 
-Source: Harville, Maximum likelihood approaches to variance component estimation, JASA 72, 1977; fixed point: MacKay, Neural Computation 4, 1992
+Source: Harville, Maximum likelihood approaches to variance component estimation, JASA 72, 1977; fixed point: MacKay,
+    Neural Computation 4, 1992
 """
 
 from dataclasses import dataclass, replace
@@ -22,17 +24,23 @@ from vision.predict import State
 
 MOST = 2.0  # of what is tolerated; markers farther off than that were not printed so, they were put elsewhere
 TRIAL = Printing(1.0, 1.0, 1.0, 1.0)
-PROOF = 12.1  # by which twice the log likelihood has to rise: one degree of freedom, a chance of 1 in 2000, and half the time nothing rises at all
+# by which twice the log likelihood has to rise: one degree of freedom, a chance of 1 in 2000, and half the time nothing
+# rises at all
+PROOF = 12.1
 FEWEST = 16  # markers, from which a variance is told to a third of itself
 ROUNDS, SETTLED = 200, 1e-3  # of the fixed point; relative change of a standard deviation at which it ends
 LEAST = 1e-3  # of what is tolerated, below which there is nothing
-SORTED, AGAIN, FALLS = 2, 4, 0.95  # times that prints are told: for the corners sorted anew, and where each takes that share off the standing error
+SORTED, AGAIN, FALLS = (
+    2,
+    4,
+    0.95,
+)  # times that prints are told: for the corners sorted anew, and where each takes that share off the standing error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Told:
-    """What images say of prints, all else free. information : (q, q), right : (q,) in units of what is tolerated; kind : (q,) which variance each
-    has; cost, dof : of the adjustment without them."""
+    """What images say of prints, all else free. information : (q, q), right : (q,) in units of what is tolerated;
+    kind : (q,) which variance each has; cost, dof : of the adjustment without them."""
 
     information: np.ndarray
     right: np.ndarray
@@ -42,14 +50,19 @@ class _Told:
 
 
 def estimate_printing_errors(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> Sorted:
-    """The Sorted of an adjustment with markers taken to be printed as the recording tells, or as it was where it tells nothing.
+    """The Sorted of an adjustment with markers taken to be printed as the recording tells, or as it was where it tells
+    nothing.
 
     observations : Observations of all frames; fit : Sorted of them, places of markers as stated
-    What stands still in the images may be a print or the pixel grid (see standing_error). At first all of it counts as the grid's, which errs
-    corner by corner and camera by camera: prints must show beyond that. What they then explain is taken off it, and they are told again.
+    What stands still in the images may be a print or the pixel grid (see standing_error). At first all of it counts as
+    the grid's, which errs corner by corner and camera by camera: prints must show beyond that. What they then explain
+    is taken off it, and they are told again.
     """
     a = fit.adjustment
-    kept = replace(observations_of_frames(observations, fit.solved), covariance=fit.covariance[np.isin(observations.frame, fit.solved)])
+    kept = replace(
+        observations_of_frames(observations, fit.solved),
+        covariance=fit.covariance[np.isin(observations.frame, fit.solved)],
+    )
     good = fit.inliers[np.isin(observations.frame, fit.solved)]
     if len(np.unique(kept.marker[good])) < FEWEST:
         return fit
@@ -65,7 +78,9 @@ def estimate_printing_errors(observations: Observations, fit: Sorted, free: tupl
             return fit
         a = adjust_bundle(weighed, replace(a.state, markers=a.stated.markers), free, stated=a.stated, printing=printing)
         good = is_within_gate(kept, a.state)
-    cost = a.cost - (a.whitened**2).sum() + (whitener(kept.take(used))(a.residuals) ** 2).sum()  # standing errors in it, as in fit.scale
+    cost = (
+        a.cost - (a.whitened**2).sum() + (whitener(kept.take(used))(a.residuals) ** 2).sum()
+    )  # standing errors in it, as in fit.scale
     scale = float(np.sqrt(cost / a.dof))
     inliers = fit.inliers.copy()
     inliers[np.isin(observations.frame, fit.solved)] = used
@@ -73,11 +88,18 @@ def estimate_printing_errors(observations: Observations, fit: Sorted, free: tupl
 
 
 def _merged(observations: Observations, state: State) -> Observations:
-    """Observations in which repeats of a corner are one, their mean, weighed as all of them: they count as one degree of freedom."""
+    """Observations in which repeats of a corner are one, their mean, weighed as all of them: they count as one degree
+    of freedom.
+    """
     rows, group, first = find_repeats(observations, state.moving)
     count = np.bincount(group)
-    return merge_rows(observations, rows, first, group_sums(observations.uv[rows], group) / count[:, None],
-                  observations.covariance[first] / count[:, None, None])
+    return merge_rows(
+        observations,
+        rows,
+        first,
+        group_sums(observations.uv[rows], group) / count[:, None],
+        observations.covariance[first] / count[:, None, None],
+    )
 
 
 def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _Told:
@@ -94,9 +116,18 @@ def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _
     kind = [k for k, part in enumerate(KINDS) for _ in range(len(NAMES))[part]]
     shared, local = solve_step(blocks, u)
     right = inverse @ shared[columns]
-    cost = float((residual**2).sum() + (u.prior * away**2).sum()) - predicted_decrease(blocks, shared, local) + float(right @ shared[columns])
-    return _Told(inverse - np.eye(len(columns)), right, np.array(kind * len(u.prints.rows) + [len(KINDS) - 1]), cost,
-                 a.dof - 2 * (len(observations) - len(one)))
+    cost = (
+        float((residual**2).sum() + (u.prior * away**2).sum())
+        - predicted_decrease(blocks, shared, local)
+        + float(right @ shared[columns])
+    )
+    return _Told(
+        inverse - np.eye(len(columns)),
+        right,
+        np.array(kind * len(u.prints.rows) + [len(KINDS) - 1]),
+        cost,
+        a.dof - 2 * (len(observations) - len(one)),
+    )
 
 
 def _printing(told: _Told) -> Printing | None:
@@ -116,7 +147,9 @@ def _printing(told: _Told) -> Printing | None:
 
 
 def _likeliest(told: _Told, there: np.ndarray, start: np.ndarray | None = None) -> tuple[np.ndarray, float]:
-    """(standard deviations (kinds,) of those that are `there`, minus twice their restricted log likelihood but for a constant)."""
+    """(standard deviations (kinds,) of those that are `there`, minus twice their restricted log likelihood but for a
+    constant).
+    """
     sigma = np.where(there, 1.0 if start is None else start, 0.0)
     noise, part = told.cost / told.dof, _of(told, sigma)
     for _ in range(ROUNDS):
@@ -138,7 +171,9 @@ def _likeliest(told: _Told, there: np.ndarray, start: np.ndarray | None = None) 
     width = sigma[part.kind]
     M = noise * np.eye(len(width)) + width[:, None] * part.information * width
     z = width * part.right
-    likelihood = np.linalg.slogdet(M / noise)[1] + told.dof * np.log(noise) + (told.cost - z @ np.linalg.solve(M, z)) / noise
+    likelihood = (
+        np.linalg.slogdet(M / noise)[1] + told.dof * np.log(noise) + (told.cost - z @ np.linalg.solve(M, z)) / noise
+    )
     return sigma, float(likelihood)
 
 
@@ -154,7 +189,9 @@ def _inverse(M: np.ndarray) -> np.ndarray:
         return M
     factor, bad = dpotrf(M, lower=1, clean=1)
     if bad:
-        raise np.linalg.LinAlgError(f"the information of {len(M)} numbers on prints, noise added, is not positive definite")
+        raise np.linalg.LinAlgError(
+            f"the information of {len(M)} numbers on prints, noise added, is not positive definite"
+        )
     below, _ = dpotri(factor, lower=1)  # what is above the diagonal is nought, as `clean` has left it
     whole = below + below.T
     whole[np.diag_indices_from(whole)] = below.diagonal()

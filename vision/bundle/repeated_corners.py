@@ -1,7 +1,9 @@
-"""Repeats of what cannot move: a corner of the base that a fixed camera sees again and again says as much as one corner at the weighted mean.
+"""Repeats of what cannot move: a corner of the base that a fixed camera sees again and again says as much as one corner
+at the weighted mean.
 
-Where it is predicted is the same in every frame, so that the sum of squares over its repeats is that of their mean, with all their weight, and a
-constant: adjustments take nearly half of a recording's corners at the price of a few hundred, to the same optimum.
+Where it is predicted is the same in every frame, so that the sum of squares over its repeats is that of their mean,
+with all their weight, and a constant: adjustments take nearly half of a recording's corners at the price of a few
+hundred, to the same optimum.
 """
 
 from collections.abc import Collection
@@ -14,8 +16,8 @@ from vision.predict import State
 
 
 def merge_repeated_corners(observations: Observations, state: State) -> tuple[Observations, float]:
-    """(Observations with such repeats as one each, all in the first frame; what their sum of whitened squares lacks then: the repeats' own about
-    their means).
+    """(Observations with such repeats as one each, all in the first frame; what their sum of whitened squares lacks
+    then: the repeats' own about their means).
 
     Corners whose errors are told to hang together in their marker stay as they are.
     """
@@ -32,13 +34,19 @@ def merge_repeated_corners(observations: Observations, state: State) -> tuple[Ob
     frame[first] = 0
     both = merge_rows(replace(o, frame=frame), rows, first, uv, covariance)
     about = o.uv[rows] - uv[group]
-    return both.take(np.lexsort((both.corner, both.marker, both.frame, both.camera))), float(((root @ about[..., None]) ** 2).sum())
+    return both.take(np.lexsort((both.corner, both.marker, both.frame, both.camera))), float(
+        ((root @ about[..., None]) ** 2).sum()
+    )
 
 
-def find_repeats(observations: Observations, moving: Collection[int], inliers: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(rows (n,) of the base's corners that fixed cameras see, which of their groups each is of (n,), each group's first row (groups,)).
+def find_repeats(
+    observations: Observations, moving: Collection[int], inliers: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(rows (n,) of the base's corners that fixed cameras see, which of their groups each is of (n,), each group's
+    first row (groups,)).
 
-    A group is one corner of one marker in one camera, frame after frame. moving : indices of the cameras that are not fixed
+    A group is one corner of one marker in one camera, frame after frame. moving : indices of the cameras that are not
+    fixed
     inliers : (all rows,) bool, those that count; all by default
     """
     o = observations
@@ -49,8 +57,12 @@ def find_repeats(observations: Observations, moving: Collection[int], inliers: n
     return rows, group, rows[first]
 
 
-def merge_rows(observations: Observations, rows: np.ndarray, first: np.ndarray, uv: np.ndarray, covariance: np.ndarray) -> Observations:
-    """Observations of whose rows (n,) only each group's first (groups,) is left, at uv (groups, 2) px with covariance (groups, 2, 2) px^2."""
+def merge_rows(
+    observations: Observations, rows: np.ndarray, first: np.ndarray, uv: np.ndarray, covariance: np.ndarray
+) -> Observations:
+    """Observations of whose rows (n,) only each group's first (groups,) is left, at uv (groups, 2) px with covariance
+    (groups, 2, 2) px^2.
+    """
     places, own, left = observations.uv.copy(), observations.covariance.copy(), np.ones(len(observations), bool)
     places[first], own[first] = uv, covariance
     left[rows], left[first] = False, True

@@ -1,5 +1,5 @@
-"""All frames adjusted together with what does not fit set aside: outlying corners, frames that lose their support, and the
-part of a corner's error that comes back in every frame."""
+"""All frames adjusted together with what does not fit set aside: outlying corners, frames that lose their support, and
+the part of a corner's error that comes back in every frame."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -28,8 +28,8 @@ ENOUGH = 50  # degrees of freedom from which the residuals' own scale is trusted
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sorted:
-    """An Adjustment of what fits. solved : (f,) frame indices; inliers : (n,) bool; covariance : (n, 2, 2) px^2, as the scatter
-    seen has it; scale : what the stated standard deviations were multiplied by."""
+    """An Adjustment of what fits. solved : (f,) frame indices; inliers : (n,) bool; covariance : (n, 2, 2) px^2, as the
+    scatter seen has it; scale : what the stated standard deviations were multiplied by."""
 
     adjustment: Adjustment
     solved: np.ndarray
@@ -38,16 +38,24 @@ class Sorted:
     scale: float
 
 
-def adjust_robustly(observations: Observations, state: State, free: Sequence[str], unsolved: dict[int, str], stated: State,
-                    vouched: Collection[tuple[int, int]] = frozenset(), wide: float = 0.0,
-                    progress: Callable[[int, int], None] | None = None) -> Sorted:
+def adjust_robustly(
+    observations: Observations,
+    state: State,
+    free: Sequence[str],
+    unsolved: dict[int, str],
+    stated: State,
+    vouched: Collection[tuple[int, int]] = frozenset(),
+    wide: float = 0.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Sorted:
     """Sorted: all frames adjusted, what does not fit set aside.
 
     state : over all frames; unsolved : {frame: reason}, added to; stated : State as its owner states it
     vouched : {(frame, body)} for which one sighting is enough; wide : px within which no corner is set aside at first
     progress : called with (done, of) rounds, or None
-    The inliers are those within GATE of where the optimum puts them, by the residuals' own scale; a frame whose inliers no
-    longer hold it is given up; repeated until both stand. With a moving camera every frame and body has a scatter of its own.
+    The inliers are those within GATE of where the optimum puts them, by the residuals' own scale; a frame whose inliers
+    no longer hold it is given up; repeated until both stand. With a moving camera every frame and body has a scatter of
+    its own.
     Raises NotEnoughData where no frame could be solved.
     """
     count = len(observations.frames)
@@ -62,12 +70,18 @@ def adjust_robustly(observations: Observations, state: State, free: Sequence[str
         kept = replace(plain, covariance=factor[mine][:, None, None] * plain.covariance)
         gate = wide * CLOSING**rounds
         good = is_within_gate(kept, state.at(solved), gate)
-        weak = _unsupported(kept, good, state, {(int(np.searchsorted(solved, f)), body) for f, body in vouched if f in solved})
+        weak = _unsupported(
+            kept, good, state, {(int(np.searchsorted(solved, f)), body) for f, body in vouched if f in solved}
+        )
         if weak:
             unsolved.update({int(solved[f]): reason for f, reason in weak.items()})
             solved, inliers = np.delete(solved, list(weak)), None
             continue
-        if inliers is not None and result is not None and (rounds >= ROUNDS or ((good == inliers).all() and gate < TIGHT)):
+        if (
+            inliers is not None
+            and result is not None
+            and (rounds >= ROUNDS or ((good == inliers).all() and gate < TIGHT))
+        ):
             break
         inliers, rounds = good, rounds + 1
         if progress:
@@ -81,19 +95,27 @@ def adjust_robustly(observations: Observations, state: State, free: Sequence[str
     everywhere = np.zeros(len(observations), bool)
     everywhere[mine] = inliers
     scale = np.sqrt(result.cost / result.dof) if result.dof >= ENOUGH else 1.0
-    return Sorted(result, solved, everywhere, (scale**2 * factor)[:, None, None] * observations.covariance, float(scale))
+    return Sorted(
+        result, solved, everywhere, (scale**2 * factor)[:, None, None] * observations.covariance, float(scale)
+    )
 
 
 def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> np.ndarray:
-    """(n,) by how much the variance of each frame's corners of each body exceeds the typical: motion blurs some frames more.
+    """(n,) by how much the variance of each frame's corners of each body exceeds the typical: motion blurs some frames
+    more.
 
-    The frames' mean squares are taken as draws of an F distribution, whose second degrees of freedom say how alike frames
-    are; each frame's variance is its own drawn towards the typical accordingly (a t distribution's weights).
+    The frames' mean squares are taken as draws of an F distribution, whose second degrees of freedom say how alike
+    frames are; each frame's variance is its own drawn towards the typical accordingly (a t distribution's weights).
     """
     square = _squares(observations, state)
     group = observations.frame * 2 + observations.on_platform
     size = 2 * np.bincount(group[inliers], minlength=group.max() + 1) - 6
-    total = 2 * np.bincount(group[inliers], minlength=group.max() + 1) * _medians(group[inliers], square[inliers], group.max() + 1) / MEDIAN
+    total = (
+        2
+        * np.bincount(group[inliers], minlength=group.max() + 1)
+        * _medians(group[inliers], square[inliers], group.max() + 1)
+        / MEDIAN
+    )
     known = size > 0
     if not known.any():
         return np.ones(len(observations))
@@ -103,7 +125,10 @@ def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> n
         return known.sum() * log_typical - scipy.stats.f.logpdf(mean / np.exp(log_typical), size[known], alike).sum()
 
     bounds = np.log(np.median(mean)) + np.array([-2.0, 2.0])
-    fits = [(scipy.optimize.minimize_scalar(worse, bounds=bounds, args=(alike,), method="bounded"), alike) for alike in ALIKE]
+    fits = [
+        (scipy.optimize.minimize_scalar(worse, bounds=bounds, args=(alike,), method="bounded"), alike)
+        for alike in ALIKE
+    ]
     fit, alike = min(fits, key=lambda one: one[0].fun)
     typical = np.exp(fit.x)
     if alike == max(ALIKE):
@@ -114,9 +139,10 @@ def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> n
 def repeated_corner_error(observations: Observations, inliers: np.ndarray, state: State) -> tuple[np.ndarray, float]:
     """(covariances (n, 2, 2) to weigh corners by, standing error px).
 
-    A base marker seen by a fixed camera stands on the same pixels in every frame, and what the pixel grid does to it comes
-    back every time: n repeats are not n observations. Their scatter about their own mean is the noise; what their means miss
-    beyond that is the standing error s, and weighing each repeat by C + n s^2 gives all n together the weight of one mean.
+    A base marker seen by a fixed camera stands on the same pixels in every frame, and what the pixel grid does to it
+    comes back every time: n repeats are not n observations. Their scatter about their own mean is the noise; what their
+    means miss beyond that is the standing error s, and weighing each repeat by C + n s^2 gives all n together the
+    weight of one mean.
     """
     rows, index, _ = find_repeats(observations, state.moving, inliers)
     count, covariance = np.bincount(index), observations.covariance.copy()
@@ -138,17 +164,24 @@ def repeated_corner_error(observations: Observations, inliers: np.ndarray, state
 
 def _spread(found: State, state: State, solved: np.ndarray) -> State:
     """The state over all frames with the solved ones' poses put in."""
+
     def put(all_frames: RigidTransform, some: RigidTransform) -> RigidTransform:
         matrices = all_frames.as_matrix()
         matrices[solved] = some.as_matrix()
         return RigidTransform.from_matrix(matrices)
 
-    return State(found.cameras, put(state.platform, found.platform), {i: put(state.moving[i], T) for i, T in found.moving.items()},
-                 found.markers)
+    return State(
+        found.cameras,
+        put(state.platform, found.platform),
+        {i: put(state.moving[i], T) for i, T in found.moving.items()},
+        found.markers,
+    )
 
 
 def _medians(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """(count,) median of the values (n,) of each group (n,), 0 for an empty one: a few corners gone wrong do not move it."""
+    """(count,) median of the values (n,) of each group (n,), 0 for an empty one: a few corners gone wrong do not move
+    it.
+    """
     order = np.lexsort((values, group))
     size = np.bincount(group, minlength=count)
     start = np.cumsum(size) - size
@@ -168,26 +201,35 @@ def _squares(observations: Observations, state: State) -> np.ndarray:
 
 
 def is_within_gate(observations: Observations, state: State, least: float = 0.0) -> np.ndarray:
-    """(n,) bool, the corners within GATE of where the state puts them, by the residuals' own scale, or within `least` px."""
+    """(n,) bool, the corners within GATE of where the state puts them, by the residuals' own scale, or within `least`
+    px.
+    """
     square = _squares(observations, state)
     scale = np.sqrt(np.median(square) / MEDIAN)
     typical = np.median(np.einsum("nii->n", observations.covariance)) / 2
     return (square < (GATE * scale) ** 2) | (square * typical < least**2)
 
 
-def _unsupported(observations: Observations, inliers: np.ndarray, state: State, vouched: Collection[tuple[int, int]]) -> dict[int, str]:
-    """{frame: reason} of frames whose inliers are fewer than two sightings of the platform, or of the base by a moving camera.
+def _unsupported(
+    observations: Observations, inliers: np.ndarray, state: State, vouched: Collection[tuple[int, int]]
+) -> dict[int, str]:
+    """{frame: reason} of frames whose inliers are fewer than two sightings of the platform, or of the base by a moving
+    camera.
 
     vouched : {(frame, body)} that do with one
     """
     markers = observations.marker.max() + 1
     bodies = [(observations.on_platform, "the platform", PLATFORM)]
-    bodies += [(~observations.on_platform & (observations.camera == i), f"the base by camera {state.cameras[i].name!r}", i)
-               for i in state.moving]
+    bodies += [
+        (~observations.on_platform & (observations.camera == i), f"the base by camera {state.cameras[i].name!r}", i)
+        for i in state.moving
+    ]
     weak = {}
     for mask, what, body in bodies:
         rows = np.flatnonzero(inliers & mask)
-        key = (observations.frame[rows] * len(state.cameras) + observations.camera[rows]) * markers + observations.marker[rows]
+        key = (
+            observations.frame[rows] * len(state.cameras) + observations.camera[rows]
+        ) * markers + observations.marker[rows]
         keys, count = np.unique(key, return_counts=True)
         sightings = np.bincount(keys[count >= 3] // markers // len(state.cameras), minlength=len(observations.frames))
         for f in np.flatnonzero(sightings < 2).tolist():

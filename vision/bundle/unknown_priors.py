@@ -1,7 +1,7 @@
 """What an adjustment may move: its columns, what each is worth as stated, and which motions the datums forbid.
 
-Shared unknowns: poses of fixed cameras, lenses, places of markers on their target, places of targets in their body, or how
-markers that are held are printed. Unknowns of one frame: the platform's pose and each moving camera's.
+Shared unknowns: poses of fixed cameras, lenses, places of markers on their target, places of targets in their body, or
+how markers that are held are printed. Unknowns of one frame: the platform's pose and each moving camera's.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,12 +21,27 @@ from vision.predict import State
 from vision.targets import MarkerMap
 
 GROUPS = ("poses", "lenses", "markers", "targets")
-# What a stated lens is worth: standard deviations of its terms. Wide enough to leave to the images all that they can see,
+# What a stated lens is worth: standard deviations of its terms. Wide enough to leave to the images all that they can
+# see,
 # narrow enough that a term they cannot see stays where its owner put it.
 FOCAL_PRIOR = 0.02  # of the focal length
 CENTRE_PRIOR = 0.02  # of the image's width
-TERM_PRIOR = {"k1": 0.1, "k2": 0.3, "p1": 0.005, "p2": 0.005, "k3": 0.3, "k4": 0.1, "k5": 0.1, "k6": 0.1,
-              "s1": 0.005, "s2": 0.005, "s3": 0.005, "s4": 0.005, "tau_x": 0.01, "tau_y": 0.01}
+TERM_PRIOR = {
+    "k1": 0.1,
+    "k2": 0.3,
+    "p1": 0.005,
+    "p2": 0.005,
+    "k3": 0.3,
+    "k4": 0.1,
+    "k5": 0.1,
+    "k6": 0.1,
+    "s1": 0.005,
+    "s2": 0.005,
+    "s3": 0.005,
+    "s4": 0.005,
+    "tau_x": 0.01,
+    "tau_y": 0.01,
+}
 PLACE_PRIOR = (0.1, 0.1)  # of the marker's side, and rad: what the stated place of a marker or target is worth
 POSE_WORTH = 0.01  # m, rad; what the stated pose of a camera is worth where no base targets show where it stands
 ANCHORS = 2  # markers of the base that show it
@@ -36,14 +51,23 @@ PARTS = ("x", "y", "z", "rx", "ry", "rz")
 def lens_prior(camera: Camera) -> np.ndarray:
     """(4 + terms,) standard deviations that a stated lens is given."""
     focal = [FOCAL_PRIOR * camera.matrix[0, 0], FOCAL_PRIOR * camera.matrix[1, 1]]
-    return np.array(focal + [CENTRE_PRIOR * camera.width] * 2 + [TERM_PRIOR[name] for name in lens.terms(camera.distortion)[4:]])
+    return np.array(
+        focal + [CENTRE_PRIOR * camera.width] * 2 + [TERM_PRIOR[name] for name in lens.terms(camera.distortion)[4:]]
+    )
 
 
-def adjustment_unknowns(observations: Observations, state: State, stated: State, free: Sequence[str],
-             worth: Callable[[Camera], np.ndarray] = lens_prior, printing: Printing | None = None) -> tuple[Unknowns, Estimate]:
+def adjustment_unknowns(
+    observations: Observations,
+    state: State,
+    stated: State,
+    free: Sequence[str],
+    worth: Callable[[Camera], np.ndarray] = lens_prior,
+    printing: Printing | None = None,
+) -> tuple[Unknowns, Estimate]:
     """Unknowns of an adjustment, and the Estimate to start from. Raises ValueError for a group that there is not.
 
-    stated : State whose markers stand where their owner says; worth : of a Camera's stated lens, (4 + terms,) as `lens_prior` has it
+    stated : State whose markers stand where their owner says; worth : of a Camera's stated lens, (4 + terms,) as
+        `lens_prior` has it
     printing : how far markers are taken to be off where they are not free, or None
     """
     if set(free) - set(GROUPS):
@@ -76,32 +100,67 @@ def adjustment_unknowns(observations: Observations, state: State, stated: State,
     markers, targets, middles = {}, {}, {}
     if "markers" in free:
         for row in rows.tolist():
-            markers[row] = add(6, _place_prior(state.placed.side[row]), 1.0, [(f"marker {state.placed.id[row]}", part) for part in PARTS])
+            markers[row] = add(
+                6,
+                _place_prior(state.placed.side[row]),
+                1.0,
+                [(f"marker {state.placed.id[row]}", part) for part in PARTS],
+            )
     if "targets" in free:
         for name in dict.fromkeys(state.placed.target[row] for row in rows):
             own = np.flatnonzero([target == name for target in state.placed.target])
             middles[name] = stated.placed.T_body_marker.translation[own].mean(axis=0)
-            targets[name] = add(6, _place_prior(state.placed.side[own].mean()), 1.0, [(f"target {name}", part) for part in PARTS])
+            targets[name] = add(
+                6, _place_prior(state.placed.side[own].mean()), 1.0, [(f"target {name}", part) for part in PARTS]
+            )
     prints = NONE
     if printing is not None and not markers and not targets:
         parts = printing.parts
-        own_prints = {row: add(len(parts), printing.sigma(state.placed.side[row]).tolist(), 1.0,
-                               [(f"print {state.placed.id[row]}", NAMES[part]) for part in parts]) for row in rows.tolist()}
+        own_prints = {
+            row: add(
+                len(parts),
+                printing.sigma(state.placed.side[row]).tolist(),
+                1.0,
+                [(f"print {state.placed.id[row]}", NAMES[part]) for part in parts],
+            )
+            for row in rows.tolist()
+        }
         sides = SIDE in parts
-        prints = Prints(parts, own_prints, add(int(sides), [printing.side * SIDES.sigma] * sides, 1.0, [("prints", NAMES[SIDE])] * sides))
+        prints = Prints(
+            parts,
+            own_prints,
+            add(int(sides), [printing.side * SIDES.sigma] * sides, 1.0, [("prints", NAMES[SIDE])] * sides),
+        )
     used = np.zeros((len(observations.frames), local), bool)
     used[np.unique(observations.frame[observations.on_platform]), :6] = True
     for i, columns in local_poses.items():
         used[np.unique(observations.frame[observations.camera == i]), columns] = True
-    found = Unknowns(poses, lenses, markers, targets, local_poses, len(scale), local, used, np.array(scale), np.array(prior), names,
-                     np.eye(len(scale)), middles, rows, prints)
+    found = Unknowns(
+        poses,
+        lenses,
+        markers,
+        targets,
+        local_poses,
+        len(scale),
+        local,
+        used,
+        np.array(scale),
+        np.array(prior),
+        names,
+        np.eye(len(scale)),
+        middles,
+        rows,
+        prints,
+    )
     found = replace(found, basis=_basis(observations, state, found))
     start = Estimate(state, None, {name: target_motion(name, state.placed, stated.placed, found) for name in targets})
     return found, replace(start, marker_moves=marker_motions(start, stated, found)) if markers else start
 
 
 def _anchored(observations: Observations) -> set[int]:
-    """{camera index} of those that show enough of the base's markers to say where they stand, all of them in a rig without any."""
+    """{camera index} of those that show enough of the base's markers to say where they stand, all of them in a rig
+    without any.
+    """
     base = np.unique(np.stack([observations.camera, observations.marker], axis=1)[~observations.on_platform], axis=0)
     if not len(base):
         return set(observations.camera.tolist())
@@ -142,18 +201,27 @@ def _basis(observations: Observations, state: State, unknowns: Unknowns) -> np.n
 
 
 def _mean_motion(markers: MarkerMap, rows: np.ndarray, unknowns: Unknowns, with_targets: bool) -> np.ndarray:
-    """(6, shared) the motion as one body that small motions of markers (rows) and their targets make: sums over their corners."""
+    """(6, shared) the motion as one body that small motions of markers (rows) and their targets make: sums over their
+    corners.
+    """
     corners, out = markers.corners, np.zeros((6, unknowns.shared))
     middle = corners[rows].mean(axis=(0, 1))
     R = markers.T_body_marker.rotation.as_matrix()
     for row in rows.tolist():
         arms = corners[row] - middle
         for columns, turn, centre in (
-                (unknowns.markers.get(row), R[row], markers.T_body_marker.translation[row]),
-                (unknowns.targets.get(markers.target[row]) if with_targets else None, np.eye(3), unknowns.middles.get(markers.target[row]))):
+            (unknowns.markers.get(row), R[row], markers.T_body_marker.translation[row]),
+            (
+                unknowns.targets.get(markers.target[row]) if with_targets else None,
+                np.eye(3),
+                unknowns.middles.get(markers.target[row]),
+            ),
+        ):
             if columns is None:
                 continue
-            shift = np.concatenate([np.broadcast_to(turn, (4, 3, 3)), -skew(corners[row] - centre) @ turn], axis=2)  # of each corner
+            shift = np.concatenate(
+                [np.broadcast_to(turn, (4, 3, 3)), -skew(corners[row] - centre) @ turn], axis=2
+            )  # of each corner
             out[:3, columns] += shift.sum(axis=0)
             out[3:, columns] += (skew(arms) @ shift).sum(axis=0) / np.ptp(corners[rows].reshape(-1, 3), axis=0).max()
     return out

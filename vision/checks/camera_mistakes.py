@@ -1,4 +1,6 @@
-"""What cameras may be: exchanged, posed the other way round, their matrix or their lens's terms in another order or for another image."""
+"""What cameras may be: exchanged, posed the other way round, their matrix or their lens's terms in another order or for
+another image.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -13,7 +15,10 @@ from vision.checks.trial_measurement import Seen
 
 Candidate = tuple[str, str, Seen]
 BEFORE = "camera in base, OpenCV axes (x right, y down, z ahead): state it so"
-ZOOMS = (0.6, 1.7)  # of the stated focal length that adjusting may find: beyond, it found nothing, and half and twice have other causes
+ZOOMS = (
+    0.6,
+    1.7,
+)  # of the stated focal length that adjusting may find: beyond, it found nothing, and half and twice have other causes
 ALIKE = (0.015, 0.01, 1.0)  # of the focal length, of the width, px: within which two lenses are one
 ZOOMED = 0.05  # share beyond which that is a mistake
 
@@ -24,24 +29,45 @@ def alternative_camera_poses(pose: RigidTransform) -> Iterator[tuple[str, RigidT
     v = R.as_rotvec()
     yield "its pose is inverted (base in camera, not camera in base)", pose.inv()
     yield "its rotation is inverted", RigidTransform.from_components(t, R.inv())
-    yield "its position is base in camera, its rotation camera in base", RigidTransform.from_components(-(R.apply(t)), R)
-    yield "its position is base in camera, and its rotation is right", RigidTransform.from_components(-(R.inv().apply(t)), R)
-    yield "its axes are OpenGL's (y up, z back)", pose * RigidTransform.from_rotation(Rotation.from_euler("x", 180, degrees=True))
+    yield (
+        "its position is base in camera, its rotation camera in base",
+        RigidTransform.from_components(-(R.apply(t)), R),
+    )
+    yield (
+        "its position is base in camera, and its rotation is right",
+        RigidTransform.from_components(-(R.inv().apply(t)), R),
+    )
+    yield (
+        "its axes are OpenGL's (y up, z back)",
+        pose * RigidTransform.from_rotation(Rotation.from_euler("x", 180, degrees=True)),
+    )
     yield "its rotation is in degrees", RigidTransform.from_components(t, Rotation.from_rotvec(np.radians(v)))
     for angle in (90, 180, 270):
-        yield f"its images are turned by {angle} degrees", pose * RigidTransform.from_rotation(Rotation.from_euler("z", angle, degrees=True))
+        yield (
+            f"its images are turned by {angle} degrees",
+            pose * RigidTransform.from_rotation(Rotation.from_euler("z", angle, degrees=True)),
+        )
     for seq in ("xyz", "zyx", "XYZ", "ZYX"):
         for degrees in (False, True):
-            for w in (v, v * (1 - 2 * np.pi / max(float(np.linalg.norm(v)), 1e-9))):  # a pose keeps its vector shorter than pi
-                yield (f"its rotation is Euler angles ({seq.lower()} {'fixed' if seq.islower() else 'moving'} axes{', degrees' if degrees else ''}"
-                       f"{'' if w is v else ', long'}), not a rotation vector",
-                       RigidTransform.from_components(t, Rotation.from_euler(seq, w, degrees=degrees)))
+            for w in (
+                v,
+                v * (1 - 2 * np.pi / max(float(np.linalg.norm(v)), 1e-9)),
+            ):  # a pose keeps its vector shorter than pi
+                yield (
+                    f"its rotation is Euler angles ({seq.lower()} {'fixed' if seq.islower() else 'moving'} "
+                    f"axes{', degrees' if degrees else ''}"
+                    f"{'' if w is v else ', long'}), not a rotation vector",
+                    RigidTransform.from_components(t, Rotation.from_euler(seq, w, degrees=degrees)),
+                )
     for unit, factor in (("centimetres", 1e-2), ("inches", 0.0254), ("feet", 0.3048), ("decimetres", 0.1)):
         yield f"its position is in {unit}", RigidTransform.from_components(t * factor, R)
     for order, names in (((1, 0, 2), "x and y"), ((0, 2, 1), "y and z"), ((2, 1, 0), "x and z")):
         yield f"{names} of its position are exchanged", RigidTransform.from_components(t[list(order)], R)
     for axis in range(3):
-        yield f"the sign of {'xyz'[axis]} of its position is reversed", RigidTransform.from_components(t * np.where(np.arange(3) == axis, -1, 1), R)
+        yield (
+            f"the sign of {'xyz'[axis]} of its position is reversed",
+            RigidTransform.from_components(t * np.where(np.arange(3) == axis, -1, 1), R),
+        )
 
 
 def exchanged_cameras(seen: Seen) -> Iterator[Candidate]:
@@ -49,9 +75,11 @@ def exchanged_cameras(seen: Seen) -> Iterator[Candidate]:
     names = [camera.name for camera in seen.design.cameras]
     for a, b in combinations(names, 2):
         other = {a: b, b: a}
-        yield (f"cameras {a} and {b} are exchanged: what corners.csv or frames.csv gives as one's is the other's",
-               "Exchange the names, in rig.toml or in frames.csv and corners.csv",
-               seen.with_corners(camera=[other.get(name, name) for name in seen.corners.camera]))
+        yield (
+            f"cameras {a} and {b} are exchanged: what corners.csv or frames.csv gives as one's is the other's",
+            "Exchange the names, in rig.toml or in frames.csv and corners.csv",
+            seen.with_corners(camera=[other.get(name, name) for name in seen.corners.camera]),
+        )
 
 
 def alternative_pose_trials(seen: Seen) -> Iterator[Candidate]:
@@ -59,15 +87,23 @@ def alternative_pose_trials(seen: Seen) -> Iterator[Candidate]:
     cameras = seen.design.cameras
     for k, (what, _) in enumerate(alternative_camera_poses(cameras[0].pose)):
         turned = [list(alternative_camera_poses(camera.pose))[k][1] for camera in cameras]
-        yield f"rig.toml: cameras: {what.replace('its', 'their')}", BEFORE, seen.with_cameras(tuple(
-            replace(camera, pose=pose) for camera, pose in zip(cameras, turned)))
+        yield (
+            f"rig.toml: cameras: {what.replace('its', 'their')}",
+            BEFORE,
+            seen.with_cameras(tuple(replace(camera, pose=pose) for camera, pose in zip(cameras, turned))),
+        )
         for i, camera in enumerate(cameras if len(cameras) > 1 else ()):
-            yield f"rig.toml: camera {camera.name}: {what}", BEFORE, seen.with_cameras((*cameras[:i], replace(camera, pose=turned[i]),
-                                                                                        *cameras[i + 1:]))
+            yield (
+                f"rig.toml: camera {camera.name}: {what}",
+                BEFORE,
+                seen.with_cameras((*cameras[:i], replace(camera, pose=turned[i]), *cameras[i + 1 :])),
+            )
 
 
 def alternative_lenses(seen: Seen) -> Iterator[Candidate]:
-    """Matrices and distortions in another order, with another sign or of another size of image: of all cameras, then of each alone."""
+    """Matrices and distortions in another order, with another sign or of another size of image: of all cameras, then of
+    each alone.
+    """
     cameras = seen.design.cameras
     for what, do, other in _LENSES:
         mended = [other(camera) for camera in cameras]
@@ -77,20 +113,32 @@ def alternative_lenses(seen: Seen) -> Iterator[Candidate]:
         yield said, do, seen.with_cameras(tuple(mended))
         for i, camera in enumerate(cameras if len(cameras) > 1 else ()):
             if not _same(mended[i], camera):
-                yield f"rig.toml: camera {camera.name}: {what}", do, seen.with_cameras((*cameras[:i], mended[i], *cameras[i + 1:]))
+                yield (
+                    f"rig.toml: camera {camera.name}: {what}",
+                    do,
+                    seen.with_cameras((*cameras[:i], mended[i], *cameras[i + 1 :])),
+                )
 
 
 def focal_length_mistakes(seen: Seen, adjusted: tuple[Camera, ...]) -> Iterator[Candidate]:
-    """The focal lengths that adjusting found, where they are far from those stated. adjusted : the Cameras of Seen, adjusted to its corners"""
+    """The focal lengths that adjusting found, where they are far from those stated. adjusted : the Cameras of Seen,
+    adjusted to its corners
+    """
     ratios = {k: float(a.matrix[0, 0] / b.matrix[0, 0]) for k, (a, b) in enumerate(zip(adjusted, seen.design.cameras))}
     off = {k: ratio for k, ratio in ratios.items() if ZOOMS[0] < ratio < ZOOMS[1] and abs(ratio - 1) > ZOOMED}
     if not off:
         return
     cameras, mean = seen.design.cameras, float(np.median(list(off.values())))
-    of = "all cameras" if len(off) == len(cameras) > 1 else f"camera{'s' * (len(off) > 1)} {', '.join(cameras[k].name for k in off)}"
-    yield (f"rig.toml: the focal length is about {abs(1 / mean - 1):.0%} too {'large' if mean < 1 else 'small'}, of {of}",
-           "State it in pixels, of these images", seen.with_cameras(tuple(
-               _focal(off[k])(camera) if k in off else camera for k, camera in enumerate(cameras))))
+    of = (
+        "all cameras"
+        if len(off) == len(cameras) > 1
+        else f"camera{'s' * (len(off) > 1)} {', '.join(cameras[k].name for k in off)}"
+    )
+    yield (
+        f"rig.toml: the focal length is about {abs(1 / mean - 1):.0%} too {'large' if mean < 1 else 'small'}, of {of}",
+        "State it in pixels, of these images",
+        seen.with_cameras(tuple(_focal(off[k])(camera) if k in off else camera for k, camera in enumerate(cameras))),
+    )
 
 
 def alternative_distortions(camera: Camera) -> Iterator[tuple[str, str, Camera]]:
@@ -102,18 +150,25 @@ def alternative_distortions(camera: Camera) -> Iterator[tuple[str, str, Camera]]
 
 def distortion_difference(a: Camera, b: Camera) -> float:
     """px, RMS over the image of a by which the distortions of two cameras differ."""
-    x, y = np.meshgrid(np.linspace(-0.45, 0.45, 9) * a.width / a.matrix[0, 0], np.linspace(-0.45, 0.45, 9) * a.height / a.matrix[1, 1])
+    x, y = np.meshgrid(
+        np.linspace(-0.45, 0.45, 9) * a.width / a.matrix[0, 0], np.linspace(-0.45, 0.45, 9) * a.height / a.matrix[1, 1]
+    )
     points = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
     gap = lens.project(points, a.matrix, a.distortion) - lens.project(points, a.matrix, b.distortion)
     return float(np.sqrt((gap**2).sum(axis=1).mean()))
 
 
 def matching_lens_reading(seen: Seen, adjusted: tuple[Camera, ...]) -> Candidate | None:
-    """The way of reading all stated lenses, or one camera's, that gives what adjusting found; None where none does, or the stated ones do already.
+    """The way of reading all stated lenses, or one camera's, that gives what adjusting found; None where none does, or
+    the stated ones do already.
 
     adjusted : the Cameras of Seen, adjusted from lenses of which nothing is known
     """
-    found = [one for one in alternative_lenses(seen) if all(is_same_lens(a, b) for a, b in zip(one[2].design.cameras, adjusted))]
+    found = [
+        one
+        for one in alternative_lenses(seen)
+        if all(is_same_lens(a, b) for a, b in zip(one[2].design.cameras, adjusted))
+    ]
     return found[0] if found and not all(is_same_lens(a, b) for a, b in zip(seen.design.cameras, adjusted)) else None
 
 
@@ -121,7 +176,9 @@ def is_same_lens(a: Camera, b: Camera) -> bool:
     """Whether two cameras are one lens: as near as a lens that was calibrated once is to what it is today."""
     gap = np.abs(a.matrix[:2] - b.matrix[:2])
     return bool(
-        gap[[0, 1], [0, 1]].max() < ALIKE[0] * a.matrix[0, 0] and gap[:, 2].max() < ALIKE[1] * a.width and distortion_difference(a, b) < ALIKE[2]
+        gap[[0, 1], [0, 1]].max() < ALIKE[0] * a.matrix[0, 0]
+        and gap[:, 2].max() < ALIKE[1] * a.width
+        and distortion_difference(a, b) < ALIKE[2]
     )
 
 
@@ -143,16 +200,26 @@ def _with_matrix(order: tuple[int, int, int, int]) -> Callable[[Camera], Camera]
         if min(parts) <= 0:
             return c
         return replace(c, matrix=_matrix(*(parts[k] for k in order)))
+
     return other
 
 
 def _scaled(factor: float) -> Callable[[Camera], Camera]:
-    return lambda c: replace(c, matrix=_matrix(c.matrix[0, 0] * factor, c.matrix[1, 1] * factor, (c.matrix[0, 2] + 0.5) * factor - 0.5,
-                                               (c.matrix[1, 2] + 0.5) * factor - 0.5))
+    return lambda c: replace(
+        c,
+        matrix=_matrix(
+            c.matrix[0, 0] * factor,
+            c.matrix[1, 1] * factor,
+            (c.matrix[0, 2] + 0.5) * factor - 0.5,
+            (c.matrix[1, 2] + 0.5) * factor - 0.5,
+        ),
+    )
 
 
 def _focal(factor: float) -> Callable[[Camera], Camera]:
-    return lambda c: replace(c, matrix=_matrix(c.matrix[0, 0] * factor, c.matrix[1, 1] * factor, c.matrix[0, 2], c.matrix[1, 2]))
+    return lambda c: replace(
+        c, matrix=_matrix(c.matrix[0, 0] * factor, c.matrix[1, 1] * factor, c.matrix[0, 2], c.matrix[1, 2])
+    )
 
 
 def _terms(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera], Camera]:
@@ -160,6 +227,7 @@ def _terms(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera], Cam
         d = np.zeros(max(5, len(c.distortion)))
         d[: len(c.distortion)] = c.distortion
         return replace(c, distortion=change(d)) if len(d) == 5 else c
+
     return other
 
 

@@ -1,7 +1,9 @@
-"""What a rig.toml's cubes look like, in figures: circles that are not even, faces that are not centred, directions that nothing looks into.
+"""What a rig.toml's cubes look like, in figures: circles that are not even, faces that are not centred, directions that
+nothing looks into.
 
 None of it spoils a result; a rig measures better, and alike in all directions, where it is put right.
-Source: the on-line learning patent for Stewart platforms, [0005], [0010]: targets evenly on circles about the middles of both plates.
+Source: the on-line learning patent for Stewart platforms, [0005], [0010]: targets evenly on circles about the middles
+    of both plates.
 """
 
 from collections.abc import Iterator
@@ -27,7 +29,12 @@ def cube_layout_remarks(design: Design) -> tuple[str, ...]:
     if not design.targets:
         return ()
     found = marker_map(design.without_stages())
-    return (*_circles(design), *(text for target in design.targets for text in _faces(target)), *_directions(found), *_cameras(design, found))
+    return (
+        *_circles(design),
+        *(text for target in design.targets for text in _faces(target)),
+        *_directions(found),
+        *_cameras(design, found),
+    )
 
 
 def _middle(target: Target) -> np.ndarray | None:
@@ -45,7 +52,11 @@ def _middle(target: Target) -> np.ndarray | None:
 
 def _circles(design: Design) -> Iterator[str]:
     for body, words in BODIES.items():
-        cubes = [(target.name, place) for target in design.targets if target.body == body and (place := _middle(target)) is not None]
+        cubes = [
+            (target.name, place)
+            for target in design.targets
+            if target.body == body and (place := _middle(target)) is not None
+        ]
         if len(cubes) < 3:
             continue
         places = np.array([place for _, place in cubes])
@@ -54,11 +65,18 @@ def _circles(design: Design) -> Iterator[str]:
         gaps, even = np.degrees(np.diff(np.r_[angle[order], angle[order[0]] + 2 * np.pi])), 360 / len(cubes)
         far = int(np.abs(radius - np.median(radius)).argmax())
         if np.ptp(radius) > UNEVEN * radius.mean() or np.abs(gaps - even).max() > UNEVEN * even:
-            yield (f"rig.toml: the cubes on {words} are not evenly on a circle about its middle: radii {radius.min() * 1e3:.1f} to "
-                   f"{radius.max() * 1e3:.1f} mm ({cubes[far][0]} is farthest from the others), gaps {gaps.min():.1f} to {gaps.max():.1f} degrees "
-                   f"where {even:.1f} are even")
+            yield (
+                f"rig.toml: the cubes on {words} are not evenly on a circle about its middle: radii "
+                f"{radius.min() * 1e3:.1f} to "
+                f"{radius.max() * 1e3:.1f} mm ({cubes[far][0]} is farthest from the others), gaps "
+                f"{gaps.min():.1f} to {gaps.max():.1f} degrees "
+                f"where {even:.1f} are even"
+            )
         if np.ptp(places[:, 2]) > HEIGHT * radius.mean():
-            yield f"rig.toml: the cubes on {words} stand at heights from {places[:, 2].min() * 1e3:.1f} to {places[:, 2].max() * 1e3:.1f} mm"
+            yield (
+                f"rig.toml: the cubes on {words} stand at heights from {places[:, 2].min() * 1e3:.1f} to "
+                f"{places[:, 2].max() * 1e3:.1f} mm"
+            )
 
 
 def _faces(target: Target) -> Iterator[str]:
@@ -67,9 +85,16 @@ def _faces(target: Target) -> Iterator[str]:
     if middle is None:
         return
     off = [(marker.id, marker.side, (marker.pose.inv().apply(middle))[:2] * -1) for marker in markers(target)]
-    aside = [f"{number} by {by[0] * 1e3:+.2f}, {by[1] * 1e3:+.2f}" for number, side, by in off if np.linalg.norm(by) > ASIDE * side]
+    aside = [
+        f"{number} by {by[0] * 1e3:+.2f}, {by[1] * 1e3:+.2f}"
+        for number, side, by in off
+        if np.linalg.norm(by) > ASIDE * side
+    ]
     if aside:
-        yield f"rig.toml: faces of {target.name} are not centred: marker {'; '.join(aside)} mm (right, up) from where the cube's middle looks out"
+        yield (
+            f"rig.toml: faces of {target.name} are not centred: marker {'; '.join(aside)} mm (right, up) from "
+            "where the cube's middle looks out"
+        )
 
 
 def _directions(found: MarkerMap) -> Iterator[str]:
@@ -84,8 +109,12 @@ def _directions(found: MarkerMap) -> Iterator[str]:
             nearest = np.arccos(np.clip(ways @ normals.T, -1, 1)).min(axis=1)
             worst = int(nearest.argmax())
             if nearest[worst] > UNSEEN:
-                yield (f"rig.toml: {words} shows nothing towards {np.degrees(turn[worst]):.0f} degrees ({name}): the nearest face there looks "
-                       f"{np.degrees(nearest[worst]):.0f} degrees away, {(nearest > UNSEEN).mean():.0%} of that ring are unseen")
+                yield (
+                    f"rig.toml: {words} shows nothing towards {np.degrees(turn[worst]):.0f} degrees "
+                    f"({name}): the nearest face there looks "
+                    f"{np.degrees(nearest[worst]):.0f} degrees away, {(nearest > UNSEEN).mean():.0%} of that "
+                    "ring are unseen"
+                )
 
 
 def _cameras(design: Design, found: MarkerMap) -> Iterator[str]:
@@ -101,4 +130,7 @@ def _cameras(design: Design, found: MarkerMap) -> Iterator[str]:
             there = found.on_platform == (body == "platform")
             count = int(there[rows].sum())
             if there.any() and count < FEWEST:
-                yield f"rig.toml: camera {camera.name} sees {count} of {there.sum()} markers of {words} with the platform at home"
+                yield (
+                    f"rig.toml: camera {camera.name} sees {count} of {there.sum()} markers of {words} with the "
+                    "platform at home"
+                )

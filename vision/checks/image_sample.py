@@ -1,4 +1,6 @@
-"""A few images of a recording, read whole: their corners, dictionaries that are not as stated, and what corners.csv says of the same images."""
+"""A few images of a recording, read whole: their corners, dictionaries that are not as stated, and what corners.csv
+says of the same images.
+"""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -15,8 +17,18 @@ from vision.reading.parallel_images import map_images_in_threads
 from vision.reading.recording_corners import image_reader
 from vision.targets import MarkerMap, marker_map
 
-FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5",
-            "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11", "DICT_ARUCO_MIP_36h12")
+FAMILIES = (
+    "DICT_4X4_1000",
+    "DICT_5X5_1000",
+    "DICT_6X6_1000",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_25h9",
+    "DICT_APRILTAG_36h10",
+    "DICT_APRILTAG_36h11",
+    "DICT_ARUCO_MIP_36h12",
+)
 TRIED = 6  # images in which other dictionaries are tried
 LEAST = 3  # sightings of an identity of the rig in another dictionary, from which that is named
 FEW = 3  # frames looked at before anything is measured
@@ -28,8 +40,12 @@ def read_image_sample(recording: Recording) -> tuple[Corners | None, list[Mistak
     """(Corners of some frames' images, None where there are none; Mistakes that the images show by themselves)."""
     markers = marker_map(recording.design)
     sights, found = _sights(recording, markers, FRAMES)
-    rows = [(frame, name, int(number), k) for frame, name, _, seen in sights for number in seen.marker for k in range(4)]
-    found += other_dictionary_mistakes([image for _, _, image, _ in sights], Counter(number for _, _, number, k in rows if k == 0), markers)
+    rows = [
+        (frame, name, int(number), k) for frame, name, _, seen in sights for number in seen.marker for k in range(4)
+    ]
+    found += other_dictionary_mistakes(
+        [image for _, _, image, _ in sights], Counter(number for _, _, number, k in rows if k == 0), markers
+    )
     if not rows:
         return None, found
     frame, name, number, corner = zip(*rows)
@@ -43,14 +59,20 @@ def image_mistakes(recording: Recording) -> list[Mistake]:
     markers = marker_map(recording.design)
     sights, _ = _sights(recording, markers, FEW)
     seen = Counter(int(number) for *_, one in sights for number in one.marker)
-    return [one for one in other_dictionary_mistakes([image for _, _, image, _ in sights], seen, markers) if one.spoils and one.proof >= SURE]
+    return [
+        one
+        for one in other_dictionary_mistakes([image for _, _, image, _ in sights], seen, markers)
+        if one.spoils and one.proof >= SURE
+    ]
 
 
 Sight = tuple[int, str, np.ndarray, Detection]
 
 
 def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[Sight], list[Mistake]]:
-    """((frame, camera, image, what was detected) of the images of some frames; Mistakes: images that cannot be read)."""
+    """((frame, camera, image, what was detected) of the images of some frames; Mistakes: images that cannot be
+    read).
+    """
     e, frames = recording.exposures, recording.exposures.times()[0]
     reader = image_reader(recording)
     picked = frames[np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))]
@@ -66,17 +88,23 @@ def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[
         camera = recording.design.camera(name)
         if image is not None and image.shape == (camera.height, camera.width):
             looked_at.append((frame, name, image))
-    seen = map_images_in_threads(lambda one: detect_markers(one[2], recording.design.camera(one[1]), markers), looked_at, None)
+    seen = map_images_in_threads(
+        lambda one: detect_markers(one[2], recording.design.camera(one[1]), markers), looked_at, None
+    )
     return [(*one, detection) for one, detection in zip(looked_at, seen)], found
 
 
 def other_dictionary_mistakes(images: list[np.ndarray], seen: Counter, markers: MarkerMap) -> list[Mistake]:
-    """Targets none of whose markers is read in images (height, width) uint8, though another dictionary's are; mirrored images.
+    """Targets none of whose markers is read in images (height, width) uint8, though another dictionary's are; mirrored
+    images.
 
     seen : how often each identity was read
     """
-    lost = [name for name in dict.fromkeys(markers.target)
-            if not any(seen[int(number)] for number, target in zip(markers.id, markers.target) if target == name)]
+    lost = [
+        name
+        for name in dict.fromkeys(markers.target)
+        if not any(seen[int(number)] for number, target in zip(markers.id, markers.target) if target == name)
+    ]
     if not lost or not images:
         return []
     some = [images[k] for k in np.unique(np.linspace(0, len(images) - 1, min(TRIED, len(images))).round().astype(int))]
@@ -85,19 +113,37 @@ def other_dictionary_mistakes(images: list[np.ndarray], seen: Counter, markers: 
     votes = {family: Counter(number for image in some for number in _numbers(image, family)) for family in FAMILIES}
     found: dict[str, list[str]] = {}
     for name in lost:
-        count = {family: sum(votes[family][number] for number in ids[name]) for family in FAMILIES if not _kin(family, stated[name])}
+        count = {
+            family: sum(votes[family][number] for number in ids[name])
+            for family in FAMILIES
+            if not _kin(family, stated[name])
+        }
         best = max(count, key=lambda family: count[family])
         if count[best] >= LEAST:
             found.setdefault(best, []).append(name)
-    out = [Mistake(f"rig.toml: wrong dictionary: the markers of {'all targets' if len(names) == len(stated) else ', '.join(names)} are of "
-                   f"{_least(family, names, ids)}, "
-                   f"not of {', '.join(sorted({stated[name] for name in names}))}", "State their dictionary", True, 0.95) for family,
-                   names in found.items()]
+    out = [
+        Mistake(
+            "rig.toml: wrong dictionary: the markers of "
+            f"{'all targets' if len(names) == len(stated) else ', '.join(names)} are of "
+            f"{_least(family, names, ids)}, "
+            f"not of {', '.join(sorted({stated[name] for name in names}))}",
+            "State their dictionary",
+            True,
+            0.95,
+        )
+        for family, names in found.items()
+    ]
     if out or len(lost) < len(stated):
         rest = [name for name in lost if not any(name in names for names in found.values())]
-        return out + [Mistake(f"rig.toml: no marker of target {name} is seen in {len(images)} images",
-                              "Look whether it is in view, and at its ids and "
-                              "dictionary", False, 0.4) for name in rest]
+        return out + [
+            Mistake(
+                f"rig.toml: no marker of target {name} is seen in {len(images)} images",
+                "Look whether it is in view, and at its ids and dictionary",
+                False,
+                0.4,
+            )
+            for name in rest
+        ]
     return list(_none(some, markers, votes))
 
 
@@ -105,20 +151,47 @@ def _none(images: list[np.ndarray], markers: MarkerMap, votes: dict[str, Counter
     """Why no marker at all is read."""
     for family in dict.fromkeys(markers.dictionary):
         for code in (1, 0):  # left to right, upside down
-            if sum(number in set(markers.id.tolist()) for image in images for number in _numbers(cv2.flip(image, code), family)) >= LEAST:
-                yield Mistake("the images are mirrored (flipped): their markers are read only when flipped back",
-                              "Save images as the camera gives them, not as a mirror shows them", True, 0.95)
+            if (
+                sum(
+                    number in set(markers.id.tolist())
+                    for image in images
+                    for number in _numbers(cv2.flip(image, code), family)
+                )
+                >= LEAST
+            ):
+                yield Mistake(
+                    "the images are mirrored (flipped): their markers are read only when flipped back",
+                    "Save images as the camera gives them, not as a mirror shows them",
+                    True,
+                    0.95,
+                )
                 return
-        if sum(number in set(markers.id.tolist()) for image in images for number in _numbers(255 - image, family)) >= LEAST:
-            yield Mistake("the images are negatives, or the markers white on black", "Invert the images, or print black on white", True, 0.95)
+        if (
+            sum(number in set(markers.id.tolist()) for image in images for number in _numbers(255 - image, family))
+            >= LEAST
+        ):
+            yield Mistake(
+                "the images are negatives, or the markers white on black",
+                "Invert the images, or print black on white",
+                True,
+                0.95,
+            )
             return
     family, seen = max(votes.items(), key=lambda one: sum(one[1].values()))
     if sum(seen.values()) >= 2 * LEAST:
-        yield Mistake(f"rig.toml: none of its markers is seen, but others of {family}: {', '.join(map(str, sorted(seen)[:10]))}",
-                      "State the ids and the dictionary that are printed", True, 0.7)
+        yield Mistake(
+            f"rig.toml: none of its markers is seen, but others of {family}: {', '.join(map(str, sorted(seen)[:10]))}",
+            "State the ids and the dictionary that are printed",
+            True,
+            0.7,
+        )
     else:
-        yield Mistake("no marker of any dictionary is read in the images", "Look at focus, light and size: a cell of a marker takes 3 px or more",
-                      True, 0.5)
+        yield Mistake(
+            "no marker of any dictionary is read in the images",
+            "Look at focus, light and size: a cell of a marker takes 3 px or more",
+            True,
+            0.5,
+        )
 
 
 def _numbers(image: np.ndarray, name: str) -> list[int]:
@@ -136,16 +209,27 @@ def _least(family: str, names: list[str], ids: dict[str, set[int]]) -> str:
     if not family.endswith("_1000"):
         return family
     most = max(number for name in names for number in ids[name])
-    return f"{family.rsplit('_', 1)[0]}_{next(size for size in (50, 100, 250, 1000) if most < size)} (or a larger one of its kind)"
+    return (
+        f"{family.rsplit('_', 1)[0]}_{next(size for size in (50, 100, 250, 1000) if most < size)} (or a larger "
+        "one of its kind)"
+    )
 
 
 def _against(stated: Corners | None, seen: Corners) -> Iterator[Mistake]:
     """corners.csv against the corners read in the same images."""
     if stated is None:
         return
-    known = {key: uv for key, uv in zip(zip(stated.frame.tolist(), stated.camera, stated.marker.tolist(), stated.corner.tolist()), stated.uv)}
-    pairs = [(known[key], uv) for key, uv in zip(zip(seen.frame.tolist(), seen.camera, seen.marker.tolist(), seen.corner.tolist()), seen.uv)
-             if key in known]
+    known = {
+        key: uv
+        for key, uv in zip(
+            zip(stated.frame.tolist(), stated.camera, stated.marker.tolist(), stated.corner.tolist()), stated.uv
+        )
+    }
+    pairs = [
+        (known[key], uv)
+        for key, uv in zip(zip(seen.frame.tolist(), seen.camera, seen.marker.tolist(), seen.corner.tolist()), seen.uv)
+        if key in known
+    ]
     if len(pairs) < 8:
         return
     a, b = np.array(pairs).swapaxes(0, 1)
@@ -158,6 +242,9 @@ def _against(stated: Corners | None, seen: Corners) -> Iterator[Mistake]:
         what = "pixels are shifted by half a pixel: the first pixel's centre is (0, 0), not (0.5, 0.5)"
     else:
         what = "its corners are not those of the images (another size, order or recording)"
-    yield Mistake(f"corners.csv: {what}: they lie ({by[0]:+.2f}, {by[1]:+.2f}) px from what the images show",
-                  "Write OpenCV's pixels, or leave corners.csv "
-                  "out and let the images be read", bool(np.abs(by).max() > 2), 0.9)
+    yield Mistake(
+        f"corners.csv: {what}: they lie ({by[0]:+.2f}, {by[1]:+.2f}) px from what the images show",
+        "Write OpenCV's pixels, or leave corners.csv out and let the images be read",
+        bool(np.abs(by).max() > 2),
+        0.9,
+    )

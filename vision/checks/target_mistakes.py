@@ -1,4 +1,6 @@
-"""What targets may be: of another size, exchanged, turned, their faces in another order, on the other body, posed the other way round."""
+"""What targets may be: of another size, exchanged, turned, their faces in another order, on the other body, posed the
+other way round.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -23,15 +25,24 @@ CONTENT = {"4X4": 4, "5X5": 5, "6X6": 6, "7X7": 7, "ORIGINAL": 5, "36h": 6, "25h
 
 def cube_turns() -> list[Rotation]:
     """The 23 turns of a cube into itself, the least ones first."""
-    turns = {tuple(np.round(R.as_matrix().ravel()).astype(int).tolist()): R for R in (
-        Rotation.from_euler("zyx", [a, b, c], degrees=True) for a in (0, 90, 180, 270) for b in (0, 90, 180, 270) for c in (0, 90, 180, 270))}
+    turns = {
+        tuple(np.round(R.as_matrix().ravel()).astype(int).tolist()): R
+        for R in (
+            Rotation.from_euler("zyx", [a, b, c], degrees=True)
+            for a in (0, 90, 180, 270)
+            for b in (0, 90, 180, 270)
+            for c in (0, 90, 180, 270)
+        )
+    }
     return sorted((R for R in turns.values() if R.magnitude() > 0.1), key=lambda R: round(R.magnitude(), 6))
 
 
 def marker_scale_ratios(seen: Seen) -> dict[str, tuple[float, int]]:
-    """{body: (true over stated side of its markers, pairs that say so)}: distances between targets in one image against the stated ones.
+    """{body: (true over stated side of its markers, pairs that say so)}: distances between targets in one image against
+    the stated ones.
 
-    Each marker alone has its distance from the camera in units of its own side; how far two targets of one body are apart is stated.
+    Each marker alone has its distance from the camera in units of its own side; how far two targets of one body are
+    apart is stated.
     """
     markers = marker_map(seen.design)
     ratios: dict[str, list[float]] = {}
@@ -44,24 +55,33 @@ def marker_scale_ratios(seen: Seen) -> dict[str, tuple[float, int]]:
         images.setdefault((int(c.frame[i]), c.camera[i]), {}).setdefault(int(rows[i]), []).append(i)
     middles = markers.T_body_marker.translation
     for (_, name), seen_here in images.items():
-        alone = {row: _alone(c.uv[own], cameras[name], float(markers.side[row])) for row, own in seen_here.items() if len(own) == 4}
+        alone = {
+            row: _alone(c.uv[own], cameras[name], float(markers.side[row]))
+            for row, own in seen_here.items()
+            if len(own) == 4
+        }
         places = {row: place for row, place in alone.items() if place is not None}
         for a, b in combinations(places, 2):
             if markers.on_platform[a] == markers.on_platform[b] and markers.target[a] != markers.target[b]:
                 apart = float(np.linalg.norm(places[a] - places[b]))
-                ratios.setdefault("platform" if markers.on_platform[a] else "base",
-                                  []).append(float(np.linalg.norm(middles[a] - middles[b])) / max(apart, 1e-9))
+                ratios.setdefault("platform" if markers.on_platform[a] else "base", []).append(
+                    float(np.linalg.norm(middles[a] - middles[b])) / max(apart, 1e-9)
+                )
     return {body: (float(np.median(values)), len(values)) for body, values in ratios.items()}
 
 
 def _alone(uv: np.ndarray, camera: Camera, side: float) -> np.ndarray | None:
     """(3,) m, a marker's middle in its camera, from its four corners alone; None where they are no square's image."""
-    found = cv2.solvePnPGeneric(side * SQUARE, np.ascontiguousarray(uv), camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+    found = cv2.solvePnPGeneric(
+        side * SQUARE, np.ascontiguousarray(uv), camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
+    )
     return found[2][0].ravel() if found[0] else None
 
 
 def marker_size_trials(seen: Seen) -> Iterator[tuple[str | None, float, Seen]]:
-    """(body, share, Seen) of markers' sides that are wrong, of all targets (None) or those of one body, about what `marker_scale_ratios` says."""
+    """(body, share, Seen) of markers' sides that are wrong, of all targets (None) or those of one body, about what
+    `marker_scale_ratios` says.
+    """
     told = {body: share for body, (share, pairs) in marker_scale_ratios(seen).items() if pairs >= PAIRS}
     firsts = sorted({round(share, 3) for share in told.values() if abs(share - 1) > PRINTED / 2})
     for first in firsts:
@@ -74,15 +94,20 @@ def marker_size_trials(seen: Seen) -> Iterator[tuple[str | None, float, Seen]]:
 def _named(target: Target) -> dict[str, float]:
     """{what was stated as the side, true over stated} of measures that are taken for a marker's side."""
     n = next((bits for word, bits in CONTENT.items() if word in target.dictionary), 5)
-    out = {"the black border is not counted (the inner, coded part was measured)": (n + 2) / n,
-           "the white margin (quiet zone) is counted": (n + 2) / (n + 4),
-           "half a side is stated": 2.0, "twice the side is stated": 0.5}
+    out = {
+        "the black border is not counted (the inner, coded part was measured)": (n + 2) / n,
+        "the white margin (quiet zone) is counted": (n + 2) / (n + 4),
+        "half a side is stated": 2.0,
+        "twice the side is stated": 0.5,
+    }
     return out
 
 
 def scale_marker_sides(seen: Seen, factor: float, body: str | None = None) -> Seen:
     """The same with markers' sides multiplied, of all targets or of those on one body."""
-    return seen.with_targets(tuple(t if body not in (None, t.body) else _resized(t, factor) for t in seen.design.targets))
+    return seen.with_targets(
+        tuple(t if body not in (None, t.body) else _resized(t, factor) for t in seen.design.targets)
+    )
 
 
 def _resized(target: Target, factor: float) -> Target:
@@ -93,7 +118,10 @@ def _resized(target: Target, factor: float) -> Target:
 
 def size_ratio_text(share: float, target: Target | None) -> str:
     """What a ratio of true to stated side means."""
-    off = f"the markers are printed {abs(share - 1):.1%} {'larger' if share > 1 else 'smaller'} than rig.toml states (scale of print)"
+    off = (
+        f"the markers are printed {abs(share - 1):.1%} {'larger' if share > 1 else 'smaller'} than rig.toml "
+        "states (scale of print)"
+    )
     if target is None:
         return off
     edge, side = target.edge or 0.0, target.marker or 0.0
@@ -117,35 +145,55 @@ def best_size_ratio(seen: Seen, share: float, body: str | None, miss: Callable[[
 
 
 def exchanged_target_trials(seen: Seen, names: list[str] | None = None) -> Iterator[Candidate]:
-    """Targets exchanged with each other or on the other body; of all targets, their bodies and poses too. names : those meant, all by default"""
+    """Targets exchanged with each other or on the other body; of all targets, their bodies and poses too. names : those
+    meant, all by default
+    """
     targets = seen.design.targets
     meant = [i for i, t in enumerate(targets) if names is None or t.name in names]
     for i, k in combinations(meant, 2):
         a, b = targets[i], targets[k]
         if a.faces and b.faces and len(a.faces) == len(b.faces):
             swapped = list(targets)
-            swapped[i], swapped[k] = replace(a, faces=b.faces, dictionary=b.dictionary), replace(b, faces=a.faces, dictionary=a.dictionary)
-            yield (f"rig.toml: cubes {a.name} and {b.name} are exchanged", "Exchange the cubes, or their faces in rig.toml",
-                   seen.with_targets(tuple(swapped)))
+            swapped[i], swapped[k] = (
+                replace(a, faces=b.faces, dictionary=b.dictionary),
+                replace(b, faces=a.faces, dictionary=a.dictionary),
+            )
+            yield (
+                f"rig.toml: cubes {a.name} and {b.name} are exchanged",
+                "Exchange the cubes, or their faces in rig.toml",
+                seen.with_targets(tuple(swapped)),
+            )
         elif a.listed and b.listed and len(a.listed) == len(b.listed):
             swapped = list(targets)
             swapped[i] = replace(a, listed=tuple(replace(m, id=n.id) for m, n in zip(a.listed, b.listed)))
             swapped[k] = replace(b, listed=tuple(replace(m, id=n.id) for m, n in zip(b.listed, a.listed)))
-            yield (f"rig.toml: targets {a.name} and {b.name} are exchanged", "Exchange them, or their ids in rig.toml",
-                   seen.with_targets(tuple(swapped)))
+            yield (
+                f"rig.toml: targets {a.name} and {b.name} are exchanged",
+                "Exchange them, or their ids in rig.toml",
+                seen.with_targets(tuple(swapped)),
+            )
     other = {"base": "platform", "platform": "base"}
     for i in meant:
         t = targets[i]
-        yield f"rig.toml: target {t.name} stands on the {other[t.body]}, not on the {t.body}", "Mend its body", seen.with_targets(
-            (*targets[:i], replace(t, body=other[t.body]), *targets[i + 1:]))
+        yield (
+            f"rig.toml: target {t.name} stands on the {other[t.body]}, not on the {t.body}",
+            "Mend its body",
+            seen.with_targets((*targets[:i], replace(t, body=other[t.body]), *targets[i + 1 :])),
+        )
     if names is not None:
         return
-    yield "rig.toml: body of all targets is exchanged (base for platform)", "Exchange body", seen.with_targets(
-        tuple(replace(t, body=other[t.body]) for t in targets))
+    yield (
+        "rig.toml: body of all targets is exchanged (base for platform)",
+        "Exchange body",
+        seen.with_targets(tuple(replace(t, body=other[t.body]) for t in targets)),
+    )
     for what, change in _POSES:
         if all(t.pose is not None for t in targets):
-            yield f"rig.toml: the targets' poses: {what}", "State cube in body: m, rotation vector in rad", seen.with_targets(
-                tuple(replace(t, pose=change(t.pose)) for t in targets))
+            yield (
+                f"rig.toml: the targets' poses: {what}",
+                "State cube in body: m, rotation vector in rad",
+                seen.with_targets(tuple(replace(t, pose=change(t.pose)) for t in targets)),
+            )
 
 
 def single_target_trials(seen: Seen, name: str) -> Iterator[Candidate]:
@@ -155,21 +203,34 @@ def single_target_trials(seen: Seen, name: str) -> Iterator[Candidate]:
     t = targets[i]
 
     def put(other: Target) -> Seen:
-        return seen.with_targets((*targets[:i], other, *targets[i + 1:]))
+        return seen.with_targets((*targets[:i], other, *targets[i + 1 :]))
 
     if t.pose is not None:
         for R in cube_turns():
             axis, angle = R.as_rotvec(), np.degrees(R.magnitude())
             about = np.round(axis / np.linalg.norm(axis), 2)
-            plain = next((f"{'-' if about[k] < 0 else ''}{'xyz'[k]}" for k in range(3) if abs(about[k]) > 0.99), str(about.tolist()))
-            yield (f"rig.toml: cube {name} is turned by {angle:.0f} degrees about its {plain}", "Turn the cube, or its pose or faces in rig.toml",
-                   put(replace(t, pose=t.pose * RigidTransform.from_rotation(R))))
+            plain = next(
+                (f"{'-' if about[k] < 0 else ''}{'xyz'[k]}" for k in range(3) if abs(about[k]) > 0.99),
+                str(about.tolist()),
+            )
+            yield (
+                f"rig.toml: cube {name} is turned by {angle:.0f} degrees about its {plain}",
+                "Turn the cube, or its pose or faces in rig.toml",
+                put(replace(t, pose=t.pose * RigidTransform.from_rotation(R))),
+            )
         for what, change in _POSES:
-            yield f"rig.toml: pose of target {name}: {what}", "State cube in body: m, rotation vector in rad", put(replace(t, pose=change(t.pose)))
+            yield (
+                f"rig.toml: pose of target {name}: {what}",
+                "State cube in body: m, rotation vector in rad",
+                put(replace(t, pose=change(t.pose))),
+            )
     for by in (1, -1):
         if t.faces:
-            yield (f"rig.toml: ids of cube {name} are off by one", "State the ids that are printed",
-                   put(replace(t, faces=tuple((face, max(number + by, 0)) for face, number in t.faces))))
+            yield (
+                f"rig.toml: ids of cube {name} are off by one",
+                "State the ids that are printed",
+                put(replace(t, faces=tuple((face, max(number + by, 0)) for face, number in t.faces))),
+            )
 
 
 def turned_face_trials(seen: Seen, name: str) -> Iterator[Candidate]:
@@ -180,9 +241,11 @@ def turned_face_trials(seen: Seen, name: str) -> Iterator[Candidate]:
         if not mine.any():
             continue
         for quarters in (2, 1, 3):
-            yield (f"rig.toml: face {face} of cube {name} (marker {number}) is turned by {90 * quarters} degrees", "Turn the sheet on that face, or "
-                   "leave its marker out of rig.toml",
-                   seen.with_corners(corner=np.where(mine, (seen.corners.corner + quarters) % 4, seen.corners.corner)))
+            yield (
+                f"rig.toml: face {face} of cube {name} (marker {number}) is turned by {90 * quarters} degrees",
+                "Turn the sheet on that face, or leave its marker out of rig.toml",
+                seen.with_corners(corner=np.where(mine, (seen.corners.corner + quarters) % 4, seen.corners.corner)),
+            )
 
 
 def exchanged_face_trials(seen: Seen, name: str) -> Iterator[Candidate]:
@@ -193,30 +256,42 @@ def exchanged_face_trials(seen: Seen, name: str) -> Iterator[Candidate]:
     for a, b in combinations(range(len(t.faces)), 2):
         swapped = list(t.faces)
         swapped[a], swapped[b] = (t.faces[a][0], t.faces[b][1]), (t.faces[b][0], t.faces[a][1])
-        yield (f"rig.toml: faces {t.faces[a][0]} and {t.faces[b][0]} of cube {name} are exchanged", "Exchange them",
-               seen.with_targets((*targets[:i], replace(t, faces=tuple(swapped)), *targets[i + 1:])))
+        yield (
+            f"rig.toml: faces {t.faces[a][0]} and {t.faces[b][0]} of cube {name} are exchanged",
+            "Exchange them",
+            seen.with_targets((*targets[:i], replace(t, faces=tuple(swapped)), *targets[i + 1 :])),
+        )
 
 
 def is_corrected_by_commands(stated: Seen, mended: Seen) -> bool:
-    """Whether what was mended is set right by every command itself: markers of one cube on each other's faces are told by where they are seen."""
+    """Whether what was mended is set right by every command itself: markers of one cube on each other's faces are told
+    by where they are seen.
+    """
     if mended.corners is not stated.corners or mended.design.cameras is not stated.design.cameras:
         return False
     changed = [(a, b) for a, b in zip(stated.design.targets, mended.design.targets) if a is not b]
     alike = ("name", "body", "dictionary", "edge", "marker", "pose", "listed")
-    return len(changed) == 1 and all(getattr(a, name) is getattr(b, name) and sorted(a.ids) == sorted(b.ids) for a, b in changed for name in alike)
+    return len(changed) == 1 and all(
+        getattr(a, name) is getattr(b, name) and sorted(a.ids) == sorted(b.ids) for a, b in changed for name in alike
+    )
 
 
 def cube_edge_trials(seen: Seen) -> Iterator[Candidate]:
     """The edges of all cubes stated too large or too small."""
     for by in EDGES:
         if all(not t.edge or t.edge + by > (t.marker or 0.0) for t in seen.design.targets):
-            yield (f"rig.toml: the edge of all cubes is stated about {abs(by) * 1e3:.0f} mm too {'small' if by > 0 else 'large'}",
-                   "Measure a cube from face to face, in metres", seen.with_targets(
-                       tuple(replace(t, edge=t.edge + by) if t.edge else t for t in seen.design.targets)))
+            yield (
+                f"rig.toml: the edge of all cubes is stated about {abs(by) * 1e3:.0f} mm too "
+                f"{'small' if by > 0 else 'large'}",
+                "Measure a cube from face to face, in metres",
+                seen.with_targets(tuple(replace(t, edge=t.edge + by) if t.edge else t for t in seen.design.targets)),
+            )
 
 
 def suspicious_targets(trial: Trial) -> list[str]:
-    """Names of targets with a marker most of whose corners are not where they ought to be, while most targets have none; the worst first."""
+    """Names of targets with a marker most of whose corners are not where they ought to be, while most targets have
+    none; the worst first.
+    """
     if trial.measured is None or trial.miss is None:
         return []
     o, markers = trial.measured.observations, marker_map(trial.seen.design)
@@ -234,7 +309,12 @@ def suspicious_targets(trial: Trial) -> list[str]:
 _POSES = (
     ("inverted (body in cube)", lambda T: T.inv()),
     ("rotations are inverted", lambda T: RigidTransform.from_components(T.translation, T.rotation.inv())),
-    ("rotations are in degrees", lambda T: RigidTransform.from_components(T.translation, Rotation.from_rotvec(np.radians(T.rotation.as_rotvec())))),
+    (
+        "rotations are in degrees",
+        lambda T: RigidTransform.from_components(
+            T.translation, Rotation.from_rotvec(np.radians(T.rotation.as_rotvec()))
+        ),
+    ),
     ("positions are in centimetres", lambda T: RigidTransform.from_components(T.translation * 0.01, T.rotation)),
     ("positions are in inches", lambda T: RigidTransform.from_components(T.translation * 0.0254, T.rotation)),
     ("x and y are exchanged", lambda T: RigidTransform.from_components(T.translation[[1, 0, 2]], T.rotation)),

@@ -14,7 +14,8 @@ from vision.recording_measurement import unsolved_frames
 from vision.targets import marker_map
 
 FRAMES = 8  # looked at
-LOST = 20.0  # px; a corner farther than this from where it ought to be, or in a frame without a pose, counts as this far off
+# px; a corner farther than this from where it ought to be, or in a frame without a pose, counts as this far off
+LOST = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +42,10 @@ class Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """misfit : px, RMS of the corners' distances from where they ought to be, none more than LOST; seen : what was tried;
-    measured : Measurement, None where nothing could be solved; miss : (n,) px per corner in the observations' order, or None."""
+    """misfit : px, RMS of the corners' distances from where they ought to be, none more than LOST; seen : what was
+    tried;
+    measured : Measurement, None where nothing could be solved; miss : (n,) px per corner in the observations' order, or
+        None."""
 
     misfit: float
     seen: Seen
@@ -50,11 +53,14 @@ class Trial:
     miss: np.ndarray | None
 
 
-def sample_frames(design: Design, corners: Corners, frames: np.ndarray, t: np.ndarray, count: int = FRAMES) -> Seen | None:
-    """Seen of some frames spread over a recording, of each stretch the one that shows most; None where there are no corners.
+def sample_frames(
+    design: Design, corners: Corners, frames: np.ndarray, t: np.ndarray, count: int = FRAMES
+) -> Seen | None:
+    """Seen of some frames spread over a recording, of each stretch the one that shows most; None where there are no
+    corners.
 
-    frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside, and what was put back: its place is told
-    only to what remounting may do
+    frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside, and what
+    was put back: its place is told only to what remounting may do
     """
     on_stages = [number for target in design.targets if target.stage for number in target.ids]
     if on_stages:
@@ -73,19 +79,29 @@ def sample_frames(design: Design, corners: Corners, frames: np.ndarray, t: np.nd
 def select_corners(corners: Corners, mask: np.ndarray) -> Corners:
     """Corners of a mask (n,)."""
     rows = np.flatnonzero(mask)
-    return Corners(corners.frame[rows], [corners.camera[i] for i in rows], corners.marker[rows], corners.corner[rows], corners.uv[rows],
-                   None if corners.covariance is None else corners.covariance[rows])
+    return Corners(
+        corners.frame[rows],
+        [corners.camera[i] for i in rows],
+        corners.marker[rows],
+        corners.corner[rows],
+        corners.uv[rows],
+        None if corners.covariance is None else corners.covariance[rows],
+    )
 
 
 def measure_sample(seen: Seen, free: tuple[str, ...] = ("poses", "lenses")) -> Trial:
-    """Trial of Seen: all of its frames measured, cameras and lenses adjusted as `rig measure` does. free : see vision.bundle.bundle_adjustment"""
+    """Trial of Seen: all of its frames measured, cameras and lenses adjusted as `rig measure` does. free : see
+    vision.bundle.bundle_adjustment
+    """
     known = np.isin(seen.corners.marker, [number for target in seen.design.targets for number in target.ids])
     corners = seen.corners if known.all() else select_corners(seen.corners, known)
     if not len(corners.frame):
         return Trial(LOST, seen, None, None)
     markers = marker_map(seen.design)
     try:
-        measured = measure(observations_from_corners(corners, seen.frames, seen.design, markers), seen.design, markers, free)
+        measured = measure(
+            observations_from_corners(corners, seen.frames, seen.design, markers), seen.design, markers, free
+        )
     except (NotEnoughData, RigError, np.linalg.LinAlgError):
         return Trial(LOST, seen, None, None)
     o = measured.observations

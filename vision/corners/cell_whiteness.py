@@ -1,4 +1,5 @@
-"""Share of white in and around one cell of a marker: edge spread functions multiplied, and corrected where two edges meet.
+"""Share of white in and around one cell of a marker: edge spread functions multiplied, and corrected where two edges
+meet.
 
 Source: bivariate normal, Drezner and Wesolowsky 1990
 """
@@ -18,15 +19,16 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
 class Tables(NamedTuple):
-    """Edge spread functions of a marker's X and of its Y edges, each (STEPS, 4) float32: over the steps of GRID the share of white, what it gains
-    over one, its slope, what that gains."""
+    """Edge spread functions of a marker's X and of its Y edges, each (STEPS, 4) float32: over the steps of GRID the
+    share of white, what it gains over one, its slope, what that gains."""
 
     x: np.ndarray
     y: np.ndarray
 
 
 class Meeting(NamedTuple):
-    """How a marker's edges look at one place. sx, sy : cells, widths of its X and Y edges; rho : correlation, the cosine between their normals
+    """How a marker's edges look at one place. sx, sy : cells, widths of its X and Y edges; rho : correlation, the
+    cosine between their normals
     px, py : 1/cell, by what share of itself an edge's distance is less for each cell that it is nearer: perspective."""
 
     sx: float
@@ -47,7 +49,9 @@ class Share(NamedTuple):
 
 @kernel
 def tabulate(function: np.ndarray, table: np.ndarray) -> None:
-    """An edge spread function (STEPS + 1, 2), share of white and its slope over GRID, as Tables have it, into a table (STEPS, 4)."""
+    """An edge spread function (STEPS + 1, 2), share of white and its slope over GRID, as Tables have it, into a table
+    (STEPS, 4).
+    """
     for k in range(len(table)):
         for q in range(2):
             table[k, 2 * q], table[k, 2 * q + 1] = function[k, q], function[k + 1, q] - function[k, q]
@@ -64,8 +68,9 @@ def edge_whiteness(table: np.ndarray, x: float) -> tuple[float, float]:
 
 @kernel
 def edge_distance(cells: float, s: float, p: float) -> float:
-    """Edge widths from an edge so many cells away, where an edge is s cells wide here and perspective changes cells by p: the line's distance in
-    the image, not the nearest guess at it, which shifts every edge of a tilted marker the same way."""
+    """Edge widths from an edge so many cells away, where an edge is s cells wide here and perspective changes cells by
+    p: the line's distance in the image, not the nearest guess at it, which shifts every edge of a tilted marker the
+    same way."""
     return cells / (s * (1 + p * cells))
 
 
@@ -81,14 +86,22 @@ def _meeting(h: float, k: float, rho: float) -> float:
 
 
 @kernel
-def cell_whiteness(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray) -> Share:
+def cell_whiteness(
+    cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray
+) -> Share:
     """Share at cell coordinates X, Y in or next to cell (i, j), of edges as in Meeting, with their spread functions.
 
-    cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first bit.
+    cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first
+        bit.
     """
     sx, sy, rho, px, py = meeting
     last = cells.shape[0] - 1
-    hl, hr, vl, vr = edge_distance(X - i, sx, px), edge_distance(X - i - 1, sx, px), edge_distance(Y - j, sy, py), edge_distance(Y - j - 1, sy, py)
+    hl, hr, vl, vr = (
+        edge_distance(X - i, sx, px),
+        edge_distance(X - i - 1, sx, px),
+        edge_distance(Y - j, sy, py),
+        edge_distance(Y - j - 1, sy, py),
+    )
     Pa, pa = edge_whiteness(table_x, hl)
     Pb, pb = edge_whiteness(table_x, hr)
     Pc, pc = edge_whiteness(table_y, vl)
@@ -124,13 +137,35 @@ def cell_whiteness(cells: np.ndarray, i: int, j: int, X: float, Y: float, meetin
 def blurred_cell_whiteness(
     cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray
 ) -> Share:
-    """The same for cells (n + 4, n + 4) where edges are so wide that cells beyond the next ones are in sight: two to each side count."""
+    """The same for cells (n + 4, n + 4) where edges are so wide that cells beyond the next ones are in sight: two to
+    each side count.
+    """
     sx, sy, rho, px, py = meeting
     last = cells.shape[0] - 1
-    h = (edge_distance(X - i + 1, sx, px), edge_distance(X - i, sx, px), edge_distance(X - i - 1, sx, px), edge_distance(X - i - 2, sx, px))
-    k = (edge_distance(Y - j + 1, sy, py), edge_distance(Y - j, sy, py), edge_distance(Y - j - 1, sy, py), edge_distance(Y - j - 2, sy, py))
-    across = (edge_whiteness(table_x, h[0]), edge_whiteness(table_x, h[1]), edge_whiteness(table_x, h[2]), edge_whiteness(table_x, h[3]))
-    down = (edge_whiteness(table_y, k[0]), edge_whiteness(table_y, k[1]), edge_whiteness(table_y, k[2]), edge_whiteness(table_y, k[3]))
+    h = (
+        edge_distance(X - i + 1, sx, px),
+        edge_distance(X - i, sx, px),
+        edge_distance(X - i - 1, sx, px),
+        edge_distance(X - i - 2, sx, px),
+    )
+    k = (
+        edge_distance(Y - j + 1, sy, py),
+        edge_distance(Y - j, sy, py),
+        edge_distance(Y - j - 1, sy, py),
+        edge_distance(Y - j - 2, sy, py),
+    )
+    across = (
+        edge_whiteness(table_x, h[0]),
+        edge_whiteness(table_x, h[1]),
+        edge_whiteness(table_x, h[2]),
+        edge_whiteness(table_x, h[3]),
+    )
+    down = (
+        edge_whiteness(table_y, k[0]),
+        edge_whiteness(table_y, k[1]),
+        edge_whiteness(table_y, k[2]),
+        edge_whiteness(table_y, k[3]),
+    )
     s, gx, gy, gb, above = 0.0, 0.0, 0.0, 0.0, 0.0
     for v in range(5):
         y = min(max(j + v, 0), last)

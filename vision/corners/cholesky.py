@@ -9,7 +9,9 @@ from vision.corners.numba_compilation import kernel
 
 @kernel
 def factor(H: np.ndarray, first: int, size: int, L: np.ndarray) -> bool:
-    """Cholesky factor of H[first:first + size, first:first + size] into L (size, size); False where that is not definite."""
+    """Cholesky factor of H[first:first + size, first:first + size] into L (size, size); False where that is not
+    definite.
+    """
     for i in range(size):
         for j in range(i + 1):
             total = H[first + i, first + j]

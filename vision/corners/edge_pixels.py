@@ -1,4 +1,6 @@
-"""The pixels near a square's edges, collected for the fit and sorted by what they see: an upright edge, a level one, where two meet, or several."""
+"""The pixels near a square's edges, collected for the fit and sorted by what they see: an upright edge, a level one,
+where two meet, or several.
+"""
 
 import math
 from typing import NamedTuple
@@ -8,12 +10,15 @@ import numpy as np
 from vision.corners.local_lens import polynomial_at
 from vision.corners.numba_compilation import kernel, kernel_part
 
-REACH = (
-    3.6  # edge widths on either side of an edge that are looked at; with vision/corners/edge_spread.py's KNOTS by the rule in tests/bench/reach.py:
-)
-# of reaches 2.4, 2.8, 3.2, 3.6 and 5, 7, 9, 11 knots the smallest within 1 % of the least corner error on exact and rendered pictures
+# edge widths on either side of an edge that are looked at; with vision/corners/edge_spread.py's KNOTS by the rule in
+# tests/bench/reach.py:
+REACH = 3.6
+# of reaches 2.4, 2.8, 3.2, 3.6 and 5, 7, 9, 11 knots the smallest within 1 % of the least corner error on exact and
+# rendered pictures
 CLEAR = 3.2  # edge widths kept clear of whatever lies beyond the white margin
-UPRIGHT, LEVEL, MEETING, SEVERAL = range(4)  # one edge X = i; one edge Y = j; one of each, which meet; any number around cell i, j
+UPRIGHT, LEVEL, MEETING, SEVERAL = range(
+    4
+)  # one edge X = i; one edge Y = j; one of each, which meet; any number around cell i, j
 KINDS = 4
 MOST = 16  # cells to a side of a marker and its white ring, at most: outlooks are tables of so many rows
 VIEWS = 17  # of a cell: by which of its four sides are in reach, and where cells beyond the next are
@@ -25,8 +30,9 @@ class EdgePixels(NamedTuple):
     """Pixels near a marker's edges, room for k of them, kind after kind.
 
     x, y : (k,) float32, local ideal coordinates; greys : (k,) float32, 255ths of white
-    i, j : (k,) int32, the edge X = i, the edge Y = j, or the cell; looks : (k,) int32, UPRIGHT: white on the right (1) or left (-1); LEVEL:
-    white below (1) or above (-1); MEETING: 1, 2, 4, 8 for white at the top left, top right, bottom left, bottom right
+    i, j : (k,) int32, the edge X = i, the edge Y = j, or the cell; looks : (k,) int32, UPRIGHT: white on the right (1)
+    or left (-1); LEVEL: white below (1) or above (-1); MEETING: 1, 2, 4, 8 for white at the top left, top right, bottom
+    left, bottom right
     first : (KINDS + 1,) int64, the first pixel of each kind, and how many there are
     """
 
@@ -57,9 +63,12 @@ class Raster(NamedTuple):
 class Printed(NamedTuple):
     """One marker in an image: what is printed, and where it is looked for.
 
-    cells : (n + 4, n + 4), 1 white, 0 black, the n x n bits with their black border and a ring of white; outlook : int8, `pixel_edge_kinds` of them
-    n : bits each way; margin : cells of white around it; directions : (2,) rows of the spread's tables for its X and its Y edges
-    box : (4,) x0 y0 x1 y1 px, the part of the image cut out; lens : (2, TERMS) polynomials from local pixel to local ideal coordinates
+    cells : (n + 4, n + 4), 1 white, 0 black, the n x n bits with their black border and a ring of white;
+        outlook : int8, `pixel_edge_kinds` of them
+    n : bits each way; margin : cells of white around it; directions : (2,) rows of the spread's tables for its X and
+        its Y edges
+    box : (4,) x0 y0 x1 y1 px, the part of the image cut out; lens : (2, TERMS) polynomials from local pixel to local
+        ideal coordinates
     centre : (3,) x, y, scale px, of local coordinates
     """
 
@@ -74,10 +83,11 @@ class Printed(NamedTuple):
 
 
 def pixel_edge_kinds(cells: np.ndarray) -> np.ndarray:
-    """(NOWHERE + 1,) int8 of cells (k, k): what a pixel sees, by row, column, and which of its cell's sides (1 left, 2 right, 4 top, 8 bottom) are
-    in reach, or 16 for cells beyond the next.
+    """(NOWHERE + 1,) int8 of cells (k, k): what a pixel sees, by row, column, and which of its cell's sides (1 left, 2
+    right, 4 top, 8 bottom) are in reach, or 16 for cells beyond the next.
 
-    NONE, MANY edges, one: 2 + 4 where it lies across (Y) + 2 where it is the right or lower side + 1 where white comes first, or two that meet:
+    NONE, MANY edges, one: 2 + 4 where it lies across (Y) + 2 where it is the right or lower side + 1 where white comes
+    first, or two that meet:
     MEETS + 16 where that is right + 32 where it is below + the cells around, as EdgePixels.looks has them
     Raises ValueError for more than MOST cells to a side.
     """
@@ -94,10 +104,15 @@ def pixel_edge_kinds(cells: np.ndarray) -> np.ndarray:
         rows_alike, columns_alike = (seen == seen[1:2]).all(axis=(0, 1)), (seen == seen[:, 1:2]).all(axis=(0, 1))
         left, right = ((seen[:, u] != seen[:, 1]).any(axis=0) for u in (0, 2))
         top, bottom = ((seen[v] != seen[1]).any(axis=0) for v in (0, 2))
-        around = sum(2**b * np.where(bottom, *(np.where(right, seen[v, 1 + u], seen[v, u]) for v in (1 + b // 2, b // 2)))
-                     for b, u in enumerate((0, 1, 0, 1)))
+        around = sum(
+            2**b * np.where(bottom, *(np.where(right, seen[v, 1 + u], seen[v, u]) for v in (1 + b // 2, b // 2)))
+            for b, u in enumerate((0, 1, 0, 1))
+        )
         code = np.where((left != right) & (top != bottom), MEETS + 16 * right + 32 * bottom + around, MANY)
-        for axis, alike, low, high in ((0, rows_alike, seen[1, 0], seen[1, 2]), (1, columns_alike, seen[0, 1], seen[2, 1])):
+        for axis, alike, low, high in (
+            (0, rows_alike, seen[1, 0], seen[1, 2]),
+            (1, columns_alike, seen[0, 1], seen[2, 1]),
+        ):
             one = alike & ((low == cells) != (high == cells))
             far = low == cells
             code = np.where(one, 2 + 4 * axis + 2 * far + (far == (cells == 1)), code)
@@ -139,7 +154,9 @@ def _row(quad: np.ndarray, pad: float, y: int, low: int, high: int) -> tuple[int
 
 
 @kernel
-def edge_pixels(crop: np.ndarray, marker: Printed, quad: np.ndarray, g: np.ndarray, s: float, raster: Raster, pixels: EdgePixels) -> int:
+def edge_pixels(
+    crop: np.ndarray, marker: Printed, quad: np.ndarray, g: np.ndarray, s: float, raster: Raster, pixels: EdgePixels
+) -> int:
     """Collect the pixels near an edge into EdgePixels; returns how many.
 
     crop : (rows, columns), 255ths of white, of marker.box; marker : Printed; quad : (4, 2) px, the corners
@@ -154,8 +171,18 @@ def edge_pixels(crop: np.ndarray, marker: Printed, quad: np.ndarray, g: np.ndarr
     # cells to the pixel in the middle of the marker; perspective changes them with w, and w is followed
     Xx, Xy = g[0, 0] - 0.5 * n * g[2, 0], g[0, 1] - 0.5 * n * g[2, 1]
     Yx, Yy = g[1, 0] - 0.5 * n * g[2, 0], g[1, 1] - 0.5 * n * g[2, 1]
-    reach_x = REACH * s * math.sqrt((Xx * lens[0, 1] + Xy * lens[1, 1]) ** 2 + (Xx * lens[0, 2] + Xy * lens[1, 2]) ** 2) / scale
-    reach_y = REACH * s * math.sqrt((Yx * lens[0, 1] + Yy * lens[1, 1]) ** 2 + (Yx * lens[0, 2] + Yy * lens[1, 2]) ** 2) / scale
+    reach_x = (
+        REACH
+        * s
+        * math.sqrt((Xx * lens[0, 1] + Xy * lens[1, 1]) ** 2 + (Xx * lens[0, 2] + Xy * lens[1, 2]) ** 2)
+        / scale
+    )
+    reach_y = (
+        REACH
+        * s
+        * math.sqrt((Yx * lens[0, 1] + Yy * lens[1, 1]) ** 2 + (Yx * lens[0, 2] + Yy * lens[1, 2]) ** 2)
+        / scale
+    )
     pad = REACH * s + 1 + 0.02 * scale  # a lens bends the sides
     count = np.uintp(0)
     for v in range(box[1], box[3]):
@@ -166,17 +193,27 @@ def edge_pixels(crop: np.ndarray, marker: Printed, quad: np.ndarray, g: np.ndarr
         line, found = crop[v - box[1]], np.uintp(0)
         for k in range(np.uintp(start - box[0]), np.uintp(end - box[0])):
             kept[found] = k
-            found = found + np.uintp(seen[np.uint32(entries[k])] != NONE)  # written first and kept after: a processor cannot guess which pixels are
+            found = found + np.uintp(
+                seen[np.uint32(entries[k])] != NONE
+            )  # written first and kept after: a processor cannot guess which pixels are
         for m in range(found):
             c = np.uintp(kept[m])
-            raster.x[count], raster.y[count], raster.greys[count], raster.entries[count] = x[c], y[c], line[c], np.int32(entries[c])
+            raster.x[count], raster.y[count], raster.greys[count], raster.entries[count] = (
+                x[c],
+                y[c],
+                line[c],
+                np.int32(entries[c]),
+            )
             count += np.uintp(1)
     return _sort(raster, int(count), seen, pixels)
 
 
 @kernel_part
-def _look(rows: np.ndarray, span: tuple[int, int], marker: Printed, v: float, g: np.ndarray, reach: tuple[float, float]) -> None:
-    """Ideal coordinates of a span of an image row's columns, and where in the outlook stands what they see, into rows (4, width).
+def _look(
+    rows: np.ndarray, span: tuple[int, int], marker: Printed, v: float, g: np.ndarray, reach: tuple[float, float]
+) -> None:
+    """Ideal coordinates of a span of an image row's columns, and where in the outlook stands what they see, into rows
+    (4, width).
 
     v : local row; reach : cells along X and Y, in the marker's middle; the others as in `edge_pixels`
     """
@@ -188,7 +225,13 @@ def _look(rows: np.ndarray, span: tuple[int, int], marker: Printed, v: float, g:
     qa, qb, qc, qd, qe = np.float32(q.a), np.float32(q.b), np.float32(q.c), np.float32(q.d), np.float32(q.e)
     h = g.astype(np.float32)
     g00, g01, g02, g10, g11, g12, g20, g21 = h[0, 0], h[0, 1], h[0, 2], h[1, 0], h[1, 1], h[1, 2], h[2, 0], h[2, 1]
-    wide, high, last, edge, white = np.float32(reach[0]), np.float32(reach[1]), np.float32(n + 3.9), np.float32(n + 1), np.float32(margin)
+    wide, high, last, edge, white = (
+        np.float32(reach[0]),
+        np.float32(reach[1]),
+        np.float32(n + 3.9),
+        np.float32(n + 1),
+        np.float32(margin),
+    )
     for k in range(np.uintp(span[0]), np.uintp(span[1])):
         u = flat[k]
         xi, yi = pa + u * (pb + u * (pc + u * (pd + u * pe))), qa + u * (qb + u * (qc + u * (qd + u * qe)))
@@ -198,7 +241,12 @@ def _look(rows: np.ndarray, span: tuple[int, int], marker: Printed, v: float, g:
         X0, Y0 = min(max(X + _2, _0), last), min(max(Y + _2, _0), last)  # cells that stand for all beyond
         i, j = np.floor(X0), np.floor(Y0)
         fx, fy = X0 - i, Y0 - j
-        sides = (_1 if fx < rx else _0) + (_2 if _1 - fx < rx else _0) + (_4 if fy < ry else _0) + (_8 if _1 - fy < ry else _0)
+        sides = (
+            (_1 if fx < rx else _0)
+            + (_2 if _1 - fx < rx else _0)
+            + (_4 if fy < ry else _0)
+            + (_8 if _1 - fy < ry else _0)
+        )
         far = max(rx, ry)
         entry = (j * _MOST + i) * _VIEWS + (sides if far < _1 else _16)
         outside = max(max(-_1 - X, X - edge), max(-_1 - Y, Y - edge))

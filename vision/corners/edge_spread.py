@@ -1,9 +1,10 @@
-"""How brightness climbs across an edge in the images of one camera: a plain blur to begin with, then learnt from what fits leave.
+"""How brightness climbs across an edge in the images of one camera: a plain blur to begin with, then learnt from what
+fits leave.
 
-An edge spread function is tabulated over the distance from the edge in edge widths, one table for each direction of the edge's
-normal and each of some widths. It begins as a Gaussian seen through square pixels. What is learnt is added to it: a spline, odd
-about the edge (an even part would only move the edge, and the width of each marker's edges is fitted with its corners), times a
-Fourier series in the direction.
+An edge spread function is tabulated over the distance from the edge in edge widths, one table for each direction of the
+edge's normal and each of some widths. It begins as a Gaussian seen through square pixels. What is learnt is added to
+it: a spline, odd about the edge (an even part would only move the edge, and the width of each marker's edges is fitted
+with its corners), times a Fourier series in the direction.
 Source: edge spread functions from slanted edges, ISO 12233; de Boor, A Practical Guide to Splines, 1978
 """
 
@@ -21,7 +22,8 @@ BINS = 60  # of a profile, over PROFILED widths on either side of an edge
 WIDTHS = np.array([0.33, 0.38, 0.43, 0.49, 0.56, 0.65, 0.78, 1.0, 1.4])  # px, of edges that have tables of their own
 LEVELS = np.sqrt(WIDTHS[1:] * WIDTHS[:-1])
 KNOT = 0.3  # edge widths between the spline's knots
-KNOTS = 11  # on either side; chosen together with vision/corners/edge_pixels.py's REACH on exact and rendered pictures, see there
+# on either side; chosen together with vision/corners/edge_pixels.py's REACH on exact and rendered pictures, see there
+KNOTS = 11
 HARMONICS = (0, 2, 4)  # of the direction; an edge and the same edge seen from its other side are one
 PLAUSIBLE = 0.02  # of the contrast, how far a camera's edges are expected to be from plain ones
 LEAST = 2000  # pixels from which anything is learnt
@@ -46,7 +48,9 @@ def _waves(angles: np.ndarray) -> np.ndarray:
 
 
 def _plain() -> np.ndarray:
-    """(widths, DIRECTIONS, STEPS + 1, 2) share of white and its slope across an edge that a Gaussian blurs and square pixels integrate."""
+    """(widths, DIRECTIONS, STEPS + 1, 2) share of white and its slope across an edge that a Gaussian blurs and square
+    pixels integrate.
+    """
     angles = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     half_c, half_s = (np.maximum(np.abs(f(angles)), 1e-3)[:, None] / 2 for f in (np.cos, np.sin))
     out = np.empty((len(WIDTHS), DIRECTIONS, len(GRID), 2))
@@ -69,8 +73,9 @@ _PLAIN = _plain()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """tables : (widths, d, STEPS + 1, 2) share of white and its slope, for WIDTHS and d directions of an edge's normal over half a
-    turn; width : px, to start from; terms : (knots, harmonics) of the spline, what the tables have beyond a plain edge's."""
+    """tables : (widths, d, STEPS + 1, 2) share of white and its slope, for WIDTHS and d directions of an edge's normal
+    over half a turn; width : px, to start from; terms : (knots, harmonics) of the spline, what the tables have beyond a
+    plain edge's."""
 
     width: float = FIRST_WIDTH
     terms: np.ndarray = field(default_factory=lambda: np.zeros((KNOTS, 2 * len(HARMONICS) - 1)))
@@ -90,14 +95,17 @@ NO_PROFILE = np.zeros((1, 0, 3))
 
 
 def empty_profile() -> np.ndarray:
-    """(DIRECTIONS, BINS, 3) of zeros, for `place` to add to: pixels, what a fit leaves in them (share of contrast), its squares."""
+    """(DIRECTIONS, BINS, 3) of zeros, for `place` to add to: pixels, what a fit leaves in them (share of contrast), its
+    squares.
+    """
     return np.zeros((DIRECTIONS, BINS, 3))
 
 
 def learn_edge_spread(spread: Spread, profile: np.ndarray, width: float) -> Spread:
     """Spread that takes in what fits with `spread` have left.
 
-    profile : (DIRECTIONS, BINS, 3); width : px, typical of the edges. Where there are too few pixels the spread stays as it was.
+    profile : (DIRECTIONS, BINS, 3); width : px, typical of the edges. Where there are too few pixels the spread stays
+        as it was.
     """
     count, total, squares = np.moveaxis(profile, -1, 0)
     if count.sum() < LEAST:

@@ -1,6 +1,8 @@
-"""A lens near one marker: polynomials from pixels to ideal image coordinates, interpolated from a table made once per camera.
+"""A lens near one marker: polynomials from pixels to ideal image coordinates, interpolated from a table made once per
+camera.
 
-They are of fourth degree: a lens's fifth leaves cubic ones off by 0.0005 px over a marker of 120 px, the same in every image where it stands there.
+They are of fourth degree: a lens's fifth leaves cubic ones off by 0.0005 px over a marker of 120 px, the same in every
+image where it stands there.
 """
 
 from functools import lru_cache
@@ -28,7 +30,9 @@ def local_centres(quads: np.ndarray) -> np.ndarray:
 
 
 def ideal_coordinate_table(camera: Camera) -> np.ndarray:
-    """(rows, columns, 2) ideal coordinates of nodes SPACING px apart from -BEYOND * SPACING on, times the focal lengths; NaN beyond a lens."""
+    """(rows, columns, 2) ideal coordinates of nodes SPACING px apart from -BEYOND * SPACING on, times the focal
+    lengths; NaN beyond a lens.
+    """
     return _table(camera.matrix.tobytes(), np.asarray(camera.distortion, float).tobytes(), camera.width, camera.height)
 
 
@@ -46,8 +50,18 @@ def _at(nodes: np.ndarray, x: float, y: float) -> tuple[float, float]:
     x, y = x / SPACING + BEYOND, y / SPACING + BEYOND
     i, j = min(max(int(x), 1), nodes.shape[1] - 3), min(max(int(y), 1), nodes.shape[0] - 3)
     f, v = x - i, y - j
-    wx = (-f * (f - 1) * (f - 2) / 6, (f + 1) * (f - 1) * (f - 2) / 2, -(f + 1) * f * (f - 2) / 2, (f + 1) * f * (f - 1) / 6)
-    wy = (-v * (v - 1) * (v - 2) / 6, (v + 1) * (v - 1) * (v - 2) / 2, -(v + 1) * v * (v - 2) / 2, (v + 1) * v * (v - 1) / 6)
+    wx = (
+        -f * (f - 1) * (f - 2) / 6,
+        (f + 1) * (f - 1) * (f - 2) / 2,
+        -(f + 1) * f * (f - 2) / 2,
+        (f + 1) * f * (f - 1) / 6,
+    )
+    wy = (
+        -v * (v - 1) * (v - 2) / 6,
+        (v + 1) * (v - 1) * (v - 2) / 2,
+        -(v + 1) * v * (v - 2) / 2,
+        (v + 1) * v * (v - 1) / 6,
+    )
     a, b = 0.0, 0.0
     for q in range(4):
         for p in range(4):
@@ -61,7 +75,8 @@ def _at(nodes: np.ndarray, x: float, y: float) -> tuple[float, float]:
 def polynomials(nodes: np.ndarray, centres: np.ndarray, out: np.ndarray) -> None:
     """out (m, 2, TERMS): from local pixel to local ideal coordinates around centres (m, 3) x, y, scale px.
 
-    Local pixel: (pixel - centre) / scale. Local ideal: (ideal * focal - its value at the centre) / scale. nodes : `ideal_coordinate_table`
+    Local pixel: (pixel - centre) / scale. Local ideal: (ideal * focal - its value at the centre) / scale.
+    nodes : `ideal_coordinate_table`
     """
     for m in range(len(centres)):
         cx, cy, scale = centres[m, 0], centres[m, 1], centres[m, 2]
@@ -96,8 +111,11 @@ def polynomial_at(terms: np.ndarray, v: float) -> Along:
 def _change(terms: np.ndarray, u: float, v: float) -> tuple[float, float]:
     """How a polynomial (TERMS,) changes with u and with v."""
     p = polynomial_at(terms, v)
-    with_v = (terms[2] + v * (2 * terms[5] + v * (3 * terms[9] + 4 * v * terms[14])) + u * (
-        terms[4] + v * (2 * terms[8] + 3 * v * terms[13]) + u * (terms[7] + 2 * v * terms[12] + u * terms[11])))
+    with_v = (
+        terms[2]
+        + v * (2 * terms[5] + v * (3 * terms[9] + 4 * v * terms[14]))
+        + u * (terms[4] + v * (2 * terms[8] + 3 * v * terms[13]) + u * (terms[7] + 2 * v * terms[12] + u * terms[11]))
+    )
     return p.b + u * (2 * p.c + u * (3 * p.d + 4 * u * p.e)), with_v
 
 
@@ -134,7 +152,9 @@ def to_pixel(lens: np.ndarray, x: float, y: float, u: float, v: float) -> LocalP
 
 
 @kernel
-def to_image(lens: np.ndarray, centre: np.ndarray, guess: np.ndarray, corners: np.ndarray, covariance: np.ndarray) -> None:
+def to_image(
+    lens: np.ndarray, centre: np.ndarray, guess: np.ndarray, corners: np.ndarray, covariance: np.ndarray
+) -> None:
     """Corners (4, 2), in place, and their covariance (8, 8) from local ideal coordinates to px; guess : (4, 2) px."""
     D = np.zeros((8, 8))
     for c in range(4):

@@ -1,6 +1,8 @@
-"""Which marker a quadrangle shows: its cells, seen from straight above, against those of the markers that are looked for.
+"""Which marker a quadrangle shows: its cells, seen from straight above, against those of the markers that are looked
+for.
 
-Source: as OpenCV's ArUco reader tells them, Garrido-Jurado et al., Pattern Recognition 47, 2014; threshold of two classes, Otsu 1979
+Source: as OpenCV's ArUco reader tells them, Garrido-Jurado et al., Pattern Recognition 47, 2014; threshold of two
+    classes, Otsu 1979
 """
 
 import math
@@ -17,14 +19,17 @@ from vision.targets import marker_cells
 CELL = 8  # points each way that are looked at in a cell
 MARGIN = 1  # of them, next to other cells, that do not count
 FAINTEST = 5.0  # grey levels, standard deviation; what varies less is of one colour
-WHITE = 0.49  # share of a cell's points that are bright, above which it is not black; above as large a share of dark ones it is not white
+# share of a cell's points that are bright, above which it is not black; above as large a share of dark ones it is not
+# white
+WHITE = 0.49
 BORDER = 0.35  # of the number of bits, that cells of the black border may be wrong
 CORRECTED = 0.6  # of the errors that a dictionary can correct, that are
 _1 = np.uint64(1)
 
 
 class Codes(NamedTuple):
-    """What markers of one dictionary look like. bits : (m, 4) uint64, row by row, for each corner that the reading may begin with
+    """What markers of one dictionary look like. bits : (m, 4) uint64, row by row, for each corner that the reading may
+    begin with
     n : bits each way; wrong : errors that are corrected."""
 
     bits: np.ndarray
@@ -44,7 +49,9 @@ def marker_codes(name: str, numbers: tuple[int, ...]) -> Codes:
 
 
 def identify_markers(image: np.ndarray, places: Candidates, wanted: Codes) -> tuple[np.ndarray, np.ndarray]:
-    """(rows of the Codes (k,), corners (k, 4, 2) px from each marker's own first on) that Candidates of an image (height, width) uint8 show."""
+    """(rows of the Codes (k,), corners (k, 4, 2) px from each marker's own first on) that Candidates of an image
+    (height, width) uint8 show.
+    """
     count = len(places.first) - 1
     rows, corners = np.full(count, -1), np.empty((count, 4, 2))
     _identify(image, places, wanted.bits, wanted.n, wanted.wrong, rows, corners)
@@ -52,7 +59,9 @@ def identify_markers(image: np.ndarray, places: Candidates, wanted: Codes) -> tu
 
 
 @kernel
-def _identify(image: np.ndarray, places: Candidates, bits: np.ndarray, n: int, wrong: int, rows: np.ndarray, corners: np.ndarray) -> None:
+def _identify(
+    image: np.ndarray, places: Candidates, bits: np.ndarray, n: int, wrong: int, rows: np.ndarray, corners: np.ndarray
+) -> None:
     """Write rows (m,), -1 where there is none, and corners (m, 4, 2) of each place. bits, n, wrong : as in Codes"""
     patch = np.empty((CELL * (n + 2), CELL * (n + 2)), np.uint8)
     for m in range(len(rows)):
@@ -69,7 +78,9 @@ def _identify(image: np.ndarray, places: Candidates, bits: np.ndarray, n: int, w
 
 @kernel_part
 def _from_above(image: np.ndarray, quad: np.ndarray, patch: np.ndarray) -> None:
-    """patch (s, s) uint8: the pixels of an image nearest to points all over a quadrangle (4, 2) px, its corners the outermost ones; 0 outside."""
+    """patch (s, s) uint8: the pixels of an image nearest to points all over a quadrangle (4, 2) px, its corners the
+    outermost ones; 0 outside.
+    """
     height, width = image.shape
     px, py, size = quad[:, 0], quad[:, 1], len(patch)
     sx, sy = px[0] - px[1] + px[2] - px[3], py[0] - py[1] + py[2] - py[3]
@@ -88,7 +99,9 @@ def _from_above(image: np.ndarray, quad: np.ndarray, patch: np.ndarray) -> None:
 
 @kernel_part
 def _between_classes(patch: np.ndarray) -> int:
-    """Grey level above which points of a patch (s, s) are bright, or -1 where they vary less than FAINTEST away from its rim."""
+    """Grey level above which points of a patch (s, s) are bright, or -1 where they vary less than FAINTEST away from
+    its rim.
+    """
     size, rim = len(patch), CELL // 2
     histogram = np.zeros(256, np.int64)
     count, total, square = 0, 0.0, 0.0

@@ -1,4 +1,6 @@
-"""Image -> marker corners with covariance: markers that are read, or expected, are placed by the fit of the whole square."""
+"""Image -> marker corners with covariance: markers that are read, or expected, are placed by the fit of the whole
+square.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,14 @@ COVERED = 0.3  # share of pixels that are no image of this marker, from which it
 LEAST_CONTRAST = 6.0  # standard deviations of the noise
 _NEXT = [1, 2, 3, 0]
 _UNREAD = "its bits are not to be read where it is expected"
-_REASONS = {square_gauss_newton.NO_PIXELS: "too few pixels", square_gauss_newton.SINGULAR: "its corners are not determined",
-            square_gauss_newton.WANDERED: "the fit turned over", square_gauss_newton.NO_CONTRAST: "white is no brighter than black",
-            square_gauss_newton.UNSETTLED: "the fit did not settle", square_gauss_newton.NOT_READ: _UNREAD}
+_REASONS = {
+    square_gauss_newton.NO_PIXELS: "too few pixels",
+    square_gauss_newton.SINGULAR: "its corners are not determined",
+    square_gauss_newton.WANDERED: "the fit turned over",
+    square_gauss_newton.NO_CONTRAST: "white is no brighter than black",
+    square_gauss_newton.UNSETTLED: "the fit did not settle",
+    square_gauss_newton.NOT_READ: _UNREAD,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,8 +70,15 @@ class Detection:
 
     def take(self, index: np.ndarray) -> Detection:
         """The same with only the markers of an index or mask (m,)."""
-        return Detection(self.marker[index], self.corners[index], self.covariance[index], self.blur[index], self.noise[index],
-                         self.contrast[index], self.left_out)
+        return Detection(
+            self.marker[index],
+            self.corners[index],
+            self.covariance[index],
+            self.blur[index],
+            self.noise[index],
+            self.contrast[index],
+            self.left_out,
+        )
 
 
 @overload
@@ -76,7 +90,8 @@ def grey_image(image: np.ndarray, reader: bool) -> tuple[np.ndarray | None, np.n
 
 
 def grey_image(image: np.ndarray, reader: bool = True) -> tuple[np.ndarray | None, np.ndarray]:
-    """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or 16 bit, grey or colour.
+    """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or
+    16 bit, grey or colour.
 
     reader : whether the first is wanted. Raises ValueError for any other kind.
     """
@@ -102,36 +117,63 @@ def dictionary_reader(name: str) -> cv2.aruco.ArucoDetector:
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
 
 
-def detect_markers(image: np.ndarray, camera: Camera, marker_map: MarkerMap, spread: Spread = PLAIN, T_base_platform: RigidTransform | None = None,
-           doubtful: bool = False) -> Detection:
+def detect_markers(
+    image: np.ndarray,
+    camera: Camera,
+    marker_map: MarkerMap,
+    spread: Spread = PLAIN,
+    T_base_platform: RigidTransform | None = None,
+    doubtful: bool = False,
+) -> Detection:
     """All markers of a rig in one image.
 
     image : as cv2.imread(path, cv2.IMREAD_UNCHANGED) gives it; camera : Camera that took it, whose lens bends the edges
     marker_map : MarkerMap; other identities are passed over; spread : Spread of the camera's edges
-    T_base_platform : the pose expected (from the command, or the frame before), or None. Then only the places are read where
-    markers ought to be; where fewer than BELIEVED of a body's show their bits, the whole image is searched after all
-    doubtful : whether it is also searched where, instead of one that is not read, any other marker is: something is not as stated
+    T_base_platform : the pose expected (from the command, or the frame before), or None. Then only the places are read
+    where markers ought to be; where fewer than BELIEVED of a body's show their bits, the whole image is searched after
+    all
+    doubtful : whether it is also searched where, instead of one that is not read, any other marker is: something is not
+        as stated
     Returns Detection
     """
     if T_base_platform is not None:
         rows, places = expected(camera, T_base_platform, marker_map)
         found = fit_read_markers(
-            grey_image(image, False)[1], camera, marker_map, Read(marker_map.id[rows], places), spread, EXPECTED_REACH, verify=True
+            grey_image(image, False)[1],
+            camera,
+            marker_map,
+            Read(marker_map.id[rows], places),
+            spread,
+            EXPECTED_REACH,
+            verify=True,
         )
-        on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], [*found.marker, *(one.marker for one in found.left_out)])
-        if len(rows) and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on)) and not (
-                doubtful and _others(image, marker_map, rows[~read], places[~read])):
+        on, read = (
+            marker_map.on_platform[rows],
+            np.isin(marker_map.id[rows], [*found.marker, *(one.marker for one in found.left_out)]),
+        )
+        if (
+            len(rows)
+            and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on))
+            and not (doubtful and _others(image, marker_map, rows[~read], places[~read]))
+        ):
             return found
     eight, full = grey_image(image)
     return fit_read_markers(full, camera, marker_map, read_markers(eight, marker_map), spread)
 
 
 def _others(image: np.ndarray, marker_map: MarkerMap, rows: np.ndarray, places: np.ndarray) -> bool:
-    """Whether any marker is read around places (m, 4, 2) px where those of rows (m,) were not: another, turned, or a little way off."""
+    """Whether any marker is read around places (m, 4, 2) px where those of rows (m,) were not: another, turned, or a
+    little way off.
+    """
     for row, quad in zip(rows, places):
         around = AROUND * np.ptp(quad, axis=0).max()
-        (x0, y0), (x1, y1) = np.maximum(quad.min(axis=0) - around, 0).astype(int), (quad.max(axis=0) + around).astype(int) + 1
-        quads, ids, _ = dictionary_reader(marker_map.dictionary[row]).detectMarkers(np.ascontiguousarray(grey_image(image[y0:y1, x0:x1])[0]))
+        (x0, y0), (x1, y1) = (
+            np.maximum(quad.min(axis=0) - around, 0).astype(int),
+            (quad.max(axis=0) + around).astype(int) + 1,
+        )
+        quads, ids, _ = dictionary_reader(marker_map.dictionary[row]).detectMarkers(
+            np.ascontiguousarray(grey_image(image[y0:y1, x0:x1])[0])
+        )
         middle, side = quad.mean(axis=0) - [x0, y0], np.linalg.norm(quad - quad[_NEXT], axis=1).max()
         if ids is not None and any(np.linalg.norm(other[0].mean(axis=0) - middle) < side / 2 for other in quads):
             return True
@@ -152,7 +194,8 @@ def fit_read_markers(
 
     full : (height, width) in 255ths of white; spread : Spread of the camera's edges
     reach : px that the sides may be away from the guess; 0 for one that is better than what profiles across them show
-    verify : whether a marker's bits are read before it is believed to be there; where they are not, nothing is said of it
+    verify : whether a marker's bits are read before it is believed to be there; where they are not, nothing is said of
+        it
     profile : see vision.corners.edge_spread, added to
     """
     guess, numbers = np.asarray(read.corners, float).reshape(-1, 4, 2), np.asarray(read.marker, int)
@@ -171,13 +214,28 @@ def fit_read_markers(
         fits = _fit(squares, guess[index], manner, NO_PROFILE if profile is None else profile)
         reasons = _reasons(fits, guess[index], int(size))
         good = np.array([not reason for reason in reasons], bool)
-        left_out += [LeftOut(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason and reason != _UNREAD]
-        parts.append((numbers[index[good]], fits.corners[good], fits.covariances[good], fits.width[good], fits.noise[good], fits.contrast[good]))
+        left_out += [
+            LeftOut(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason and reason != _UNREAD
+        ]
+        parts.append(
+            (
+                numbers[index[good]],
+                fits.corners[good],
+                fits.covariances[good],
+                fits.width[good],
+                fits.noise[good],
+                fits.contrast[good],
+            )
+        )
     if not parts:
         empty = np.zeros(0)
-        return Detection(np.zeros(0, int), np.zeros((0, 4, 2)), np.zeros((0, 8, 8)), empty, empty, empty, tuple(left_out))
+        return Detection(
+            np.zeros(0, int), np.zeros((0, 4, 2)), np.zeros((0, 8, 8)), empty, empty, empty, tuple(left_out)
+        )
     numbers, corners, covariance, blur, noise, contrast = (np.concatenate(column) for column in zip(*parts))
-    return Detection(numbers, corners, covariance, blur, noise, contrast, tuple(left_out)).take(np.argsort(numbers, kind="stable"))
+    return Detection(numbers, corners, covariance, blur, noise, contrast, tuple(left_out)).take(
+        np.argsort(numbers, kind="stable")
+    )
 
 
 class _Printed(NamedTuple):
@@ -188,7 +246,9 @@ class _Printed(NamedTuple):
     margins: np.ndarray
 
 
-def _cut_out(full: np.ndarray, camera: Camera, quads: np.ndarray, printed: _Printed, spread: Spread, reach: float) -> square_fit.Squares:
+def _cut_out(
+    full: np.ndarray, camera: Camera, quads: np.ndarray, printed: _Printed, spread: Spread, reach: float
+) -> square_fit.Squares:
     """square.Squares of quads (m, 4, 2) px of one size."""
     height, width = full.shape
     sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
@@ -204,25 +264,45 @@ def _cut_out(full: np.ndarray, camera: Camera, quads: np.ndarray, printed: _Prin
     square_sides.crop_boxes(full, boxes, starts, pixels)
     along = quads[:, _NEXT] - quads
     axes = np.stack([along[:, 0] - along[:, 2], along[:, 1] - along[:, 3]], axis=1)  # the marker's X and Y in the image
-    directions = spread.rows(np.arctan2(axes[:, ::-1, 0], -axes[:, ::-1, 1]))  # an X edge lies along Y, its normal across
-    return square_fit.Squares(pixels, starts, boxes, polynomials, centres, printed.cells, printed.outlooks, printed.margins, directions)
+    directions = spread.rows(
+        np.arctan2(axes[:, ::-1, 0], -axes[:, ::-1, 1])
+    )  # an X edge lies along Y, its normal across
+    return square_fit.Squares(
+        pixels, starts, boxes, polynomials, centres, printed.cells, printed.outlooks, printed.margins, directions
+    )
 
 
-def _fit(squares: square_fit.Squares, quads: np.ndarray, manner: square_fit.Manner, profile: np.ndarray) -> square_fit.Fits:
+def _fit(
+    squares: square_fit.Squares, quads: np.ndarray, manner: square_fit.Manner, profile: np.ndarray
+) -> square_fit.Fits:
     """square.Fits of Squares, from quads (m, 4, 2) px on; profile added to."""
     m = len(quads)
     noise, contrast, used, doubted, width, steps = np.zeros((6, m))
     fits = square_fit.Fits(
-        quads.copy(), np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), noise, contrast, used, doubted, width, steps, np.zeros(m, np.int64), profile
+        quads.copy(),
+        np.zeros((m, 4, 2)),
+        np.zeros((m, 8, 8)),
+        noise,
+        contrast,
+        used,
+        doubted,
+        width,
+        steps,
+        np.zeros(m, np.int64),
+        profile,
     )
     square_fit.fit_squares(squares, manner, fits)
     return fits
 
 
 def _reasons(fits: square_fit.Fits, quads: np.ndarray, size: int) -> list[str]:
-    """Why each of the Fits is left out, or "" where it is not. quads : (m, 4, 2) px, where they were read; size : cells, white ring and all."""
+    """Why each of the Fits is left out, or "" where it is not. quads : (m, 4, 2) px, where they were read;
+    size : cells, white ring and all.
+    """
     sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
-    wandered = np.abs(fits.corners - quads).max(axis=(1, 2)) > np.maximum(WANDER * sides_px.max(axis=1) / (size - 2), LEAST_WANDER)
+    wandered = np.abs(fits.corners - quads).max(axis=(1, 2)) > np.maximum(
+        WANDER * sides_px.max(axis=1) / (size - 2), LEAST_WANDER
+    )
     columns = fits.status, sides_px.min(axis=1) / (size - 2), wandered, fits.noise, fits.contrast, fits.doubted
     return [_reason(*row) for row in zip(*(column.tolist() for column in columns))]
 
@@ -236,7 +316,11 @@ def _reason(status: int, cell: float, wandered: bool, noise: float, contrast: fl
     if status != square_gauss_newton.OK:
         return _REASONS[status]
     if contrast < LEAST_CONTRAST * noise:
-        return f"contrast {contrast:.0f} is lost in noise {noise:.1f}" if noise < MISFIT * 255 else "covered or not this marker"
+        return (
+            f"contrast {contrast:.0f} is lost in noise {noise:.1f}"
+            if noise < MISFIT * 255
+            else "covered or not this marker"
+        )
     if doubted > COVERED:
         return f"covered or not this marker: {doubted:.0%} of its pixels do not fit"
     if noise > MISFIT * contrast:

@@ -20,7 +20,9 @@ ROOM = 1024  # quadrangles, to begin with
 
 
 class LeftOut(NamedTuple):
-    """A marker that was read and not placed. marker : identity; reason : in words; repeated : whether it is that one image shows it twice."""
+    """A marker that was read and not placed. marker : identity; reason : in words; repeated : whether it is that one
+    image shows it twice.
+    """
 
     marker: int
     reason: str
@@ -55,7 +57,9 @@ def read_markers(eight: np.ndarray, marker_map: MarkerMap) -> Read:
 
 
 def dark_quadrangles(eight: np.ndarray) -> np.ndarray:
-    """(n, 4, 2) px, int32, clockwise: outlines with four corners of what is dark in an image (height, width) uint8, and of what is bright within."""
+    """(n, 4, 2) px, int32, clockwise: outlines with four corners of what is dark in an image (height, width) uint8, and
+    of what is bright within.
+    """
     height, width = eight.shape
     longer = max(height, width)
     words = np.zeros((height + 2 * LEFT, -(-(width + 2 * LEFT) // WORD)), np.uint64)

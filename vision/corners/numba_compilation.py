@@ -1,4 +1,6 @@
-"""How numba compiles: once, to files named after all kernels' sources, without the interpreter's lock, in fast mathematics."""
+"""How numba compiles: once, to files named after all kernels' sources, without the interpreter's lock, in fast
+mathematics.
+"""
 
 import hashlib
 from collections.abc import Callable
@@ -18,7 +20,9 @@ F = TypeVar("F", bound=Callable)
 
 @cache
 def _folder() -> str:
-    """Where compiled kernels are kept. Numba itself would not notice that a kernel in another file, called from this one, has changed."""
+    """Where compiled kernels are kept. Numba itself would not notice that a kernel in another file, called from this
+    one, has changed.
+    """
     from numba import config
 
     here, settings = Path(__file__).parent, cast(Any, config)

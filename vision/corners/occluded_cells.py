@@ -1,6 +1,7 @@
 """What covers part of a square: the cells where pixels do not fit, which are left out with their neighbours.
 
-A pixel far off counts little; one beside it, where the edge of what covers the square is blurred, fits well enough to count and is wrong.
+A pixel far off counts little; one beside it, where the edge of what covers the square is blurred, fits well enough to
+count and is wrong.
 """
 
 import numpy as np
@@ -23,16 +24,22 @@ def _at(xi: float, yi: float, g: np.ndarray, top: int) -> tuple[int, int]:
 
 
 @kernel
-def find_occluded_cells(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, told: np.ndarray, hidden: np.ndarray) -> bool:
-    """Whether something covers part of a square; added to hidden (k, k) bool, the cells that it hides, and their neighbours.
+def find_occluded_cells(
+    pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, told: np.ndarray, hidden: np.ndarray
+) -> bool:
+    """Whether something covers part of a square; added to hidden (k, k) bool, the cells that it hides, and their
+    neighbours.
 
-    pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; told : (2, k, k) overwritten
+    pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; told : (2, k, k)
+        overwritten
     """
     strip, top, count = rows.shape[2], hidden.shape[0] - 1, pixels.first[KINDS]
     told[:] = 0
     for k in range(count):
         J = rows[k // strip]
-        root = J[LIGHT, k % strip] + J[LIGHT + 3, k % strip]  # the shares of white and of black, which a pixel that counts less has less of
+        root = (
+            J[LIGHT, k % strip] + J[LIGHT + 3, k % strip]
+        )  # the shares of white and of black, which a pixel that counts less has less of
         if root > 0:
             i, j = _at(pixels.x[k], pixels.y[k], g, top)
             told[0, j, i] += 1
@@ -48,7 +55,9 @@ def find_occluded_cells(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, tol
 
 @kernel
 def remove_occluded_pixels(pixels: EdgePixels, g: np.ndarray, hidden: np.ndarray) -> int:
-    """Keep those EdgePixels that lie outside hidden cells (k, k), in place; returns how many. g : (3, 3) homography to cells"""
+    """Keep those EdgePixels that lie outside hidden cells (k, k), in place; returns how many. g : (3, 3) homography to
+    cells
+    """
     kept, top, start = 0, hidden.shape[0] - 1, 0
     for kind in range(KINDS):
         for k in range(start, pixels.first[kind + 1]):

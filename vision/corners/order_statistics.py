@@ -1,4 +1,6 @@
-"""Order statistics inside kernels, by halving the range that they lie in: for a few hundred numbers much faster than sorting them."""
+"""Order statistics inside kernels, by halving the range that they lie in: for a few hundred numbers much faster than
+sorting them.
+"""
 
 import numpy as np
 

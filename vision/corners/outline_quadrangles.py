@@ -1,6 +1,8 @@
-"""Outlines that are quadrangles: a closed line of pixels is taken for a polygon, and kept where that has four corners and is convex.
+"""Outlines that are quadrangles: a closed line of pixels is taken for a polygon, and kept where that has four corners
+and is convex.
 
-Source: Ramer, Computer Graphics and Image Processing 1, 1972; Douglas and Peucker, Cartographica 10, 1973; each from two points that are far apart
+Source: Ramer, Computer Graphics and Image Processing 1, 1972; Douglas and Peucker, Cartographica 10, 1973; each from
+    two points that are far apart
 """
 
 from typing import NamedTuple
@@ -11,11 +13,14 @@ from vision.corners.numba_compilation import kernel, kernel_part
 
 AWAY = 0.03  # of an outline's pixels, that it may be away from its polygon
 SHORTEST = 0.05  # of an outline's pixels, that each side must be long
-MOST = 10  # corners, from which those on straight sides cannot be dropped down to four: of two next to each other one stays
+# corners, from which those on straight sides cannot be dropped down to four: of two next to each other one stays
+MOST = 10
 
 
 class Traced(NamedTuple):
-    """An outline's pixels x, y : (k,) int32, in its order, and room for numbers of them, int32: pieces : (MOST + 1, 2) and corners : (MOST,)."""
+    """An outline's pixels x, y : (k,) int32, in its order, and room for numbers of them, int32: pieces : (MOST + 1, 2)
+    and corners : (MOST,).
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -25,12 +30,16 @@ class Traced(NamedTuple):
 
 def outline_buffers(most: int) -> Traced:
     """Traced of outlines of at most so many pixels."""
-    return Traced(np.empty(most, np.int32), np.empty(most, np.int32), np.empty((MOST + 1, 2), np.int32), np.empty(MOST, np.int32))
+    return Traced(
+        np.empty(most, np.int32), np.empty(most, np.int32), np.empty((MOST + 1, 2), np.int32), np.empty(MOST, np.int32)
+    )
 
 
 @kernel
 def quadrangle_of_outline(traced: Traced, pixels: int, found: np.ndarray, row: int) -> int:
-    """1 where the outline of the first `pixels` of Traced is a convex quadrangle, 0 where not; its corners, clockwise, into found[row] (4, 2)."""
+    """1 where the outline of the first `pixels` of Traced is a convex quadrangle, 0 where not; its corners, clockwise,
+    into found[row] (4, 2).
+    """
     x, y, corners = traced.x, traced.y, traced.corners
     away = AWAY * pixels
     count = _straightened(traced, _corners(traced, pixels, away * away), away * away)
@@ -66,7 +75,9 @@ def _farthest(x: np.ndarray, y: np.ndarray, pixels: int, start: int) -> tuple[in
 
 @kernel_part
 def _corners(traced: Traced, pixels: int, away2: float) -> int:
-    """Number of corners of the polygon that a closed line of so many pixels is within away2 (px^2) of; MOST and more are not told apart."""
+    """Number of corners of the polygon that a closed line of so many pixels is within away2 (px^2) of; MOST and more
+    are not told apart.
+    """
     x, y, pieces, corners = traced.x, traced.y, traced.pieces, traced.corners
     start, far, most = 0, 0, 0
     for _ in range(3):
@@ -107,7 +118,9 @@ def _corners(traced: Traced, pixels: int, away2: float) -> int:
 
 @kernel_part
 def _straightened(traced: Traced, count: int, away2: float) -> int:
-    """Number of corners that stay, of `count`, where one between two others on nearly one line is dropped, and the next is not looked at."""
+    """Number of corners that stay, of `count`, where one between two others on nearly one line is dropped, and the next
+    is not looked at.
+    """
     x, y, corners = traced.x, traced.y, traced.corners
     if count >= MOST or count < 3:
         return count

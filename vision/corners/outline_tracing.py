@@ -17,11 +17,12 @@ _1, _7, _8, _56, _0 = (np.uint64(k) for k in (1, 7, 8, 56, 0))
 
 @kernel
 def trace_quadrangles(words: np.ndarray, marks: np.ndarray, least: int, traced: Traced, found: np.ndarray) -> int:
-    """Write the corners of all outlines that are quadrangles to found (k, 4, 2), int32 pixels; returns how many there are.
+    """Write the corners of all outlines that are quadrangles to found (k, 4, 2), int32 pixels; returns how many there
+    are.
 
     words, marks : (rows, columns / 8) uint64 and (rows, columns) uint8, the same memory: of `darker`, overwritten
-    least : pixels of an outline, fewer of which are no marker's; as many as traced has room for are the most. Of quadrangles that found
-    has no room for only the number is told
+    least : pixels of an outline, fewer of which are no marker's; as many as traced has room for are the most. Of
+    quadrangles that found has no room for only the number is told
     """
     flat, stride, count = marks.reshape(marks.size), marks.shape[1], 0
     around = np.empty(8, np.int64)
@@ -54,7 +55,8 @@ def trace_quadrangles(words: np.ndarray, marks: np.ndarray, least: int, traced: 
 
 @kernel_part
 def _starts(word: np.uint64, before: np.uint64) -> tuple[np.uint64, np.uint64]:
-    """Bits, of _EACH, of pixels of a word before which outlines begin: dark ones after a bright one, on none yet, and bright ones after a dark one.
+    """Bits, of _EACH, of pixels of a word before which outlines begin: dark ones after a bright one, on none yet, and
+    bright ones after a dark one.
 
     before : the pixel before the word
     """
@@ -77,9 +79,11 @@ def _place(bit: np.uint64) -> int:
 
 @kernel_part
 def _follow(flat: np.ndarray, stride: int, around: np.ndarray, start: int, bright: int, traced: Traced) -> int:
-    """Mark the pixels of an outline from `start` on, as `flat` counts them; returns how many, of which traced has as many as it has room for.
+    """Mark the pixels of an outline from `start` on, as `flat` counts them; returns how many, of which traced has as
+    many as it has room for.
 
-    around : (8,) by how much neighbours are off; bright : number of the neighbour that is bright, 4 for an outer outline, 0 for one of a hole
+    around : (8,) by how much neighbours are off; bright : number of the neighbour that is bright, 4 for an outer
+        outline, 0 for one of a hole
     """
     most, count = len(traced.x), 0
     side = bright

@@ -9,13 +9,17 @@ import numpy as np
 
 from vision.corners.numba_compilation import kernel, kernel_part
 
-ONE_PLACE = 0.125  # of the smaller one's perimeter, that corners of two are apart less than where they are of one marker
+ONE_PLACE = (
+    0.125  # of the smaller one's perimeter, that corners of two are apart less than where they are of one marker
+)
 ANOTHER = 0.21  # of a cell, beyond which one of the same place is read as well where those before it are not a marker
 FROM_BORDER = 3  # px; what comes nearer to the image's border may be cut off
 
 
 class Candidates(NamedTuple):
-    """quads : (n, 4, 2) px, clockwise, largest first; tries : (k,) rows of quads, place after place; first : (m + 1,) of a place's in tries."""
+    """quads : (n, 4, 2) px, clockwise, largest first; tries : (k,) rows of quads, place after place; first : (m + 1,)
+    of a place's in tries.
+    """
 
     quads: np.ndarray
     tries: np.ndarray
@@ -23,7 +27,9 @@ class Candidates(NamedTuple):
 
 
 def marker_candidates(quads: np.ndarray, shape: tuple[int, int], size: int) -> Candidates:
-    """Candidates out of quadrangles (n, 4, 2) px, in an image (height, width), for markers of `size` cells each way, their border included."""
+    """Candidates out of quadrangles (n, 4, 2) px, in an image (height, width), for markers of `size` cells each way,
+    their border included.
+    """
     sides = np.sqrt(((quads - quads[:, [1, 2, 3, 0]]).astype(np.float32) ** 2).sum(axis=2))
     perimeters = sides.sum(axis=1)
     order = np.argsort(-perimeters, kind="stable")
@@ -31,13 +37,23 @@ def marker_candidates(quads: np.ndarray, shape: tuple[int, int], size: int) -> C
     tries, first = np.empty(len(quads), np.int64), np.zeros(len(quads) + 1, np.int64)
     sorted_, perimeters = np.ascontiguousarray(quads[order], np.float64), perimeters[order].astype(np.float64)
     _together(sorted_, perimeters, places)
-    count = _in_turn(sorted_, perimeters, places, np.array([shape[1], shape[0]]) - 1 - FROM_BORDER, ANOTHER / (4 * size), tries, first)
+    count = _in_turn(
+        sorted_,
+        perimeters,
+        places,
+        np.array([shape[1], shape[0]]) - 1 - FROM_BORDER,
+        ANOTHER / (4 * size),
+        tries,
+        first,
+    )
     return Candidates(sorted_, tries, first[: count + 1])
 
 
 @kernel_part
 def _apart2(a: np.ndarray, b: np.ndarray) -> float:
-    """Mean square of how far the corners of two quadrangles (4, 2) are apart, px^2, from whichever corner on they are nearest."""
+    """Mean square of how far the corners of two quadrangles (4, 2) are apart, px^2, from whichever corner on they are
+    nearest.
+    """
     least = np.inf
     for turn in range(4):
         total = 0.0
@@ -73,9 +89,18 @@ def _together(quads: np.ndarray, perimeters: np.ndarray, places: np.ndarray) -> 
 
 
 @kernel
-def _in_turn(quads: np.ndarray, perimeters: np.ndarray, places: np.ndarray, last: np.ndarray, another: float, tries: np.ndarray,
-             first: np.ndarray) -> int:
-    """Write Candidates.tries and first; returns how many places there are. last : (2,) x, y px; another : of the perimeter; places : overwritten"""
+def _in_turn(
+    quads: np.ndarray,
+    perimeters: np.ndarray,
+    places: np.ndarray,
+    last: np.ndarray,
+    another: float,
+    tries: np.ndarray,
+    first: np.ndarray,
+) -> int:
+    """Write Candidates.tries and first; returns how many places there are. last : (2,) x, y px; another : of the
+    perimeter; places : overwritten
+    """
     count, at, n = 0, 0, len(quads)
     for i in range(n):
         place, own = places[i], i

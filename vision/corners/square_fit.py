@@ -1,10 +1,11 @@
 """The image of one printed square: a known pattern of cells, seen through a homography, a lens, blur and a pixel grid.
 
 The whole marker is fitted at once (Gauss-Newton on the pixels near its edges): the homography from image to cells (8
-unknowns), the width of the edges (1), and the grey of black and of white, each a plane over the image (6). How brightness
-climbs across an edge is a tabulated edge spread function, the pixel's own width included: a Gaussian's, or one learnt from
-the images (vision/corners/edge_spread.py), one for each direction of edges. Where two edges meet, their product is corrected by a
-bivariate normal's correlated part (vision/corners/cell_whiteness.py), because a marker's axes are seldom square in the image.
+unknowns), the width of the edges (1), and the grey of black and of white, each a plane over the image (6). How
+brightness climbs across an edge is a tabulated edge spread function, the pixel's own width included: a Gaussian's, or
+one learnt from the images (vision/corners/edge_spread.py), one for each direction of edges. Where two edges meet, their
+product is corrected by a bivariate normal's correlated part (vision/corners/cell_whiteness.py), because a marker's axes
+are seldom square in the image.
 Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017
 """
 
@@ -47,17 +48,26 @@ FEWEST = 60  # pixels near edges, below which nothing is fitted
 TRUSTED = 5.0  # robust standard deviations; a pixel farther off counts less, and soon nothing: something covers it
 FINEST = 0.2  # grey levels; a robust scale below this is rounding
 FAINTEST = 1.0  # grey levels that white must be brighter than black
-SETTLED = 0.06  # px; after a step that moves corners less one more is right to 0.002 px, and the first that small brings in all pixels
-SAMPLE_STEADY, STEADY = 0.1, 0.05  # of the edges' width, that a step may change it by once it is settled: with a sample, with all pixels
+# px; after a step that moves corners less one more is right to 0.002 px, and the first that small brings in all pixels
+SETTLED = 0.06
+SAMPLE_STEADY, STEADY = (
+    0.1,
+    0.05,
+)  # of the edges' width, that a step may change it by once it is settled: with a sample, with all pixels
 SAMPLED = 10  # times that pixels are collected of which a sample takes part
-STRAYED, WIDENED = 0.4, 1.1  # px that corners may move, times that edges may widen before the pixels near them are collected anew
+STRAYED, WIDENED = (
+    0.4,
+    1.1,
+)  # px that corners may move, times that edges may widen before the pixels near them are collected anew
 
 
 class Squares(NamedTuple):
     """Markers of one size in one image.
 
-    pixels : flat float32, 255ths of white, the boxes cut out one after the other from `starts` (m + 1,); boxes : (m, 4) x0 y0 x1 y1 px
-    lenses : (m, 2, TERMS), centres : (m, 3), cells : (m, n + 4, n + 4), outlooks : (m, NOWHERE + 1), margins : (m,) cells and
+    pixels : flat float32, 255ths of white, the boxes cut out one after the other from `starts` (m + 1,); boxes : (m, 4)
+        x0 y0 x1 y1 px
+    lenses : (m, 2, TERMS), centres : (m, 3), cells : (m, n + 4, n + 4), outlooks : (m, NOWHERE + 1), margins : (m,)
+        cells and
     directions : (m, 2) of each, see Printed
     """
 
@@ -75,9 +85,10 @@ class Squares(NamedTuple):
 class Manner(NamedTuple):
     """How squares are fitted.
 
-    reach : px within which the sides are looked for, 0 for a better guess; wrong : cells that may be misread before a marker is not
-    believed to be there, or -1 not to look; iterations : steps at most
-    tables : (l + 1, d, STEPS + 1, 2) edge spread functions; levels : (l,) px between their widths; width : px, the edges' to start from
+    reach : px within which the sides are looked for, 0 for a better guess; wrong : cells that may be misread before a
+    marker is not believed to be there, or -1 not to look; iterations : steps at most
+    tables : (l + 1, d, STEPS + 1, 2) edge spread functions; levels : (l,) px between their widths; width : px, the
+        edges' to start from
     """
 
     reach: float
@@ -92,9 +103,11 @@ class Fits(NamedTuple):
     """What fitting finds, written in place, for m squares.
 
     quads : (m, 4, 2) px, first guess in, straightened out; corners : (m, 4, 2) px; covariances : (m, 8, 8) px^2
-    noise, contrast : (m,) grey levels; used : (m,) pixels; doubted : (m,) share of them that count less; width : (m,) px
+    noise, contrast : (m,) grey levels; used : (m,) pixels; doubted : (m,) share of them that count less; width : (m,)
+        px
     steps : (m,); status : (m,) OK, or why there is none
-    profile : (d, bins, 3) added to, what is left beside edges of each direction, see vision/corners/square_fit_residuals.py; of no bins where it is
+    profile : (d, bins, 3) added to, what is left beside edges of each direction, see
+        vision/corners/square_fit_residuals.py; of no bins where it is
     not wanted
     """
 
@@ -112,8 +125,8 @@ class Fits(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What fits are worked out in: all pixels of a marker near edges, a sample of them, a raster to collect them in, Work, Bow, Tables, sums of
-    `edge_segment_sums`, and counts and cells of `find_occluded_cells`."""
+    """What fits are worked out in: all pixels of a marker near edges, a sample of them, a raster to collect them in,
+    Work, Bow, Tables, sums of `edge_segment_sums`, and counts and cells of `find_occluded_cells`."""
 
     every: EdgePixels
     sample: EdgePixels
@@ -130,20 +143,45 @@ class Room(NamedTuple):
 def _pixels(most: int) -> EdgePixels:
     """EdgePixels with room for `most`."""
     x, y, greys = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
-    return EdgePixels(x, y, greys, np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32), np.zeros(KINDS + 1, np.int64))
+    return EdgePixels(
+        x,
+        y,
+        greys,
+        np.empty(most, np.int32),
+        np.empty(most, np.int32),
+        np.empty(most, np.int32),
+        np.zeros(KINDS + 1, np.int64),
+    )
 
 
 @kernel_part
 def _room(largest: int, widest: int, n: int) -> Room:
     """Room for markers of n bits each way in boxes of at most so many pixels and columns."""
     x, y, greys = np.empty(largest, np.float32), np.empty(largest, np.float32), np.empty(largest, np.float32)
-    raster = Raster(np.empty((4, widest), np.float32), np.empty(widest, np.int32), x, y, greys, np.empty(largest, np.int32))
-    work = Work(np.empty((ROWS, ROWS)), np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty((8, 8)),
-                np.empty((largest // STRIP + 1, ROWS, STRIP), np.float32), np.empty(largest, np.float32))
+    raster = Raster(
+        np.empty((4, widest), np.float32), np.empty(widest, np.int32), x, y, greys, np.empty(largest, np.int32)
+    )
+    work = Work(
+        np.empty((ROWS, ROWS)),
+        np.empty((UNKNOWNS, UNKNOWNS)),
+        np.empty(UNKNOWNS),
+        np.empty((8, 8)),
+        np.empty((largest // STRIP + 1, ROWS, STRIP), np.float32),
+        np.empty(largest, np.float32),
+    )
     bowed = Bow(np.empty((TERMS, UNKNOWNS)), np.empty((TERMS, TERMS)), np.empty(TERMS))
     tables = Tables(np.empty((STEPS, 4), np.float32), np.empty((STEPS, 4), np.float32))
-    return Room(_pixels(largest), _pixels(largest), raster, work, bowed, tables, np.empty((2, n + 5, n + 5, 2)), np.empty((2, n + 5, n + 5)),
-                np.empty((n + 5, n + 5), np.bool_))
+    return Room(
+        _pixels(largest),
+        _pixels(largest),
+        raster,
+        work,
+        bowed,
+        tables,
+        np.empty((2, n + 5, n + 5, 2)),
+        np.empty((2, n + 5, n + 5)),
+        np.empty((n + 5, n + 5), np.bool_),
+    )
 
 
 @kernel_part
@@ -170,7 +208,9 @@ def _median(sizes: np.ndarray) -> float:
 
 @kernel_part
 def _lighten(work: Work, light: np.ndarray) -> bool:
-    """Set the greys from normal equations in which the square's place is held; False where white is no brighter than black."""
+    """Set the greys from normal equations in which the square's place is held; False where white is no brighter than
+    black.
+    """
     H = work.H
     for k in range(6):
         H[LIGHT + k, LIGHT + k] += 1e-9 * (1 + H[LIGHT + k, LIGHT + k])
@@ -189,10 +229,20 @@ def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
         widest = max(widest, boxes[m, 2] - boxes[m, 0])
     room = _room(largest, widest, n)
     for m in range(len(boxes)):
-        marker = Printed(squares.cells[m], squares.outlooks[m], n, squares.margins[m], squares.directions[m], boxes[m], squares.lenses[m],
-                         squares.centres[m])
+        marker = Printed(
+            squares.cells[m],
+            squares.outlooks[m],
+            n,
+            squares.margins[m],
+            squares.directions[m],
+            boxes[m],
+            squares.lenses[m],
+            squares.centres[m],
+        )
         box = boxes[m]
-        crop = squares.pixels[squares.starts[m] : squares.starts[m] + (box[2] - box[0]) * (box[3] - box[1])].reshape(box[3] - box[1], box[2] - box[0])
+        crop = squares.pixels[squares.starts[m] : squares.starts[m] + (box[2] - box[0]) * (box[3] - box[1])].reshape(
+            box[3] - box[1], box[2] - box[0]
+        )
         if manner.reach > 0:
             fit_sides(crop, box, fits.quads[m], n + 2, manner.reach)
         if manner.wrong >= 0 and misread_cell_count(crop, box, fits.quads[m], marker.cells) > manner.wrong:
@@ -205,7 +255,9 @@ def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
 
 @kernel_part
 def _tabulated(tables: Tables, before: int, s: float, manner: Manner, directions: np.ndarray) -> int:
-    """Level of the edges' width s (px), whose edge spread functions in directions (2,) are in the tables then; before : that of those that were"""
+    """Level of the edges' width s (px), whose edge spread functions in directions (2,) are in the tables then;
+    before : that of those that were
+    """
     level = 0
     while level < len(manner.levels) and s > manner.levels[level]:
         level += 1
@@ -217,7 +269,8 @@ def _tabulated(tables: Tables, before: int, s: float, manner: Manner, directions
 
 @kernel_part
 def _finish(room: Room, square: Square, marker: Printed, m: int, weights: float, limit: float, fits: Fits) -> int:
-    """Status of a fit that has settled, number m of the Fits: bowed light taken out of it, its corners, noise and covariance told.
+    """Status of a fit that has settled, number m of the Fits: bowed light taken out of it, its corners, noise and
+    covariance told.
 
     weights : sum of its pixels' weights; limit : grey levels, of a trusted residual
     """
@@ -244,10 +297,25 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
     n, lens, centre, quad, corners = marker.n, marker.lens, marker.centre, fits.quads[m], fits.corners[m]
     scale = centre[2]
     g, light, slope = np.empty((3, 3)), np.zeros(6), np.empty((2, 2))
-    slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = lens[0, 1] / scale, lens[0, 2] / scale, lens[1, 1] / scale, lens[1, 2] / scale
+    slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = (
+        lens[0, 1] / scale,
+        lens[0, 2] / scale,
+        lens[1, 1] / scale,
+        lens[1, 2] / scale,
+    )
     if not square_homography(quad, lens, centre, n, g) or not corners_at(g, n, corners, work.J):
         return WANDERED
-    lit, limit, away, collected, part, count, used, whole, tabulated = False, UNLIMITED, np.inf, s, False, 0, 0, False, -1
+    lit, limit, away, collected, part, count, used, whole, tabulated = (
+        False,
+        UNLIMITED,
+        np.inf,
+        s,
+        False,
+        0,
+        0,
+        False,
+        -1,
+    )
     collections = 0
     lost, dropped = 0, 0  # pixels that did not fit and were dropped, all that were dropped with them
     for iteration in range(manner.iterations):
@@ -262,7 +330,9 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
                 return NO_PIXELS
             away, collected, stride = 0.0, s, max(count // SAMPLE, 1)
             collections += 1
-            part = stride > 1 and not whole and collections <= SAMPLED  # a sample's optimum may lie far enough off to come back to for ever
+            part = (
+                stride > 1 and not whole and collections <= SAMPLED
+            )  # a sample's optimum may lie far enough off to come back to for ever
             if part:
                 used = _take(every, sample, stride)
         tabulated = _tabulated(tables, tabulated, s, manner, marker.directions)
@@ -281,7 +351,11 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
         away += moved.moved
         if part or limit == UNLIMITED:
             limit = TRUSTED * max(1.4826 * _median(work.sizes[:used]), FINEST)
-        fits.contrast[m], fits.used[m], fits.doubted[m] = light[0] - light[3], used, (lost + counted.doubted) / (used + dropped)
+        fits.contrast[m], fits.used[m], fits.doubted[m] = (
+            light[0] - light[3],
+            used,
+            (lost + counted.doubted) / (used + dropped),
+        )
         fits.width[m], fits.steps[m] = s, iteration
         if part:
             whole = moved.moved < SETTLED and widened < SAMPLE_STEADY * s

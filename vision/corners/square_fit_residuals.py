@@ -1,4 +1,6 @@
-"""What the fit of a square leaves in its pixels: whether edges are out of place by more than noise moves them, and their profile."""
+"""What the fit of a square leaves in its pixels: whether edges are out of place by more than noise moves them, and
+their profile.
+"""
 
 import math
 
@@ -10,7 +12,9 @@ from vision.corners.numba_compilation import kernel
 from vision.corners.square_gauss_newton import Square
 
 SIDE = 0.1  # of the information that the best seen cell's side has; one with less does not count
-SIDES = 16  # of cells, from which it is told whether they are where they ought to be; the homography takes eight of them
+SIDES = (
+    16  # of cells, from which it is told whether they are where they ought to be; the homography takes eight of them
+)
 PROFILED = 3.4  # edge widths on either side of an edge that a profile covers
 
 
@@ -22,7 +26,8 @@ def _near(X: float, top: int) -> int:
 
 @kernel
 def edge_segment_sums(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, x: np.ndarray, sums: np.ndarray) -> None:
-    """sums (2, n + 5, n + 5, 2) over the pixels of each side of a cell, on X and on Y edges: slope times what the last step leaves, slope^2.
+    """sums (2, n + 5, n + 5, 2) over the pixels of each side of a cell, on X and on Y edges: slope times what the last
+    step leaves, slope^2.
 
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; x : the last step
     """
@@ -56,10 +61,12 @@ def edge_segment_sums(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, x: np
 
 @kernel
 def covariance_inflation(sums: np.ndarray, noise: float) -> float:
-    """What the corners' covariance must be multiplied by, at least 1: how much more edges are out of place than noise moves them.
+    """What the corners' covariance must be multiplied by, at least 1: how much more edges are out of place than noise
+    moves them.
 
-    sums : of `edge_segment_sums`; noise : grey levels. White noise leaves a cell's side as far out of place as its pixels' slopes say; a blur of
-    another shape, rounding or a renderer's few samples to the pixel move neighbouring pixels alike, and sides farther than that.
+    sums : of `edge_segment_sums`; noise : grey levels. White noise leaves a cell's side as far out of place as its
+    pixels' slopes say; a blur of another shape, rounding or a renderer's few samples to the pixel move neighbouring
+    pixels alike, and sides farther than that.
     Source: a covariance from scores summed over clusters, Liang and Zeger 1986
     """
     square, sides, least = 0.0, 0, SIDE * sums[..., 1].max()
@@ -73,19 +80,29 @@ def covariance_inflation(sums: np.ndarray, noise: float) -> float:
 
 
 @kernel
-def residual_profile(pixels: EdgePixels, square: Square, bowed: np.ndarray, tables: Tables, directions: np.ndarray, limit: float,
-                 profile: np.ndarray) -> None:
-    """Add what the fit leaves beside single edges, as a share of the contrast, to profile (d, BINS, 3): count, sum, sum of squares.
+def residual_profile(
+    pixels: EdgePixels,
+    square: Square,
+    bowed: np.ndarray,
+    tables: Tables,
+    directions: np.ndarray,
+    limit: float,
+    profile: np.ndarray,
+) -> None:
+    """Add what the fit leaves beside single edges, as a share of the contrast, to profile (d, BINS, 3): count, sum, sum
+    of squares.
 
-    pixels : EdgePixels; square : Square; bowed : (3,) sizes as in bowed.Bow; tables : Tables, of which directions (2,) are the rows of the
-    profile for the X and the Y edges; limit : grey levels, of a trusted residual. A bin is a distance from the
-    edge in widths, negative on the dark side.
+    pixels : EdgePixels; square : Square; bowed : (3,) sizes as in bowed.Bow; tables : Tables, of which directions (2,)
+    are the rows of the profile for the X and the Y edges; limit : grey levels, of a trusted residual. A bin is a
+    distance from the edge in widths, negative on the dark side.
     """
     g, s, slope, light, rows = square.g, square.width, square.slope, square.light, directions
     bins = profile.shape[1]
     for k in range(pixels.first[MEETING]):
         level = k >= pixels.first[LEVEL]
-        axis, sign, at_edge, table = (1, pixels.looks[k], pixels.j[k], tables.y) if level else (0, pixels.looks[k], pixels.i[k], tables.x)
+        axis, sign, at_edge, table = (
+            (1, pixels.looks[k], pixels.j[k], tables.y) if level else (0, pixels.looks[k], pixels.i[k], tables.x)
+        )
         xi, yi = float(pixels.x[k]), float(pixels.y[k])
         w = 1.0 / (g[2, 0] * xi + g[2, 1] * yi + 1.0)
         X = (g[axis, 0] * xi + g[axis, 1] * yi + g[axis, 2]) * w

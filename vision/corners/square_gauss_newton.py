@@ -1,7 +1,7 @@
 """Gauss-Newton on the pixels near a square's edges: normal equations, a step, and the covariance of the corners.
 
-Unknowns: the homography from image to cells (8), the logarithm of the edges' width (1), the grey of white and of black, each a
-plane over the image (6).
+Unknowns: the homography from image to cells (8), the logarithm of the edges' width (1), the grey of white and of black,
+each a plane over the image (6).
 """
 
 import math
@@ -31,7 +31,8 @@ class Square(NamedTuple):
     """The image of a square as fitted so far.
 
     g : (3, 3) homography from local ideal coordinates to cells, last entry 1; width : px, of the edges
-    light : (6,) grey of white, its slopes over local x and y, then those of black; slope : (2, 2) of the lens in the middle, image to ideal
+    light : (6,) grey of white, its slopes over local x and y, then those of black; slope : (2, 2) of the lens in the
+        middle, image to ideal
     """
 
     g: np.ndarray
@@ -43,8 +44,10 @@ class Square(NamedTuple):
 class Work(NamedTuple):
     """What the steps of a fit are computed in.
 
-    H : (ROWS, ROWS) normal equations, the last row and column the residual's; L : (UNKNOWNS, UNKNOWNS) Cholesky factor; x : (UNKNOWNS,) step
-    J : (8, 8) Jacobian of the corners to g; rows : (strips, ROWS, STRIP) float32 Jacobian of the pixels' greys, and residuals
+    H : (ROWS, ROWS) normal equations, the last row and column the residual's; L : (UNKNOWNS, UNKNOWNS) Cholesky factor;
+        x : (UNKNOWNS,) step
+    J : (8, 8) Jacobian of the corners to g; rows : (strips, ROWS, STRIP) float32 Jacobian of the pixels' greys, and
+        residuals
     sizes : (k,) float32, |residual| of the pixels, -1 of those that are saturated
     """
 
@@ -64,7 +67,9 @@ class Counted(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """moved : px, how far the step took the farthest corner; width : px, of the edges after it; status : OK or why there is no step."""
+    """moved : px, how far the step took the farthest corner; width : px, of the edges after it; status : OK or why
+    there is no step.
+    """
 
     moved: float
     width: float
@@ -78,7 +83,8 @@ def accumulate_normal_equations(
     """work.H (ROWS, ROWS) = J J' over pixels, whose last row of J is the residual.
 
     pixels : EdgePixels; cells : of `Printed`; square : Square, at which J is taken; tables : Tables
-    limit : grey levels, of a trusted residual; lit : whether the square's greys are known. Before that only their part of J is of use.
+    limit : grey levels, of a trusted residual; lit : whether the square's greys are known. Before that only their part
+        of J is of use.
     """
     H, count = work.H, pixels.first[KINDS]
     H[:] = 0
@@ -97,8 +103,11 @@ def accumulate_normal_equations(
 
 
 @kernel_part
-def _greys(pixels: EdgePixels, start: int, size: int, light: np.ndarray, limit: float, strip: np.ndarray, sizes: np.ndarray) -> Counted:
-    """Rows of J from the shares in a strip (ROWS * STRIP,) of the pixels start .. start + size; zeros up to a multiple of PADDED pixels.
+def _greys(
+    pixels: EdgePixels, start: int, size: int, light: np.ndarray, limit: float, strip: np.ndarray, sizes: np.ndarray
+) -> Counted:
+    """Rows of J from the shares in a strip (ROWS * STRIP,) of the pixels start .. start + size; zeros up to a multiple
+    of PADDED pixels.
 
     light : as in Square; limit : as in `accumulate_normal_equations`; sizes : of Work
     """
@@ -118,7 +127,13 @@ def _greys(pixels: EdgePixels, start: int, size: int, light: np.ndarray, limit: 
         doubted += _1 if off > most and not dull else _0
         weights += root * root
         contrast = (bright - dark) * root
-        dX, dY, both, p, q = strip[_R[2] + k] * contrast, strip[_R[5] + k] * contrast, strip[_R[6] + k] * contrast, p * root, q * root
+        dX, dY, both, p, q = (
+            strip[_R[2] + k] * contrast,
+            strip[_R[5] + k] * contrast,
+            strip[_R[6] + k] * contrast,
+            p * root,
+            q * root,
+        )
         strip[k], strip[_R[1] + k], strip[_R[2] + k] = dX * xi, dX * yi, dX
         strip[_R[3] + k], strip[_R[4] + k], strip[_R[5] + k] = dY * xi, dY * yi, dY
         strip[_R[6] + k], strip[_R[7] + k], strip[_R[8] + k] = both * xi, both * yi, strip[_R[8] + k] * contrast
@@ -133,7 +148,9 @@ def _greys(pixels: EdgePixels, start: int, size: int, light: np.ndarray, limit: 
 
 @kernel_part
 def _multiply(strip: np.ndarray, size: int, first: int, H: np.ndarray) -> None:
-    """Add the products of the rows of a strip (ROWS * STRIP,), from an even one on, to the upper half of H (ROWS, ROWS), four sums at a time."""
+    """Add the products of the rows of a strip (ROWS * STRIP,), from an even one on, to the upper half of H (ROWS,
+    ROWS), four sums at a time.
+    """
     end = np.uintp((size + PADDED - 1) // PADDED * PADDED)
     for i in range(first, ROWS, 2):
         for j in range(i, ROWS, 2):
@@ -152,7 +169,9 @@ def _multiply(strip: np.ndarray, size: int, first: int, H: np.ndarray) -> None:
 
 @kernel
 def corners_at(g: np.ndarray, n: int, corners: np.ndarray, J: np.ndarray) -> bool:
-    """Local ideal coordinates (4, 2) of the square's corners and their Jacobian (8, 8) to g; False where it has turned over."""
+    """Local ideal coordinates (4, 2) of the square's corners and their Jacobian (8, 8) to g; False where it has turned
+    over.
+    """
     for c in range(4):
         X = -1.0 if c == 0 or c == 3 else n + 1.0
         Y = -1.0 if c < 2 else n + 1.0
@@ -177,7 +196,8 @@ def corners_at(g: np.ndarray, n: int, corners: np.ndarray, J: np.ndarray) -> boo
 def gauss_newton_step(square: Square, n: int, scale: float, corners: np.ndarray, work: Work) -> Moved:
     """Move the square's g and light in place by a Gauss-Newton step.
 
-    square : Square; n : bits each way; scale : px, of local coordinates; corners : (4, 2), overwritten; work : Work as accumulated
+    square : Square; n : bits each way; scale : px, of local coordinates; corners : (4, 2), overwritten; work : Work as
+        accumulated
     """
     g, s, light = square.g, square.width, square.light
     H, L, x, J = work.H, work.L, work.x, work.J
@@ -208,7 +228,8 @@ def gauss_newton_step(square: Square, n: int, scale: float, corners: np.ndarray,
 def corner_covariance(work: Work, noise2: float, gain: np.ndarray, own: np.ndarray, covariance: np.ndarray) -> None:
     """Write the (8, 8) covariance of the corners' local ideal coordinates.
 
-    work : Work of the last step, whose x is overwritten; noise2 : variance of the residuals; gain, own : as in bowed.Bow
+    work : Work of the last step, whose x is overwritten; noise2 : variance of the residuals; gain, own : as in
+        bowed.Bow
     """
     L, x, J = work.L, work.x, work.J
     unit, row, bowed = np.empty(UNKNOWNS), np.empty(8), np.zeros((8, len(own)))

@@ -1,4 +1,6 @@
-"""Where a square's sides are, to begin with: found in profiles across them, and whether its bits are there to be read."""
+"""Where a square's sides are, to begin with: found in profiles across them, and whether its bits are there to be
+read.
+"""
 
 import math
 
@@ -31,7 +33,9 @@ def _between(crop: np.ndarray, x: float, y: float) -> float:
     y = min(max(y, 0.0), crop.shape[0] - 1.001)
     i, j = int(x), int(y)
     f, v = x - i, y - j
-    return (1 - v) * ((1 - f) * crop[j, i] + f * crop[j, i + 1]) + v * ((1 - f) * crop[j + 1, i] + f * crop[j + 1, i + 1])
+    return (1 - v) * ((1 - f) * crop[j, i] + f * crop[j, i + 1]) + v * (
+        (1 - f) * crop[j + 1, i] + f * crop[j + 1, i + 1]
+    )
 
 
 @kernel_part
@@ -48,8 +52,8 @@ def _black_and_white(crop: np.ndarray, box: np.ndarray, quad: np.ndarray) -> tup
 
 @kernel_part
 def _line(where: np.ndarray, offsets: np.ndarray, found: int) -> tuple[float, float]:
-    """(shift, turn) px of a side by the line through the offsets (PROFILES,) of the first `found` profiles, at where (PROFILES,) along it; those
-    that stand apart do not count, and of fewer than half the profiles there is none."""
+    """(shift, turn) px of a side by the line through the offsets (PROFILES,) of the first `found` profiles, at where
+    (PROFILES,) along it; those that stand apart do not count, and of fewer than half the profiles there is none."""
     shift, turn = 0.0, 0.0
     if found < PROFILES // 2:
         return shift, turn
@@ -74,10 +78,11 @@ def _line(where: np.ndarray, offsets: np.ndarray, found: int) -> tuple[float, fl
 
 @kernel
 def fit_sides(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, reach: float) -> None:
-    """Move the sides of a quad (4, 2) px, in place, onto the steps from dark inside to bright outside that profiles across them show.
+    """Move the sides of a quad (4, 2) px, in place, onto the steps from dark inside to bright outside that profiles
+    across them show.
 
-    A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size` cells; it stays
-    where fewer than half its profiles show one.
+    A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size`
+    cells; it stays where fewer than half its profiles show one.
     """
     lines = np.empty((4, 3))  # nx x + ny y = d
     where, offsets = np.empty(PROFILES), np.empty(PROFILES)
@@ -123,7 +128,8 @@ def fit_sides(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, re
 
 @kernel
 def square_homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n: int, g: np.ndarray) -> bool:
-    """g (3, 3), last entry 1: local ideal coordinates to cells, for a square of n + 2 cells whose corners are quad (4, 2) px.
+    """g (3, 3), last entry 1: local ideal coordinates to cells, for a square of n + 2 cells whose corners are quad (4,
+    2) px.
 
     False where the corners do not turn clockwise around a convex figure. Source: Heckbert 1989, square to quadrilateral
     """
@@ -140,7 +146,11 @@ def square_homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n:
     p, q = (sx * dy2 - dx2 * sy) / det, (dx1 * sy - sx * dy1) / det
     a, b, c = px[1] - px[0] + p * px[1], px[3] - px[0] + q * px[3], px[0]
     d, e, f = py[1] - py[0] + p * py[1], py[3] - py[0] + q * py[3], py[0]
-    inverse = ((e - f * q, c * q - b, b * f - c * e), (f * p - d, a - c * p, c * d - a * f), (d * q - e * p, b * p - a * q, a * e - b * d))
+    inverse = (
+        (e - f * q, c * q - b, b * f - c * e),
+        (f * p - d, a - c * p, c * d - a * f),
+        (d * q - e * p, b * p - a * q, a * e - b * d),
+    )
     size = n + 2.0
     last = inverse[2][2]
     for k in range(3):
@@ -152,7 +162,8 @@ def square_homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n:
 
 @kernel
 def misread_cell_count(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, cells: np.ndarray) -> int:
-    """How many of a marker's cells, its black border among them, have not the colour that they ought to; quad (4, 2) px.
+    """How many of a marker's cells, its black border among them, have not the colour that they ought to; quad (4, 2)
+    px.
 
     All of them where white is no brighter than black. Five points of each cell are read.
     """
@@ -170,7 +181,10 @@ def misread_cell_count(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, cell
         for i in range(size):
             read[j, i] = 0
             for k in range(5):
-                s, t = (i + 0.5 + (0.2, -0.2, 0.0, 0.0, 0.0)[k]) / size, (j + 0.5 + (0.0, 0.0, 0.0, 0.2, -0.2)[k]) / size
+                s, t = (
+                    (i + 0.5 + (0.2, -0.2, 0.0, 0.0, 0.0)[k]) / size,
+                    (j + 0.5 + (0.0, 0.0, 0.0, 0.2, -0.2)[k]) / size,
+                )
                 w = 1 + p * s + q * t
                 x = ((px[1] - px[0] + p * px[1]) * s + (px[3] - px[0] + q * px[3]) * t + px[0]) / w
                 y = ((py[1] - py[0] + p * py[1]) * s + (py[3] - py[0] + q * py[3]) * t + py[0]) / w

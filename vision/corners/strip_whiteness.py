@@ -1,6 +1,8 @@
-"""Share of white at the pixels of a strip and what it changes with: upright edges, level ones and their meetings each in loops without branches.
+"""Share of white at the pixels of a strip and what it changes with: upright edges, level ones and their meetings each
+in loops without branches.
 
-All numbers are in single precision, a strip is one flat array, and places in it are unsigned: so compilers work out many pixels at once.
+All numbers are in single precision, a strip is one flat array, and places in it are unsigned: so compilers work out
+many pixels at once.
 """
 
 import math
@@ -8,14 +10,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.corners.cell_whiteness import NODES, SKEW, SPAN, STEPS, TOGETHER, WEIGHTS, Meeting, Tables, blurred_cell_whiteness, cell_whiteness
+from vision.corners.cell_whiteness import (
+    NODES,
+    SKEW,
+    SPAN,
+    STEPS,
+    TOGETHER,
+    WEIGHTS,
+    Meeting,
+    Tables,
+    blurred_cell_whiteness,
+    cell_whiteness,
+)
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
 from vision.corners.numba_compilation import kernel, kernel_part
 
 ROWS = 16  # of a strip
 STRIP = 256  # pixels in a strip; its rows fit the processor's first cache
 _D_X, _D_Y, _BOTH, _WIDTH, _SHARE = (np.uintp(k * STRIP) for k in (2, 5, 6, 8, 9))  # rows that shares are left in
-_R0, _R1, _R3, _R4, _R7, _R10, _R11, _R12, _R13 = (np.uintp(k * STRIP) for k in (0, 1, 3, 4, 7, 10, 11, 12, 13))  # free until greys are
+_R0, _R1, _R3, _R4, _R7, _R10, _R11, _R12, _R13 = (
+    np.uintp(k * STRIP) for k in (0, 1, 3, 4, 7, 10, 11, 12, 13)
+)  # free until greys are
 _0, _1, _2 = (np.float32(k) for k in (0, 1, 2))
 _HALF, _PER_WIDTH, _END = np.float32(SPAN / 2), np.float32(STEPS / SPAN), np.float32(STEPS - 0.001)
 _CLOSE, _SKEW = np.float32(TOGETHER), np.float32(SKEW)
@@ -37,8 +52,9 @@ class Seen(NamedTuple):
 
 @kernel
 def strip_whiteness(pixels: EdgePixels, start: int, size: int, seen: Seen, tables: Tables, strip: np.ndarray) -> None:
-    """Leave in a strip (ROWS * STRIP,) float32, at rows 9, 2, 5, 6 and 8, of the pixels start .. start + size: the share of white, its
-    derivatives to X and Y times w, -(X dX + Y dY), which is its derivative to perspective, and that to the logarithm of the edges' width.
+    """Leave in a strip (ROWS * STRIP,) float32, at rows 9, 2, 5, 6 and 8, of the pixels start .. start + size: the
+    share of white, its derivatives to X and Y times w, -(X dX + Y dY), which is its derivative to perspective, and that
+    to the logarithm of the edges' width.
     """
     first = pixels.first
     for kind in range(KINDS):
@@ -61,7 +77,9 @@ def strip_whiteness(pixels: EdgePixels, start: int, size: int, seen: Seen, table
 
 @kernel
 def _look_up(table: np.ndarray, strip: np.ndarray, low: int, high: int, away: np.uintp, slope: np.uintp) -> None:
-    """Replace distances in edge widths, at row `away` of a strip, by shares of white, and write their slopes at row `slope`."""
+    """Replace distances in edge widths, at row `away` of a strip, by shares of white, and write their slopes at row
+    `slope`.
+    """
     for k in range(np.uintp(low), np.uintp(high)):
         at = min(max((strip[away + k] + _HALF) * _PER_WIDTH, _0), _END)
         i = np.uint32(at)
@@ -71,18 +89,43 @@ def _look_up(table: np.ndarray, strip: np.ndarray, low: int, high: int, away: np
 
 
 @kernel
-def _single(axis: int, pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, table: np.ndarray, strip: np.ndarray) -> None:
-    """The same for pixels low .. high of a strip that see one edge, across an axis, by that axis' table; the derivative at row 2."""
-    lines, x, y, looks, g, slope = pixels.i if axis == 0 else pixels.j, pixels.x, pixels.y, pixels.looks, seen.g, seen.slope
+def _single(
+    axis: int, pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, table: np.ndarray, strip: np.ndarray
+) -> None:
+    """The same for pixels low .. high of a strip that see one edge, across an axis, by that axis' table; the derivative
+    at row 2.
+    """
+    lines, x, y, looks, g, slope = (
+        pixels.i if axis == 0 else pixels.j,
+        pixels.x,
+        pixels.y,
+        pixels.looks,
+        seen.g,
+        seen.slope,
+    )
     a = g[axis]
-    a0, a1, a2, g20, g21 = np.float32(a[0]), np.float32(a[1]), np.float32(a[2]), np.float32(g[2, 0]), np.float32(g[2, 1])
-    s00, s01, s10, s11 = np.float32(slope[0, 0]), np.float32(slope[0, 1]), np.float32(slope[1, 0]), np.float32(slope[1, 1])
+    a0, a1, a2, g20, g21 = (
+        np.float32(a[0]),
+        np.float32(a[1]),
+        np.float32(a[2]),
+        np.float32(g[2, 0]),
+        np.float32(g[2, 1]),
+    )
+    s00, s01, s10, s11 = (
+        np.float32(slope[0, 0]),
+        np.float32(slope[0, 1]),
+        np.float32(slope[1, 0]),
+        np.float32(slope[1, 1]),
+    )
     s, begin = np.float32(seen.width), np.uintp(start)
     for k in range(np.uintp(low), np.uintp(high)):
         xi, yi, line = x[begin + k], y[begin + k], np.float32(lines[begin + k])
         w = _1 / (g20 * xi + g21 * yi + _1)
         X = (a0 * xi + a1 * yi + a2) * w
-        Xx, Xy = a0 - line * g20, a1 - line * g21  # of the edge, not of the pixel: w times the line's distance is exact so
+        Xx, Xy = (
+            a0 - line * g20,
+            a1 - line * g21,
+        )  # of the edge, not of the pixel: w times the line's distance is exact so
         Xu, Xv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11
         across = np.float32(looks[begin + k]) / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
         h = (X - line) * across
@@ -95,12 +138,21 @@ def _single(axis: int, pixels: EdgePixels, start: int, low: int, high: int, seen
 
 
 @kernel_part
-def _meetings(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: np.ndarray) -> None:
-    """The same for pixels that see an upright and a level edge meet. Their product is corrected as in vision/corners/cell_whiteness.py."""
+def _meetings(
+    pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: np.ndarray
+) -> None:
+    """The same for pixels that see an upright and a level edge meet. Their product is corrected as in
+    vision/corners/cell_whiteness.py.
+    """
     x, y, lines, levels, looks, slope = pixels.x, pixels.y, pixels.i, pixels.j, pixels.looks, seen.slope
     g = seen.g.astype(np.float32)
     g00, g01, g02, g10, g11, g12, g20, g21 = g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1]
-    s00, s01, s10, s11 = np.float32(slope[0, 0]), np.float32(slope[0, 1]), np.float32(slope[1, 0]), np.float32(slope[1, 1])
+    s00, s01, s10, s11 = (
+        np.float32(slope[0, 0]),
+        np.float32(slope[0, 1]),
+        np.float32(slope[1, 0]),
+        np.float32(slope[1, 1]),
+    )
     s, begin = np.float32(seen.width), np.uintp(start)
     gu, gv = g20 * s00 + g21 * s10, g20 * s01 + g21 * s11
     for k in range(np.uintp(low), np.uintp(high)):
@@ -127,7 +179,11 @@ def _meetings(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, t
         by_x, by_y, by_both = rightmost - corner, lowest - corner, corner - rightmost - lowest + farthest
         P, Q, h, v, rho = strip[_SHARE + k], strip[_R11 + k], strip[_R0 + k], strip[_R1 + k], strip[_R13 + k]
         hh, vv, hv = h * h, v * v, h * v
-        more = rho * (_W0 * _bell(hh + vv, hv, rho * _N0) + _W1 * _bell(hh + vv, hv, rho * _N1) + _W2 * _bell(hh + vv, hv, rho * _N2))
+        more = rho * (
+            _W0 * _bell(hh + vv, hv, rho * _N0)
+            + _W1 * _bell(hh + vv, hv, rho * _N1)
+            + _W2 * _bell(hh + vv, hv, rho * _N2)
+        )
         more = more if abs(rho) > _SKEW and max(abs(h), abs(v)) < _CLOSE else _0
         p, q = (by_x + by_both * Q) * strip[_R10 + k], (by_y + by_both * P) * strip[_R12 + k]
         dX, dY = p * strip[_R3 + k], q * strip[_R4 + k]
@@ -138,7 +194,9 @@ def _meetings(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, t
 
 @kernel
 def _bell(squares: np.float32, product: np.float32, r: np.float32) -> np.float32:
-    """exp(-(h^2 + v^2 - 2 r h v) / 2 (1 - r^2)) / sqrt(1 - r^2) from h^2 + v^2 and h v, by Taylor's series for a 64th, to 1e-6."""
+    """exp(-(h^2 + v^2 - 2 r h v) / 2 (1 - r^2)) / sqrt(1 - r^2) from h^2 + v^2 and h v, by Taylor's series for a 64th,
+    to 1e-6.
+    """
     q = _1 - r * r
     t = max(-(squares - _2 * r * product) / (_2 * q), _LEAST) * _64
     e = _1 + t * (_1 + t * (_T2 + t * (_T3 + t * (_T4 + t * (_T5 + t * _T6)))))
@@ -151,7 +209,9 @@ def _bell(squares: np.float32, product: np.float32, r: np.float32) -> np.float32
 
 
 @kernel_part
-def _several(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: np.ndarray) -> None:
+def _several(
+    pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: np.ndarray
+) -> None:
     """The same for pixels that see any number of edges, one by one."""
     g, s, slope = seen.g, seen.width, seen.slope
     g00, g01, g02, g10, g11, g12, g20, g21 = g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1]
@@ -164,8 +224,13 @@ def _several(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, ta
         Xx, Xy, Yx, Yy = g00 - X * g20, g01 - X * g21, g10 - Y * g20, g11 - Y * g21
         Xu, Xv, Yu, Yv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11, Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
         ax, ay = math.sqrt(Xu * Xu + Xv * Xv), math.sqrt(Yu * Yu + Yv * Yv)
-        meeting = Meeting(s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay), (Xu * gu + Xv * gv) / (ax * ax),
-                          (Yu * gu + Yv * gv) / (ay * ay))
+        meeting = Meeting(
+            s * ax * w,
+            s * ay * w,
+            (Xu * Yu + Xv * Yv) / (ax * ay),
+            (Xu * gu + Xv * gv) / (ax * ax),
+            (Yu * gu + Yv * gv) / (ay * ay),
+        )
         if REACH * max(meeting.sx, meeting.sy) > 1:
             p, dX, dY, dB = blurred_cell_whiteness(seen.cells, i, j, X, Y, meeting, tables.x, tables.y)
         else:

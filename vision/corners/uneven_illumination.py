@@ -1,7 +1,8 @@
-"""Light that is bowed over a square, as lenses' vignetting and near lamps bow it: what planes of grey leave, taken out of a fit by one last step.
+"""Light that is bowed over a square, as lenses' vignetting and near lamps bow it: what planes of grey leave, taken out
+of a fit by one last step.
 
-Planes alone make every square seem larger where light falls off to all sides (by 0.002 px where vignetting takes 30 % in an image's corners,
-whatever the noise), smaller where it gathers.
+Planes alone make every square seem larger where light falls off to all sides (by 0.002 px where vignetting takes 30 %
+in an image's corners, whatever the noise), smaller where it gathers.
 """
 
 from typing import NamedTuple
@@ -19,7 +20,8 @@ PLAUSIBLE = 0.02  # of the grey of white, that light may be bowed by from a squa
 
 
 class Bow(NamedTuple):
-    """gain : (TERMS, UNKNOWNS) by how much a fit's unknowns fall with each term; own : (TERMS, TERMS) the terms' covariance, over the noise's
+    """gain : (TERMS, UNKNOWNS) by how much a fit's unknowns fall with each term; own : (TERMS, TERMS) the terms'
+    covariance, over the noise's
     sizes : (TERMS,) grey levels, the terms."""
 
     gain: np.ndarray
@@ -29,7 +31,8 @@ class Bow(NamedTuple):
 
 @kernel
 def remove_uneven_illumination(pixels: EdgePixels, square: Square, weights: float, work: Work, found: Bow) -> float:
-    """Take bowed light out of a fit whose last step was made: its Square moves on, and work.x and the residuals in work.rows with it.
+    """Take bowed light out of a fit whose last step was made: its Square moves on, and work.x and the residuals in
+    work.rows with it.
 
     pixels : EdgePixels, of all of which work holds rows; weights : sum of their weights; found : Bow, overwritten
     Returns the weighted square of the residuals that is left, grey levels
@@ -80,8 +83,11 @@ def remove_uneven_illumination(pixels: EdgePixels, square: Square, weights: floa
 
 
 @kernel_part
-def _products(pixels: EdgePixels, rows: np.ndarray, black: float, E: np.ndarray, cross: np.ndarray, within: np.ndarray) -> None:
-    """Add to cross (TERMS, ROWS) and to within (TERMS, TERMS), above its diagonal, sums of what bowed light does to all pixels times their rows,
+def _products(
+    pixels: EdgePixels, rows: np.ndarray, black: float, E: np.ndarray, cross: np.ndarray, within: np.ndarray
+) -> None:
+    """Add to cross (TERMS, ROWS) and to within (TERMS, TERMS), above its diagonal, sums of what bowed light does to all
+    pixels times their rows,
     and times itself. E : overwritten"""
     count = pixels.first[KINDS]
     for start in range(0, count, STRIP):
@@ -102,7 +108,9 @@ def _products(pixels: EdgePixels, rows: np.ndarray, black: float, E: np.ndarray,
 
 @kernel
 def _bowed(pixels: EdgePixels, start: int, size: int, black: float, J: np.ndarray, E: np.ndarray) -> None:
-    """E (TERMS, STRIP) what bowed light does to the pixels start .. start + size, whose rows are J. black : grey of black over that of white"""
+    """E (TERMS, STRIP) what bowed light does to the pixels start .. start + size, whose rows are J. black : grey of
+    black over that of white
+    """
     for k in range(size):
         u, v = pixels.x[start + k], pixels.y[start + k]
         share = J[LIGHT, k] + np.float32(black) * J[LIGHT + 3, k]

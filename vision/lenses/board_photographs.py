@@ -13,14 +13,26 @@ from rig.recording.exposures import read_image
 from rig.recording.image_file_check import MOST_OF_A_PHOTOGRAPH
 from vision.corner_observations import Observations
 from vision.lenses.calibration_board import Board, BoardView, find_board_corners
-from vision.lenses.lens_calibration import LEAST_CORNERS, MODELS, Fit, HeldOut, calibrate, choose, hold_out, observations_of, projection_uncertainty
+from vision.lenses.lens_calibration import (
+    LEAST_CORNERS,
+    MODELS,
+    Fit,
+    HeldOut,
+    calibrate,
+    choose,
+    hold_out,
+    observations_of,
+    projection_uncertainty,
+)
 
 FIRST = 5  # distortion terms of the lens that straightens edges for the second look
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """How one lens model did: rms px per axis where it was fitted, held : HeldOut; or the reason why it could not be fitted."""
+    """How one lens model did: rms px per axis where it was fitted, held : HeldOut; or the reason why it could not be
+    fitted.
+    """
 
     rms: float | None
     held: HeldOut | None
@@ -54,19 +66,23 @@ class Calibrated:
         return float(np.nanmax(self.sigma))
 
 
-def calibrate_photographs(paths: Sequence[Path], board: Board, name: str = "cam0",
-                          progress: Callable[[str, int, int], None] | None = None) -> Calibrated:
+def calibrate_photographs(
+    paths: Sequence[Path], board: Board, name: str = "cam0", progress: Callable[[str, int, int], None] | None = None
+) -> Calibrated:
     """Calibrated from photographs (paths). progress : called with (label, done, of), or None.
 
-    A photograph that does not show the board is named and left out. Raises FileError for one that is no image or of another
-    size than the first, NotEnoughData where too few show the board.
+    A photograph that does not show the board is named and left out. Raises FileError for one that is no image or of
+    another size than the first, NotEnoughData where too few show the board.
     """
     images: list[np.ndarray] = []
     for path in paths:
         image = read_image(path, MOST_OF_A_PHOTOGRAPH)
         if images and image.shape[:2] != images[0].shape[:2]:
-            raise FileError(path, f"is {image.shape[1]} x {image.shape[0]} px, the first photograph {images[0].shape[1]} x "
-                                  f"{images[0].shape[0]} px: one camera has one size")
+            raise FileError(
+                path,
+                f"is {image.shape[1]} x {image.shape[0]} px, the first photograph {images[0].shape[1]} x "
+                f"{images[0].shape[0]} px: one camera has one size",
+            )
         images.append(image)
     height, width = images[0].shape[:2]
     K = np.array([[1.2 * width, 0, (width - 1) / 2], [0, 1.2 * width, (height - 1) / 2], [0, 0, 1]])
@@ -89,11 +105,14 @@ def calibrate_photographs(paths: Sequence[Path], board: Board, name: str = "cam0
     held = [model.held for model in models.values() if model.held]
     fit = fits[choose(held).terms]
     uv, sigma = projection_uncertainty(fit)
-    return Calibrated(fit, models, tuple(paths[f] for f in observations.frames), left_out, observations, board, uv, sigma)
+    return Calibrated(
+        fit, models, tuple(paths[f] for f in observations.frames), left_out, observations, board, uv, sigma
+    )
 
 
-def _models(observations: Observations, width: int, height: int, name: str,
-            progress: Callable[[str, int, int], None] | None) -> tuple[dict[int, Model], dict[int, Fit]]:
+def _models(
+    observations: Observations, width: int, height: int, name: str, progress: Callable[[str, int, int], None] | None
+) -> tuple[dict[int, Model], dict[int, Fit]]:
     """({terms: Model}, {terms: Fit}); all models are held to the corners that the richest that can be fitted keeps."""
     fits, models, reasons = {}, {}, {}
     for terms in MODELS:

@@ -14,8 +14,10 @@ from vision.corners.marker_detection import detect_markers, grey_image
 from vision.lenses import chessboard_corner
 from vision.targets import SQUARE, MarkerMap
 
-KINDS = {"charuco": "charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares; m, m)",
-         "aruco": "aruco:COLUMNSxROWS:SIDE:GAP:DICTIONARY (markers; m, m)"}
+KINDS = {
+    "charuco": "charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares; m, m)",
+    "aruco": "aruco:COLUMNSxROWS:SIDE:GAP:DICTIONARY (markers; m, m)",
+}
 NEIGHBOURS = 4  # markers next to a chessboard corner from which it is guessed
 NEIGHBOUR_DISTANCE = 1.6  # squares, the farthest that they are
 LARGEST = 5.0  # m
@@ -23,7 +25,8 @@ LARGEST = 5.0  # m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Board:
-    """kind "charuco" or "aruco"; columns, rows : squares, or markers; pitch : m from one to the next; side : m, a marker's
+    """kind "charuco" or "aruco"; columns, rows : squares, or markers; pitch : m from one to the next; side : m, a
+    marker's
     dictionary : OpenCV name; legacy : whether a charuco's first square holds a marker where its rows are even."""
 
     kind: str
@@ -36,7 +39,9 @@ class Board:
 
     @property
     def points(self) -> np.ndarray:
-        """(n, 3) m, corners that are measured: x right, y down, z = 0; of a charuco its inner corners row by row, else markers' four."""
+        """(n, 3) m, corners that are measured: x right, y down, z = 0; of a charuco its inner corners row by row, else
+        markers' four.
+        """
         if self.kind == "charuco":
             x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
             return np.stack([x.ravel() * self.pitch, y.ravel() * self.pitch, 0.0 * x.ravel()], axis=1)
@@ -68,7 +73,9 @@ def parse(text: str) -> Board:
         columns, rows = (parse_whole_number(part) for part in parts[1].lower().split("x"))
     except ValueError:
         raise RigError(f"--board {text!r}: {parts[1]!r} is no size such as 5x7") from None
-    if not (columns * rows >= 2 and 1 <= columns <= 100 and 1 <= rows <= 100) or (kind == "charuco" and min(columns, rows) < 3):
+    if not (columns * rows >= 2 and 1 <= columns <= 100 and 1 <= rows <= 100) or (
+        kind == "charuco" and min(columns, rows) < 3
+    ):
         raise RigError(f"--board {text!r}: {columns}x{rows} is no size of a {kind} board")
     lengths = []
     for name, part in zip(("square", "marker") if kind == "charuco" else ("side", "gap"), parts[2:4]):
@@ -81,16 +88,30 @@ def parse(text: str) -> Board:
     if parts[4] not in DICTIONARIES:
         raise RigError(f"--board {text!r}: {parts[4]!r} is no dictionary; there are {', '.join(DICTIONARIES)}")
     if kind == "charuco" and not lengths[1] < lengths[0]:
-        raise RigError(f"--board {text!r}: a marker of {lengths[1]} m does not fit into a square of {lengths[0]} m; which comes first, the square")
-    board = Board(kind, columns, rows, lengths[0] if kind == "charuco" else sum(lengths), lengths[1] if kind == "charuco" else lengths[0], parts[4])
+        raise RigError(
+            f"--board {text!r}: a marker of {lengths[1]} m does not fit into a square of {lengths[0]} m; "
+            "which comes first, the square"
+        )
+    board = Board(
+        kind,
+        columns,
+        rows,
+        lengths[0] if kind == "charuco" else sum(lengths),
+        lengths[1] if kind == "charuco" else lengths[0],
+        parts[4],
+    )
     if len(board.places()) > DICTIONARIES[board.dictionary]:
-        raise RigError(f"--board {text!r} has {len(board.places())} markers, {board.dictionary} only {DICTIONARIES[board.dictionary]}")
+        raise RigError(
+            f"--board {text!r} has {len(board.places())} markers, {board.dictionary} only "
+            f"{DICTIONARIES[board.dictionary]}"
+        )
     return board
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardView:
-    """Corners of a board in one photograph. corner : (n,) rows of Board.points; uv : (n, 2) px; covariance : (n, 2, 2) px^2
+    """Corners of a board in one photograph. corner : (n,) rows of Board.points; uv : (n, 2) px; covariance : (n, 2, 2)
+    px^2
     left_out : (corner, reason) of those expected and not placed."""
 
     corner: np.ndarray
@@ -100,11 +121,15 @@ class BoardView:
 
 
 def find_board_corners(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
-    """BoardView of an image as cv2 reads it. camera : Camera whose lens bends the edges (no distortion for the first look)."""
+    """BoardView of an image as cv2 reads it. camera : Camera whose lens bends the edges (no distortion for the first
+    look).
+    """
     if board.kind == "aruco":
         return _markers(image, board, camera)
     eight, full = grey_image(image)
-    found, ids, _ = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))).detectMarkers(eight)
+    found, ids, _ = cv2.aruco.ArucoDetector(
+        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    ).detectMarkers(eight)
     ids = np.zeros(0, int) if ids is None else ids.ravel()
     keep = [i for i, number in enumerate(ids) if number < len(board.places()) and (ids == number).sum() == 1]
     if not keep:
@@ -132,21 +157,40 @@ def find_board_corners(image: np.ndarray, board: Board, camera: Camera) -> Board
         else:
             rows.append(row)
             out.append(fitted)
-    return BoardView(np.array(rows, int), np.array([one.uv for one in out]).reshape(-1, 2),
-                     np.array([one.covariance for one in out]).reshape(-1, 2, 2), tuple(left_out))
+    return BoardView(
+        np.array(rows, int),
+        np.array([one.uv for one in out]).reshape(-1, 2),
+        np.array([one.covariance for one in out]).reshape(-1, 2, 2),
+        tuple(left_out),
+    )
 
 
 def _markers(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
     middles = np.pad(board.places() * [1, -1], ((0, 0), (0, 1)))
     gap = (board.pitch - board.side) / 2
-    map_ = MarkerMap(np.arange(len(middles)), np.zeros(len(middles), bool), RigidTransform.from_translation(middles),
-                     np.full(len(middles), board.side), np.full(len(middles), gap), [board.dictionary] * len(middles), ["board"] * len(middles),
-                     np.zeros(len(middles), int))
+    map_ = MarkerMap(
+        np.arange(len(middles)),
+        np.zeros(len(middles), bool),
+        RigidTransform.from_translation(middles),
+        np.full(len(middles), board.side),
+        np.full(len(middles), gap),
+        [board.dictionary] * len(middles),
+        ["board"] * len(middles),
+        np.zeros(len(middles), int),
+    )
     found = detect_markers(image, camera, map_)
     rows = (found.marker[:, None] * 4 + np.arange(4)).ravel()
-    covariance = np.array([found.covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)]).reshape(4, -1, 2, 2).swapaxes(0, 1)
-    return BoardView(rows, found.corners.reshape(-1, 2), covariance.reshape(-1, 2, 2),
-                     tuple((4 * one.marker, one.reason) for one in found.left_out))
+    covariance = (
+        np.array([found.covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)])
+        .reshape(4, -1, 2, 2)
+        .swapaxes(0, 1)
+    )
+    return BoardView(
+        rows,
+        found.corners.reshape(-1, 2),
+        covariance.reshape(-1, 2, 2),
+        tuple((4 * one.marker, one.reason) for one in found.left_out),
+    )
 
 
 def _straight(camera: Camera) -> chessboard_corner.Straight:

@@ -1,9 +1,10 @@
 """Where two printed edges cross: the corner of a chessboard, fitted to its pixels along both edges.
 
-The image of a crossing under Gaussian blur (the pixel's own width included) is the chance that a normal draw about the pixel
-falls into one of the two white quadrants: a bivariate normal of the distances to the two edges, correlated by their angle.
-Fitted by robust Gauss-Newton: the crossing (2), both directions (2), the blur (1), black and white, each a plane (6), in
-coordinates in which the lens is taken out, so that edges are straight.
+The image of a crossing under Gaussian blur (the pixel's own width included) is the chance that a normal draw about the
+pixel falls into one of the two white quadrants: a bivariate normal of the distances to the two edges, correlated by
+their angle.
+Fitted by robust Gauss-Newton: the crossing (2), both directions (2), the blur (1), black and white, each a plane (6),
+in coordinates in which the lens is taken out, so that edges are straight.
 Source: bivariate normal, Drezner and Wesolowsky 1990; corner accuracy from edges, Rohr 1992.
 """
 
@@ -84,7 +85,9 @@ class Straight(NamedTuple):
 
 
 class _Pixels(NamedTuple):
-    """The pixels around a crossing: ideal (n, 2) px, the lens taken out; board (n, 2) squares from the guess; grey (n,); white as in `fit`."""
+    """The pixels around a crossing: ideal (n, 2) px, the lens taken out; board (n, 2) squares from the guess; grey
+    (n,); white as in `fit`.
+    """
 
     ideal: np.ndarray
     board: np.ndarray
@@ -93,14 +96,18 @@ class _Pixels(NamedTuple):
 
 
 class _Extent(NamedTuple):
-    """size : px, a square's mean side in the image; clear : (2,) px beside the x line and the y line that no other edge comes into."""
+    """size : px, a square's mean side in the image; clear : (2,) px beside the x line and the y line that no other edge
+    comes into.
+    """
 
     size: float
     clear: np.ndarray
 
 
 class _Linear(NamedTuple):
-    """residual (n,) grey levels and Jacobian (n, 11) at a crossing p and light (6,) as they were guessed where there were none."""
+    """residual (n,) grey levels and Jacobian (n, 11) at a crossing p and light (6,) as they were guessed where there
+    were none.
+    """
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -108,7 +115,8 @@ class _Linear(NamedTuple):
 
 
 class _Settled(NamedTuple):
-    """p : (5,) crossing px, directions of the board's x and y rad, blur px; light : (6,); information : (11, 11); weight, residual : (n,)
+    """p : (5,) crossing px, directions of the board's x and y rad, blur px; light : (6,); information : (11, 11);
+    weight, residual : (n,)
     scatter : grey levels, robust."""
 
     p: np.ndarray
@@ -119,11 +127,15 @@ class _Settled(NamedTuple):
     scatter: float
 
 
-def fit(image: np.ndarray, guess: np.ndarray, axes: np.ndarray, white: bool, straight: Straight, reach: float) -> Junction | str:
+def fit(
+    image: np.ndarray, guess: np.ndarray, axes: np.ndarray, white: bool, straight: Straight, reach: float
+) -> Junction | str:
     """Junction, or the reason (text) why there is none.
 
-    image : (height, width) float; guess : (2,) px; axes : (2, 2) px per square, columns the board's x and y in the image
-    white : whether the quadrant between both axes is white; straight : Straight; reach : of a square, what is clear beside an edge
+    image : (height, width) float; guess : (2,) px; axes : (2, 2) px per square, columns the board's x and y in the
+        image
+    white : whether the quadrant between both axes is white; straight : Straight; reach : of a square, what is clear
+        beside an edge
     """
     corners = guess + ALONG * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) @ axes.T
     low, high = np.floor(corners.min(axis=0) - 2).astype(int), np.ceil(corners.max(axis=0) + 2).astype(int)
@@ -138,7 +150,9 @@ def fit(image: np.ndarray, guess: np.ndarray, axes: np.ndarray, white: bool, str
     if sine < STEEPEST:
         return "seen too obliquely"
     # board x's line is the edge at which y changes sign: its normal is that of the x direction
-    settled = _settle(pixels, np.array([*origin, *angles, FIRST_BLUR]), _Extent(sizes.mean(), reach * sizes[::-1] * sine))
+    settled = _settle(
+        pixels, np.array([*origin, *angles, FIRST_BLUR]), _Extent(sizes.mean(), reach * sizes[::-1] * sine)
+    )
     if isinstance(settled, str):
         return settled
     uv, back = straight.pixel(settled.p[:2])
@@ -162,8 +176,12 @@ def _settle(pixels: _Pixels, p: np.ndarray, extent: _Extent) -> _Settled | str:
             step = np.linalg.solve(A.T @ J, A.T @ r)
         except np.linalg.LinAlgError:
             return "not determined"
-        limit = min(1.0, STEP_PX / max(np.abs(step[:2]).max(), 1e-9), STEP_RAD / max(np.abs(step[2:4]).max(), 1e-9),
-                    STEP_BLUR / max(abs(step[4]), 1e-9))
+        limit = min(
+            1.0,
+            STEP_PX / max(np.abs(step[:2]).max(), 1e-9),
+            STEP_RAD / max(np.abs(step[2:4]).max(), 1e-9),
+            STEP_BLUR / max(abs(step[4]), 1e-9),
+        )
         p = p + limit * step[:PLACE]
         p[4] = np.clip(p[4], LEAST_BLUR, MOST_BLUR)
         light = light + step[PLACE:]
@@ -173,7 +191,9 @@ def _settle(pixels: _Pixels, p: np.ndarray, extent: _Extent) -> _Settled | str:
 
 
 def _linearise(pixels: _Pixels, p: np.ndarray, light: np.ndarray | None, extent: _Extent) -> _Linear | str:
-    """The pixels near both edges of a crossing p (5,), linearised; or the reason why there are too few. light : (6,), or None to guess it."""
+    """The pixels near both edges of a crossing p (5,), linearised; or the reason why there are too few. light : (6,),
+    or None to guess it.
+    """
     d = pixels.ideal - p[:2]
     c, s = np.cos(p[2:4]), np.sin(p[2:4])
     across = d[:, 1:] * c - d[:, :1] * s  # (n, 2) px from the x line and from the y line
@@ -209,7 +229,9 @@ def _linearise(pixels: _Pixels, p: np.ndarray, light: np.ndarray | None, extent:
 
 
 def _judged(settled: _Settled, uv: np.ndarray, back: np.ndarray, far: bool) -> Junction | str:
-    """Junction at uv (2,) px, or why it is none. back : (2, 2) px per px without the lens; far : whether it left where it was expected."""
+    """Junction at uv (2,) px, or why it is none. back : (2, 2) px per px without the lens; far : whether it left where
+    it was expected.
+    """
     weight, r, scatter = settled.weight, settled.residual, settled.scatter
     contrast, noise = settled.light[0] - settled.light[3], np.sqrt((weight * r**2).sum() / max(weight.sum() - 11, 1))
     if contrast < LEAST_CONTRAST * scatter:

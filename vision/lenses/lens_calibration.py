@@ -1,4 +1,6 @@
-"""One camera's lens from photographs of a flat board: lens models compared on photographs held out, and how well it projects."""
+"""One camera's lens from photographs of a flat board: lens models compared on photographs held out, and how well it
+projects.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +22,22 @@ MODELS = (0, 4, 5, 8, 12, 14)  # distortion terms, OpenCV's order; 0: a pinhole
 ROUNDS = 6
 LEAST_CORNERS = 6  # in a photograph that counts
 LEAST_IMAGES = 3
-WIDE = {"k1": 1.0, "k2": 2.0, "p1": 0.05, "p2": 0.05, "k3": 5.0, "k4": 0.5, "k5": 0.5, "k6": 0.5,
-        "s1": 0.02, "s2": 0.02, "s3": 0.02, "s4": 0.02, "tau_x": 0.03, "tau_y": 0.03}  # nothing is stated: these only keep a term finite
+WIDE = {
+    "k1": 1.0,
+    "k2": 2.0,
+    "p1": 0.05,
+    "p2": 0.05,
+    "k3": 5.0,
+    "k4": 0.5,
+    "k5": 0.5,
+    "k6": 0.5,
+    "s1": 0.02,
+    "s2": 0.02,
+    "s3": 0.02,
+    "s4": 0.02,
+    "tau_x": 0.03,
+    "tau_y": 0.03,
+}  # nothing is stated: these only keep a term finite
 UNMODELLED = 0.1  # px, a first guess of what board, print and lens add to every corner beyond its own covariance
 PINNED = 1e-9
 
@@ -41,7 +57,9 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """A model on photographs held out in turn. terms; rms : px per axis, over all; by_image : px per axis; corners : how many."""
+    """A model on photographs held out in turn. terms; rms : px per axis, over all; by_image : px per axis;
+    corners : how many.
+    """
 
     terms: int
     rms: float
@@ -50,21 +68,42 @@ class HeldOut:
 
 
 def observations_of(views: Sequence[BoardView], board: Board) -> Observations:
-    """Observations of BoardViews, one frame each; corners count four to a `marker`. Raises NotEnoughData where too few are usable."""
+    """Observations of BoardViews, one frame each; corners count four to a `marker`. Raises NotEnoughData where too few
+    are usable.
+    """
     usable = [(f, view) for f, view in enumerate(views) if len(view.corner) >= LEAST_CORNERS]
     if len(usable) < LEAST_IMAGES:
-        raise NotEnoughData(f"{len(usable)} photographs show {LEAST_CORNERS} corners of the board or more; a lens takes at least {LEAST_IMAGES}")
+        raise NotEnoughData(
+            f"{len(usable)} photographs show {LEAST_CORNERS} corners of the board or more; a lens takes at "
+            f"least {LEAST_IMAGES}"
+        )
     corner = np.concatenate([view.corner for _, view in usable])
     covariance = np.concatenate([view.covariance for _, view in usable])
     frames = np.array([f for f, _ in usable])
     frame = np.repeat(np.arange(len(usable)), [len(view.corner) for _, view in usable])
     order = np.lexsort((corner, frame))
-    return Observations(frames, frame[order], np.zeros(len(corner), int), corner[order] // 4, corner[order] % 4,
-                        np.concatenate([view.uv for _, view in usable])[order], covariance[order], board.points[corner[order]],
-                        np.zeros(len(corner), bool), True)
+    return Observations(
+        frames,
+        frame[order],
+        np.zeros(len(corner), int),
+        corner[order] // 4,
+        corner[order] % 4,
+        np.concatenate([view.uv for _, view in usable])[order],
+        covariance[order],
+        board.points[corner[order]],
+        np.zeros(len(corner), bool),
+        True,
+    )
 
 
-def calibrate(observations: Observations, width: int, height: int, terms: int, name: str = "cam0", inliers: np.ndarray | None = None) -> Fit:
+def calibrate(
+    observations: Observations,
+    width: int,
+    height: int,
+    terms: int,
+    name: str = "cam0",
+    inliers: np.ndarray | None = None,
+) -> Fit:
     """Fit of a lens with that many distortion terms. inliers : (n,) bool to hold to, or None: found here.
 
     Raises NotEnoughData where corners do not determine it.
@@ -75,7 +114,9 @@ def calibrate(observations: Observations, width: int, height: int, terms: int, n
     unmodelled = UNMODELLED**2
     for k in range(ROUNDS):
         weighed = replace(o, covariance=o.covariance + unmodelled * np.eye(2))
-        result = adjust_bundle(weighed.take(good), state, ("lenses",), stated=stated, worth=lambda camera: _worth(camera, terms))
+        result = adjust_bundle(
+            weighed.take(good), state, ("lenses",), stated=stated, worth=lambda camera: _worth(camera, terms)
+        )
         state = result.state
         residuals = o.uv - predict(o, state)[0]
         square = (residuals**2).sum(axis=1)
@@ -88,7 +129,9 @@ def calibrate(observations: Observations, width: int, height: int, terms: int, n
 
 
 def hold_out(observations: Observations, width: int, height: int, terms: int, inliers: np.ndarray) -> HeldOut:
-    """HeldOut: every photograph in turn predicted by a lens fitted to the others, its own pose alone fitted to it. inliers : (n,) bool"""
+    """HeldOut: every photograph in turn predicted by a lens fitted to the others, its own pose alone fitted to it.
+    inliers : (n,) bool
+    """
     o, by_image, total, count = observations, [], 0.0, 0
     for f in range(len(o.frames)):
         own = o.frame == f
@@ -146,8 +189,10 @@ def _cross(points: np.ndarray) -> np.ndarray:
 def _worth(camera: Camera, terms: int) -> np.ndarray:
     """(4 + terms,) standard deviations before the images: next to nothing known, or pinned."""
     names = lens.terms(camera.distortion)[4:]
-    return np.array([camera.matrix[0, 0], camera.matrix[1, 1], camera.width, camera.width]
-                    + [WIDE[name] if k < terms else PINNED for k, name in enumerate(names)])
+    return np.array(
+        [camera.matrix[0, 0], camera.matrix[1, 1], camera.width, camera.width]
+        + [WIDE[name] if k < terms else PINNED for k, name in enumerate(names)]
+    )
 
 
 def _start(o: Observations, width: int, height: int, terms: int, name: str, camera: Camera | None = None) -> State:

@@ -19,7 +19,9 @@ Poses = dict[int, np.ndarray]  # {frame: T_world_body (4, 4)}
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """To what neighbours predict a body: rad/s^2 of the gap between the frames before and after, rad/s since the nearest."""
+    """To what neighbours predict a body: rad/s^2 of the gap between the frames before and after, rad/s since the
+    nearest.
+    """
 
     between: float
     beside: float
@@ -29,7 +31,8 @@ def choose_by_neighbours(found: Poses, undecided: dict[int, Sequence[np.ndarray]
     """{frame: T_world_body} of frames whose pose their neighbours decide, as matrices.
 
     found : {frame: (4, 4)} solved; undecided : {frame: ((4, 4), ...)} candidates; t : (F,) s
-    One candidate must lie within what neighbours predict solved frames to, and every other beyond it and WORSE times as far.
+    One candidate must lie within what neighbours predict solved frames to, and every other beyond it and WORSE times as
+    far.
     A frame so decided is a neighbour in its turn.
     """
     reach, known = neighbour_distance(found, t), dict(found)
@@ -54,7 +57,9 @@ def choose_by_neighbours(found: Poses, undecided: dict[int, Sequence[np.ndarray]
 
 
 def pose_outliers(found: Poses, t: np.ndarray) -> dict[int, str]:
-    """{frame: reason} of solved frames (4, 4) that turn away from neighbours which predict all the others well: a flip."""
+    """{frame: reason} of solved frames (4, 4) that turn away from neighbours which predict all the others well: a
+    flip.
+    """
     reach = neighbour_distance(found, t)
     odd: dict[int, str] = {}
     if reach is None:
@@ -63,7 +68,10 @@ def pose_outliers(found: Poses, t: np.ndarray) -> dict[int, str]:
         if None not in _near(found, f, t):
             expected, limit = expected_pose(found, f, t, reach)
             if expected is not None and rotation_angle(expected, T) > max(2 * limit, MOST):
-                odd[f] = f"it turns by {np.degrees(rotation_angle(expected, T)):.0f} degrees against the frames before and after"
+                odd[f] = (
+                    f"it turns by {np.degrees(rotation_angle(expected, T)):.0f} degrees against the frames "
+                    "before and after"
+                )
     return odd
 
 
@@ -81,7 +89,9 @@ def neighbour_distance(found: Poses, t: np.ndarray) -> Reach | None:
 
 
 def expected_pose(found: Poses, f: int, t: np.ndarray, reach: Reach) -> tuple[np.ndarray | None, float]:
-    """((4, 4), rad) expected of frame f from solved frames near it, and how far off it may be; (None, inf) where there are none."""
+    """((4, 4), rad) expected of frame f from solved frames near it, and how far off it may be; (None, inf) where there
+    are none.
+    """
     before, after = _near(found, f, t)
     ways = [(reach.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
     limit, nearest = min(ways, default=(np.inf, None))
@@ -93,8 +103,17 @@ def expected_pose(found: Poses, f: int, t: np.ndarray, reach: Reach) -> tuple[np
 def _near(found: Poses, f: int, t: np.ndarray) -> list[int | None]:
     """The nearest solved frames before and after f within FAR, None where there is none."""
     last = len(t) - 1
-    return [next((k for k in range(f + way, min(max(f + way * AROUND, -1), last + 1), way) if k in found and abs(t[f] - t[k]) <= FAR), None)
-            for way in (-1, 1)]
+    return [
+        next(
+            (
+                k
+                for k in range(f + way, min(max(f + way * AROUND, -1), last + 1), way)
+                if k in found and abs(t[f] - t[k]) <= FAR
+            ),
+            None,
+        )
+        for way in (-1, 1)
+    ]
 
 
 def _between(found: Poses, before: int, after: int, f: int, t: np.ndarray) -> np.ndarray:

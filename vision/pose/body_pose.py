@@ -1,4 +1,6 @@
-"""Corners of one body in one or several posed cameras -> its pose: consensus of single markers, then a robust refinement."""
+"""Corners of one body in one or several posed cameras -> its pose: consensus of single markers, then a robust
+refinement.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,7 +47,9 @@ class View:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Located:
-    """matrix : (4, 4) T_world_body; covariance : (6, 6) on the right, for the corners' covariance as given; inliers : (n,) bool."""
+    """matrix : (4, 4) T_world_body; covariance : (6, 6) on the right, for the corners' covariance as given;
+    inliers : (n,) bool.
+    """
 
     matrix: np.ndarray
     covariance: np.ndarray
@@ -59,7 +63,9 @@ class Located:
 
 @dataclass(frozen=True, slots=True)
 class Unsolved:
-    """No pose, and why. False in a condition. candidates : Located poses that the images alone cannot decide between."""
+    """No pose, and why. False in a condition. candidates : Located poses that the images alone cannot decide
+    between.
+    """
 
     reason: str
     candidates: tuple[Located, ...] = ()
@@ -72,7 +78,9 @@ _Sighting = tuple[int, int, np.ndarray]  # camera, marker, rows in corner order
 
 
 class _Refined(NamedTuple):
-    """matrix : (4, 4) T_world_body; covariance : (6, 6); inliers : (n,) bool; square : of whitened residuals, summed; scale : theirs, robust."""
+    """matrix : (4, 4) T_world_body; covariance : (6, 6); inliers : (n,) bool; square : of whitened residuals, summed;
+    scale : theirs, robust.
+    """
 
     matrix: np.ndarray
     covariance: np.ndarray
@@ -81,7 +89,9 @@ class _Refined(NamedTuple):
     scale: float
 
 
-def undistorted(uv: np.ndarray, covariance: np.ndarray, camera: np.ndarray, cameras: Sequence[Camera]) -> tuple[np.ndarray, np.ndarray]:
+def undistorted(
+    uv: np.ndarray, covariance: np.ndarray, camera: np.ndarray, cameras: Sequence[Camera]
+) -> tuple[np.ndarray, np.ndarray]:
     """Ideal coordinates (n, 2) of pixels (n, 2) and their covariance (n, 2, 2), camera by camera. NaN beyond a lens."""
     ideal, out = np.empty_like(uv), np.empty_like(covariance)
     for i in np.unique(camera):
@@ -94,12 +104,13 @@ def undistorted(uv: np.ndarray, covariance: np.ndarray, camera: np.ndarray, came
 
 
 def locate(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located | Unsolved:
-    """Pose of a body from all cameras, all markers and all corners at once; wrong identities, flips and outliers stand out.
+    """Pose of a body from all cameras, all markers and all corners at once; wrong identities, flips and outliers stand
+    out.
 
-    view : View; marker_map : MarkerMap, which says how each marker sits on the body; finest : px, residuals smaller than
-    this are never an outlier's: what the markers' stated places are uncertain by
-    Returns Located, or Unsolved where nothing is seen, where one sighting of one marker cannot be checked against another,
-    where the sightings contradict each other, or where two different poses fit as well
+    view : View; marker_map : MarkerMap, which says how each marker sits on the body; finest : px, residuals smaller
+    than this are never an outlier's: what the markers' stated places are uncertain by
+    Returns Located, or Unsolved where nothing is seen, where one sighting of one marker cannot be checked against
+    another, where the sightings contradict each other, or where two different poses fit as well
     Source: Collins and Bartoli, Infinitesimal plane-based pose estimation, IJCV 2014 (candidates); consensus as in
     Fischler and Bolles 1981, over all candidates instead of a random draw
     """
@@ -109,8 +120,10 @@ def locate(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located
     seen = sorted({int(marker_map.id[marker]) for _, marker, _ in sightings})
     matrices, distance = _candidates(view, sightings[:FIRST_SIGHTINGS], marker_map)
     if len(sightings) == 1:
-        return Unsolved(f"only marker {seen[0]} is seen, once: a single sighting cannot be checked against another",
-                        _alone(view, matrices, distance, finest))
+        return Unsolved(
+            f"only marker {seen[0]} is seen, once: a single sighting cannot be checked against another",
+            _alone(view, matrices, distance, finest),
+        )
     if not len(matrices) or (distance < CONSENSUS).mean(axis=1).max() < AGREED:
         matrices, distance = _candidates(view, sightings, marker_map)
     if not len(matrices):
@@ -123,7 +136,10 @@ def locate(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located
     matrix, covariance, inliers, square, scale = best
     agreeing = sum(inliers[rows].sum() >= 3 for _, _, rows in sightings)
     if agreeing < 2 or 2 * agreeing < len(sightings):
-        return Unsolved(f"the markers contradict each other: {agreeing} of {len(sightings)} sightings of markers {seen} agree on a pose")
+        return Unsolved(
+            f"the markers contradict each other: {agreeing} of {len(sightings)} sightings of markers {seen} "
+            "agree on a pose"
+        )
     located = Located(matrix, covariance, inliers)
     alternative = _alternative(view, matrices, distance, matrix, square, scale, finest)
     if alternative is not None:
@@ -133,20 +149,30 @@ def locate(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located
 
 
 def _alone(view: View, matrices: np.ndarray, distance: np.ndarray, finest: float) -> tuple[Located, ...]:
-    """Located poses of one sighting by itself: one, or the two that a plane's image leaves and whose fits do not differ enough."""
+    """Located poses of one sighting by itself: one, or the two that a plane's image leaves and whose fits do not differ
+    enough.
+    """
     refined = [_refine(view, matrix, near < CONSENSUS, finest) for matrix, near in zip(matrices, distance)]
     found = sorted((one for one in refined if one is not None), key=lambda one: one[3])
-    worst = found[0][3] + RIVAL * max(1.0, found[0][3] / 2) if found else 0.0  # eight figures less six unknowns leave two
-    return tuple(Located(*one[:3]) for k, one in enumerate(found)
-                 if one[3] < worst and all(_apart(one[0], other[0]) is not None for other in found[:k]))
+    worst = (
+        found[0][3] + RIVAL * max(1.0, found[0][3] / 2) if found else 0.0
+    )  # eight figures less six unknowns leave two
+    return tuple(
+        Located(*one[:3])
+        for k, one in enumerate(found)
+        if one[3] < worst and all(_apart(one[0], other[0]) is not None for other in found[:k])
+    )
 
 
 def _sightings(view: View) -> list[_Sighting]:
     """(camera, marker, rows in corner order) of every marker seen with its four corners, largest image first."""
     order = np.lexsort((view.corner, view.marker, view.camera))
     key = (view.camera * 100_000 + view.marker)[order]
-    whole = [rows for rows in np.split(order, np.flatnonzero(np.diff(key)) + 1)
-             if len(rows) == 4 and np.isfinite(view.ideal[rows]).all()]
+    whole = [
+        rows
+        for rows in np.split(order, np.flatnonzero(np.diff(key)) + 1)
+        if len(rows) == 4 and np.isfinite(view.ideal[rows]).all()
+    ]
     whole.sort(key=lambda rows: -np.ptp(view.ideal[rows], axis=0).prod())
     return [(int(view.camera[rows[0]]), int(view.marker[rows[0]]), rows) for rows in whole]
 
@@ -155,9 +181,13 @@ def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMa
     """Matrices (k, 4, 4) T_world_body from each sighting by itself, and their distances (k, n) px to every corner."""
     found = []
     for camera, marker, rows in sightings:
-        count, rotations, translations, _ = cv2.solvePnPGeneric(marker_map.side[marker] * SQUARE, view.ideal[rows], np.eye(3), None,
-                                                                flags=cv2.SOLVEPNP_IPPE_SQUARE)
-        T_world_camera, T_marker_body = inverse(view.T_camera_world[camera]), inverse(marker_map.T_body_marker[marker].as_matrix())
+        count, rotations, translations, _ = cv2.solvePnPGeneric(
+            marker_map.side[marker] * SQUARE, view.ideal[rows], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
+        T_world_camera, T_marker_body = (
+            inverse(view.T_camera_world[camera]),
+            inverse(marker_map.T_body_marker[marker].as_matrix()),
+        )
         for k in range(count):
             T_camera_marker = np.eye(4)
             T_camera_marker[:3, :3], T_camera_marker[:3, 3] = cv2.Rodrigues(rotations[k])[0], translations[k].ravel()
@@ -192,11 +222,22 @@ def _distances(view: View, matrices: np.ndarray) -> np.ndarray:
 
 
 def _refine(view: View, matrix: np.ndarray, inliers: np.ndarray, least: float) -> _Refined | None:
-    """A robust Gauss-Newton from a pose and who agrees with it; None where it falls apart. least : px, the robust scale's floor"""
+    """A robust Gauss-Newton from a pose and who agrees with it; None where it falls apart. least : px, the robust
+    scale's floor
+    """
     matrix, inliers = matrix.copy(), inliers.copy()
     J, square = np.zeros((len(view.points), 2, 6)), np.zeros(len(view.points))
     try:
-        scale = refine((view.points, view.ideal, view.covariance, view.camera), view.T_camera_world, view.focal, matrix, inliers, least, J, square)
+        scale = refine(
+            (view.points, view.ideal, view.covariance, view.camera),
+            view.T_camera_world,
+            view.focal,
+            matrix,
+            inliers,
+            least,
+            J,
+            square,
+        )
     except np.linalg.LinAlgError:
         return None
     inliers &= np.isfinite(_distances(view, matrix[None])[0])
@@ -206,16 +247,27 @@ def _refine(view: View, matrix: np.ndarray, inliers: np.ndarray, least: float) -
     H = used.T @ used
     if np.linalg.cond(H) > 1e14:
         return None
-    return _Refined(matrix, np.linalg.inv(H), inliers, float(np.minimum(square, (GATE * scale) ** 2).sum()), float(scale))
+    return _Refined(
+        matrix, np.linalg.inv(H), inliers, float(np.minimum(square, (GATE * scale) ** 2).sum()), float(scale)
+    )
 
 
-def _alternative(view: View, matrices: np.ndarray, distance: np.ndarray, matrix: np.ndarray, square: float, scale: float,
-                 finest: float) -> Located | None:
+def _alternative(
+    view: View,
+    matrices: np.ndarray,
+    distance: np.ndarray,
+    matrix: np.ndarray,
+    square: float,
+    scale: float,
+    finest: float,
+) -> Located | None:
     """Located, a different pose that fits as well, or None. Only a candidate near nearly all corners can be one."""
     near = np.flatnonzero((distance < CONSENSUS).mean(axis=1) >= 0.9)
     tried, free = [matrix], max(2 * len(view.points) - 6, 1)
     unit = max(scale**2, square / free)  # of a few corners the median alone says little
-    worse = RIVAL * (1 + RIVAL / free) * unit  # a t distribution's: so far may chance set apart what few corners measure
+    worse = (
+        RIVAL * (1 + RIVAL / free) * unit
+    )  # a t distribution's: so far may chance set apart what few corners measure
     for at in near[np.argsort(distance[near].max(axis=1), kind="stable")]:
         if len(tried) > 3:
             break
@@ -223,7 +275,11 @@ def _alternative(view: View, matrices: np.ndarray, distance: np.ndarray, matrix:
             continue
         tried.append(matrices[at])
         alternative = _refine(view, matrices[at], distance[at] < CONSENSUS, finest)
-        if alternative is None or not alternative.square - square < worse or alternative.inliers.sum() < 0.9 * len(alternative.inliers) - 1:
+        if (
+            alternative is None
+            or not alternative.square - square < worse
+            or alternative.inliers.sum() < 0.9 * len(alternative.inliers) - 1
+        ):
             continue
         if _apart(alternative.matrix, matrix) is not None:
             return Located(*alternative[:3])

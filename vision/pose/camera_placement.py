@@ -1,4 +1,6 @@
-"""Cameras that see too little of the base to be placed by it: placed by the poses that the other cameras give the platform."""
+"""Cameras that see too little of the base to be placed by it: placed by the poses that the other cameras give the
+platform.
+"""
 
 from collections.abc import Callable, Sequence
 
@@ -15,15 +17,26 @@ HELD = 0.5  # share of a camera's corners near where they should be, from which 
 MOST = 60  # sightings of markers by which a camera is placed: more only take longer
 
 
-def place_cameras_by_poses(views: Views, cameras: Sequence[Camera], found: Frames, held: set[int], t: np.ndarray | None = None,
-           progress: Callable[[int, int], None] | None = None) -> dict[int, RigidTransform]:
-    """{camera index: T_base_camera} of fixed cameras that the base did not place and that the located frames contradict, by the poses that the
-    placed ones alone give the platform.
+def place_cameras_by_poses(
+    views: Views,
+    cameras: Sequence[Camera],
+    found: Frames,
+    held: set[int],
+    t: np.ndarray | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[int, RigidTransform]:
+    """{camera index: T_base_camera} of fixed cameras that the base did not place and that the located frames
+    contradict, by the poses that the placed ones alone give the platform.
 
-    found : Frames by all cameras as they are; held : indices of the cameras that the base placed; t : (F,) s, as of `locate_frames`
+    found : Frames by all cameras as they are; held : indices of the cameras that the base placed; t : (F,) s, as of
+        `locate_frames`
     progress : called with (done, of), or None
     """
-    loose = [i for i, camera in enumerate(cameras) if camera.mount != "moving" and i not in held and not _stands(views, cameras, found, i)]
+    loose = [
+        i
+        for i, camera in enumerate(cameras)
+        if camera.mount != "moving" and i not in held and not _stands(views, cameras, found, i)
+    ]
     if not loose or len(loose) == len(cameras):
         return {}
     by_others = locate_frames(views.take(~np.isin(views.observations.camera, loose)), cameras, t, progress)
@@ -32,7 +45,9 @@ def place_cameras_by_poses(views: Views, cameras: Sequence[Camera], found: Frame
 
 
 def _stands(views: Views, cameras: Sequence[Camera], found: Frames, i: int) -> bool:
-    """Whether a fixed camera's corners, those of frames without a pose counted against it, lie mostly where the frames' poses put them."""
+    """Whether a fixed camera's corners, those of frames without a pose counted against it, lie mostly where the frames'
+    poses put them.
+    """
     o, count = views.observations, len(views.observations.frames)
     rows = np.flatnonzero(o.camera == i)
     points, moved = o.points[rows].copy(), o.on_platform[rows]
@@ -44,8 +59,8 @@ def _stands(views: Views, cameras: Sequence[Camera], found: Frames, i: int) -> b
 
 
 def _placed(views: Views, found: Frames, i: int) -> RigidTransform | None:
-    """T_base_camera by the markers that a camera sees at the located frames' poses and on the base, each sighting of a marker being one
-    marker of a body that is the base; None where these lead to no pose."""
+    """T_base_camera by the markers that a camera sees at the located frames' poses and on the base, each sighting of a
+    marker being one marker of a body that is the base; None where these lead to no pose."""
     o, m = views.observations, views.map
     rows = np.flatnonzero((o.camera == i) & (~o.on_platform | ~np.isin(o.frame, list(found.unsolved))))
     key = o.frame[rows] * len(m.id) + o.marker[rows]
@@ -56,13 +71,34 @@ def _placed(views: Views, found: Frames, i: int) -> RigidTransform | None:
         return None
     frame, marker = keys // len(m.id), keys % len(m.id)
     poses = found.all_poses(len(o.frames))
-    T_base_marker = RigidTransform.concatenate([poses[f] * m.T_body_marker[k] if m.on_platform[k] else m.T_body_marker[k]
-                                                for f, k in zip(frame.tolist(), marker.tolist())])
-    world = MarkerMap(m.id[marker], np.zeros(len(keys), bool), T_base_marker, m.side[marker], m.margin[marker], [m.dictionary[k] for k in marker],
-                      [m.target[k] for k in marker], np.zeros(len(keys), int))
+    T_base_marker = RigidTransform.concatenate(
+        [
+            poses[f] * m.T_body_marker[k] if m.on_platform[k] else m.T_body_marker[k]
+            for f, k in zip(frame.tolist(), marker.tolist())
+        ]
+    )
+    world = MarkerMap(
+        m.id[marker],
+        np.zeros(len(keys), bool),
+        T_base_marker,
+        m.side[marker],
+        m.margin[marker],
+        [m.dictionary[k] for k in marker],
+        [m.target[k] for k in marker],
+        np.zeros(len(keys), int),
+    )
     own = np.searchsorted(keys, key)
     normals = T_base_marker.rotation.as_matrix()[:, :, 2][own]
-    seen = View(world.corners[own, o.corner[rows]], normals, views.ideal[rows], views.covariance[rows], np.full(len(rows), i), own, o.corner[rows],
-                views.focal, views.identity)
+    seen = View(
+        world.corners[own, o.corner[rows]],
+        normals,
+        views.ideal[rows],
+        views.covariance[rows],
+        np.full(len(rows), i),
+        own,
+        o.corner[rows],
+        views.focal,
+        views.identity,
+    )
     located = locate(seen, world, views.finest)
     return located.T_world_body.inv() if located else None

@@ -23,7 +23,8 @@ Call = tuple[int, np.ndarray, np.ndarray]  # frame, rows of the observations, T_
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """poses : {frame: (4, 4) T_base_platform}; moving : {camera: {frame: (4, 4) T_base_camera}}; unsolved : {frame: reason}
+    """poses : {frame: (4, 4) T_base_platform}; moving : {camera: {frame: (4, 4) T_base_camera}}; unsolved : {frame:
+    reason}
     confirmed : {(frame, body)} whose one sighting the frames before and after confirm."""
 
     poses: Poses
@@ -50,10 +51,14 @@ def _filled(poses: Poses, count: int) -> RigidTransform:
 class Views:
     """Views cut out of a recording's observations, the lens taken out of all of them once."""
 
-    def __init__(self, observations: Observations, cameras: Sequence[Camera], marker_map: MarkerMap, finest: float) -> None:
+    def __init__(
+        self, observations: Observations, cameras: Sequence[Camera], marker_map: MarkerMap, finest: float
+    ) -> None:
         self.observations = observations.with_points(marker_map.corners[observations.marker, observations.corner])
         self.map, self.finest = marker_map, finest
-        self.ideal, self.covariance = undistorted(observations.uv, observations.covariance, observations.camera, cameras)
+        self.ideal, self.covariance = undistorted(
+            observations.uv, observations.covariance, observations.camera, cameras
+        )
         self.normals = marker_map.T_body_marker.rotation.as_matrix()[:, :, 2][observations.marker]
         self.focal = np.array([np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) for camera in cameras])
         self.identity = np.broadcast_to(np.eye(4), (len(cameras), 4, 4))
@@ -62,19 +67,40 @@ class Views:
         """The same recording with only the corners of a mask (n,)."""
         some = copy(self)
         some.observations, some.ideal, some.covariance, some.normals = (
-            self.observations.take(mask), self.ideal[mask], self.covariance[mask], self.normals[mask])
+            self.observations.take(mask),
+            self.ideal[mask],
+            self.covariance[mask],
+            self.normals[mask],
+        )
         return some
 
-    def locate(self, rows: np.ndarray, T_camera_world: np.ndarray, ideal: np.ndarray | None = None) -> Located | Unsolved:
+    def locate(
+        self, rows: np.ndarray, T_camera_world: np.ndarray, ideal: np.ndarray | None = None
+    ) -> Located | Unsolved:
         """Located or Unsolved from the observations' rows. T_camera_world : (c, 4, 4)."""
         o = self.observations
         ideal = self.ideal[rows] if ideal is None else ideal
-        return locate(View(o.points[rows], self.normals[rows], ideal, self.covariance[rows], o.camera[rows], o.marker[rows],
-                           o.corner[rows], self.focal, T_camera_world), self.map, self.finest)
+        return locate(
+            View(
+                o.points[rows],
+                self.normals[rows],
+                ideal,
+                self.covariance[rows],
+                o.camera[rows],
+                o.marker[rows],
+                o.corner[rows],
+                self.focal,
+                T_camera_world,
+            ),
+            self.map,
+            self.finest,
+        )
 
 
 def locate_fixed_cameras(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
-    """{camera index: T_base_camera} of the fixed cameras, from the base's corners, the median over all frames of each."""
+    """{camera index: T_base_camera} of the fixed cameras, from the base's corners, the median over all frames of
+    each.
+    """
     o, found = views.observations, {}
     for i, camera in enumerate(cameras):
         if camera.mount == "moving":
@@ -90,8 +116,9 @@ def locate_fixed_cameras(views: Views, cameras: Sequence[Camera]) -> dict[int, R
 
 
 def locate_cameras_by_body(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
-    """{camera index: T_base_camera} of fixed cameras that see no base, from the body itself, which each locates by itself: where they stand to
-    each other, the middle over the frames that they share with one of them, and all together where they are stated, in the mean.
+    """{camera index: T_base_camera} of fixed cameras that see no base, from the body itself, which each locates by
+    itself: where they stand to each other, the middle over the frames that they share with one of them, and all
+    together where they are stated, in the mean.
 
     Nothing where fewer than two share SHARED frames or some camera sees the base or moves.
     """
@@ -119,9 +146,14 @@ def locate_cameras_by_body(views: Views, cameras: Sequence[Camera]) -> dict[int,
     return {i: RigidTransform.from_components(shift, turn) * T for i, T in found.items()}
 
 
-def locate_frames(views: Views, cameras: Sequence[Camera], t: np.ndarray | None = None,
-                  progress: Callable[[int, int], None] | None = None) -> Frames:
-    """Frames of all that can be located. t : (F,) s; with it, a sighting that stands alone is held against its neighbours in time.
+def locate_frames(
+    views: Views,
+    cameras: Sequence[Camera],
+    t: np.ndarray | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Frames:
+    """Frames of all that can be located. t : (F,) s; with it, a sighting that stands alone is held against its
+    neighbours in time.
 
     progress : called with (done, of), or None
     """
@@ -134,7 +166,9 @@ def locate_frames(views: Views, cameras: Sequence[Camera], t: np.ndarray | None 
     for i, camera in enumerate(cameras):
         if camera.mount != "moving":
             continue
-        calls = [(f, rows[~o.on_platform[rows] & (o.camera[rows] == i)], views.identity) for f, rows in enumerate(rows_of)]
+        calls = [
+            (f, rows[~o.on_platform[rows] & (o.camera[rows] == i)], views.identity) for f, rows in enumerate(rows_of)
+        ]
         found, alone, why = _decided(_answers(views, calls), t)
         moving[i] = {f: inverse(matrix) for f, matrix in found.items()}
         vouched |= {(f, i) for f in alone}
@@ -159,16 +193,23 @@ def locate_frames(views: Views, cameras: Sequence[Camera], t: np.ndarray | None 
     return Frames(poses, moving, unsolved | why, vouched | {(f, PLATFORM) for f in alone})
 
 
-def _answers(views: Views, calls: Sequence[Call], progress: Callable[[int, int], None] | None = None) -> dict[int, Located | Unsolved]:
+def _answers(
+    views: Views, calls: Sequence[Call], progress: Callable[[int, int], None] | None = None
+) -> dict[int, Located | Unsolved]:
     """{frame: Located or Unsolved} of calls, on all cores where they are many."""
     parts = [calls[at : at + TOGETHER] for at in range(0, len(calls), TOGETHER)]
-    found = parallel_map(lambda part: [views.locate(rows, T) for _, rows, T in part], parts,
-                         progress and (lambda done, of: progress(min(done * TOGETHER, len(calls)), len(calls))))
+    found = parallel_map(
+        lambda part: [views.locate(rows, T) for _, rows, T in part],
+        parts,
+        progress and (lambda done, of: progress(min(done * TOGETHER, len(calls)), len(calls))),
+    )
     return {f: answer for part, answers in zip(parts, found) for (f, _, _), answer in zip(part, answers)}
 
 
 def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tuple[Poses, set[int], dict[int, str]]:
-    """({frame: (4, 4) T_world_body}, frames decided by their neighbours, {frame: reason}) of {frame: Located or Unsolved}."""
+    """({frame: (4, 4) T_world_body}, frames decided by their neighbours, {frame: reason}) of {frame: Located or
+    Unsolved}.
+    """
     found = {f: answer.matrix for f, answer in answers.items() if answer}
     why = {f: answer.reason for f, answer in answers.items() if not answer}
     chosen = {}
@@ -176,8 +217,13 @@ def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tu
         for f, reason in pose_outliers(found, t).items():
             del found[f]
             why[f] = reason
-        doubtful: dict[int, Sequence[np.ndarray]] = {f: [one.matrix for one in answer.candidates]
-                                                     for f, answer in answers.items() if not answer and answer.candidates}
+        doubtful: dict[int, Sequence[np.ndarray]] = {
+            f: [one.matrix for one in answer.candidates]
+            for f, answer in answers.items()
+            if not answer and answer.candidates
+        }
         chosen = choose_by_neighbours(found, doubtful, t)
-        why.update({f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen})
+        why.update(
+            {f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen}
+        )
     return found | chosen, set(chosen), {f: reason for f, reason in why.items() if f not in chosen}

@@ -1,4 +1,6 @@
-"""A pose refined on all corners of a body at once, compiled: Gauss-Newton whose robust weights come down with the residuals' own scale."""
+"""A pose refined on all corners of a body at once, compiled: Gauss-Newton whose robust weights come down with the
+residuals' own scale.
+"""
 
 import numpy as np
 
@@ -14,13 +16,25 @@ AHEAD = 1e-6  # m; what is nearer to the camera's plane is behind it
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def refine(corners: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], to_camera: np.ndarray, focal: np.ndarray, matrix: np.ndarray,
-           inliers: np.ndarray, least: float, J: np.ndarray, square: np.ndarray) -> float:
-    """The robust scale at the optimum, whitened, or NaN where there is none; matrix (4, 4) T_world_body and inliers (n,) bool become those there.
+def refine(
+    corners: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    to_camera: np.ndarray,
+    focal: np.ndarray,
+    matrix: np.ndarray,
+    inliers: np.ndarray,
+    least: float,
+    J: np.ndarray,
+    square: np.ndarray,
+) -> float:
+    """The robust scale at the optimum, whitened, or NaN where there is none; matrix (4, 4) T_world_body and inliers
+    (n,) bool become those there.
 
-    corners : (points (n, 3) m in the body, ideal (n, 2), their covariance (n, 2, 2), camera (n,)); to_camera : (c, 4, 4) T_camera_world
-    focal : (c,) px; least : px, the scale's floor; J : (n, 2, 6) filled with the whitened derivatives, square : (n,) with the squares
-    Raises LinAlgError for a step that nothing determines. Geman-McClure weights at first, then a plain fit of the inliers.
+    corners : (points (n, 3) m in the body, ideal (n, 2), their covariance (n, 2, 2), camera (n,)); to_camera : (c, 4,
+        4) T_camera_world
+    focal : (c,) px; least : px, the scale's floor; J : (n, 2, 6) filled with the whitened derivatives, square : (n,)
+        with the squares
+    Raises LinAlgError for a step that nothing determines. Geman-McClure weights at first, then a plain fit of the
+        inliers.
     """
     points, ideal, covariance, camera = corners
     n = len(points)
@@ -58,8 +72,12 @@ def refine(corners: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], to_ca
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _roots(covariance: np.ndarray, focal: np.ndarray, camera: np.ndarray, seen: np.ndarray, root: np.ndarray, least: float) -> float:
-    """Into root (n, 3) the lower triangle (11, 21, 22) of each covariance's inverse square root. Returns least px in units of the typical corner."""
+def _roots(
+    covariance: np.ndarray, focal: np.ndarray, camera: np.ndarray, seen: np.ndarray, root: np.ndarray, least: float
+) -> float:
+    """Into root (n, 3) the lower triangle (11, 21, 22) of each covariance's inverse square root. Returns least px in
+    units of the typical corner.
+    """
     typical = np.zeros(len(camera))
     for i in range(len(camera)):
         a, b, c = (covariance[i, 0, 0], covariance[i, 1, 0], covariance[i, 1, 1]) if seen[i] else (1.0, 0.0, 1.0)
@@ -72,9 +90,17 @@ def _roots(covariance: np.ndarray, focal: np.ndarray, camera: np.ndarray, seen: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _linearise(corners: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], to_camera: np.ndarray, matrix: np.ndarray, root: np.ndarray,
-               r: np.ndarray, J: np.ndarray) -> bool:
-    """Whitened residuals into r (n, 2) and derivatives into J (n, 2, 6) at a pose; returns whether all corners are ahead of their cameras."""
+def _linearise(
+    corners: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    to_camera: np.ndarray,
+    matrix: np.ndarray,
+    root: np.ndarray,
+    r: np.ndarray,
+    J: np.ndarray,
+) -> bool:
+    """Whitened residuals into r (n, 2) and derivatives into J (n, 2, 6) at a pose; returns whether all corners are
+    ahead of their cameras.
+    """
     points, ideal, _, camera = corners
     both = np.zeros((len(to_camera), 3, 4))
     for c in range(len(to_camera)):

@@ -1,4 +1,6 @@
-"""What a run's frames say of the cameras and markers themselves: a camera that was knocked, a marker that is covered, what cannot be solved."""
+"""What a run's frames say of the cameras and markers themselves: a camera that was knocked, a marker that is covered,
+what cannot be solved.
+"""
 
 from collections import defaultdict
 from dataclasses import dataclass
@@ -8,16 +10,22 @@ import numpy as np
 from rig.model.design import Design
 from vision.reading.live_measurement import Sight
 
-SHIFT = 8.0  # standard deviations of a corner by which the base's markers, all together, are off once a camera has moved
+SHIFT = (
+    8.0  # standard deviations of a corner by which the base's markers, all together, are off once a camera has moved
+)
 LEAST = 0.1  # px, and at least so much: what the pixel grid does to a marker comes and goes with its place
 FEWEST = 2  # base markers that must show it
-CHANCE = 1e-4  # of a marker's being missed so often in a row by what has been seen of it, below which something covers it
+CHANCE = (
+    1e-4  # of a marker's being missed so often in a row by what has been seen of it, below which something covers it
+)
 TOGETHER = 1e-6  # the same of all markers of a camera that are missed in one frame
 
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """Something that an operator should know at once. kind : "camera", "covered", "unseen", "jump", "drift" or "limbs"; text : in words."""
+    """Something that an operator should know at once. kind : "camera", "covered", "unseen", "jump", "drift" or "limbs";
+    text : in words.
+    """
 
     kind: str
     text: str
@@ -35,15 +43,25 @@ class Watch:
         self._said: set[tuple[str, str]] = set()
 
     def look(self, sight: Sight, noise: float | None) -> list[Alarm]:
-        """Alarms that a sight gives cause for. noise : px of a corner, None while the cameras have not been adjusted."""
+        """Alarms that a sight gives cause for. noise : px of a corner, None while the cameras have not been
+        adjusted.
+        """
         found = {}
-        if sight.T_base_platform is None and noise is not None:  # before, cameras stand where they are stated, which may solve nothing
+        if (
+            sight.T_base_platform is None and noise is not None
+        ):  # before, cameras stand where they are stated, which may solve nothing
             found["unseen", "frame"] = f"frame {sight.frame} has no pose: {sight.reason}"
         if noise is not None:
             found |= self._moved(sight, noise)
         found |= self._covered(sight)
-        fresh = [Alarm(kind, text) for (kind, what), text in found.items() if (kind, what) not in self._said or kind == "unseen"]
-        self._said = set(found) | {key for key in self._said if key[0] == "camera"}  # a camera does not come back by itself
+        fresh = [
+            Alarm(kind, text)
+            for (kind, what), text in found.items()
+            if (kind, what) not in self._said or kind == "unseen"
+        ]
+        self._said = set(found) | {
+            key for key in self._said if key[0] == "camera"
+        }  # a camera does not come back by itself
         return fresh
 
     def _moved(self, sight: Sight, noise: float) -> dict[tuple[str, str], str]:
@@ -55,9 +73,11 @@ class Watch:
                 continue
             size = float(np.median(np.linalg.norm(sight.residuals[rows], axis=1)))
             if size > limit:
-                found["camera",
-                      name] = (f"frame {sight.frame}: camera {name!r} has moved, or its lens has: the base's markers are off by {size:.2f} px "
-                                         f"({limit:.2f} px is allowed)")
+                found["camera", name] = (
+                    f"frame {sight.frame}: camera {name!r} has moved, or its lens has: the base's markers "
+                    f"are off by {size:.2f} px "
+                    f"({limit:.2f} px is allowed)"
+                )
         return found
 
     def _covered(self, sight: Sight) -> dict[tuple[str, str], str]:
@@ -67,7 +87,9 @@ class Watch:
             read, missing, together = set(detection.marker.tolist()), [], 1.0
             for number in sight.expected.get(name, ()):
                 key = (name, number)
-                often = (self._missed[key] + 1) / (self._missed[key] + self._seen[key] + 2)  # Laplace's rule of succession
+                often = (self._missed[key] + 1) / (
+                    self._missed[key] + self._seen[key] + 2
+                )  # Laplace's rule of succession
                 if number in read:
                     self._seen[key] += 1
                     self._row[key] = 0
@@ -75,14 +97,18 @@ class Watch:
                 self._row[key] += 1
                 chance = often ** self._row[key]
                 if chance < CHANCE:
-                    found["covered", f"{name} {number}"] = (f"frame {sight.frame}: marker {number} in camera {name!r} has not been seen in "
-                                                            f"{self._row[key]} frames, where it always was before: is it covered?")
+                    found["covered", f"{name} {number}"] = (
+                        f"frame {sight.frame}: marker {number} in camera {name!r} has not been seen in "
+                        f"{self._row[key]} frames, where it always was before: is it covered?"
+                    )
                 else:  # what explains a marker's absence is not counted as its habit
                     missing.append(number)
                     together *= often
                     self._missed[key] += 1
             if together < TOGETHER:
                 text = ", ".join(map(str, missing))
-                found["covered",
-                      name] = f"frame {sight.frame}: markers {text} are not seen in camera {name!r}, all at once: does something stand in front?"
+                found["covered", name] = (
+                    f"frame {sight.frame}: markers {text} are not seen in camera {name!r}, all at once: does "
+                    "something stand in front?"
+                )
         return found

@@ -1,7 +1,7 @@
 """Corners placed once more by the lens as measured, where the one that they were placed by bends markers otherwise.
 
-A marker is fitted as a whole, its sides bent as the lens bends them: a lens as its owner states it, a thousandth off, moves the corners of a
-large marker by some thousandths of a pixel, the same in every image where it stands there.
+A marker is fitted as a whole, its sides bent as the lens bends them: a lens as its owner states it, a thousandth off,
+moves the corners of a large marker by some thousandths of a pixel, the same in every image where it stands there.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +27,9 @@ STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretc
 
 
 def lens_difference(corners: Corners, placed_by: Mapping[str, Camera], cameras: Sequence[Camera]) -> float:
-    """px by which lenses as measured bend some marker otherwise than those that it was placed by. corners : all four of every marker"""
+    """px by which lenses as measured bend some marker otherwise than those that it was placed by. corners : all four of
+    every marker
+    """
     most, names, centres = 0.0, np.array(corners.camera)[::4], local_lens.local_centres(corners.uv.reshape(-1, 4, 2))
     for camera in cameras:
         own = centres[names == camera.name]
@@ -40,21 +42,34 @@ def lens_difference(corners: Corners, placed_by: Mapping[str, Camera], cameras: 
     return most
 
 
-def refit_corners(recording: Recording, collected: Collected, cameras: Sequence[Camera], marker_map: MarkerMap,
-                progress: Callable[[int, int], None] | None = None) -> Collected:
+def refit_corners(
+    recording: Recording,
+    collected: Collected,
+    cameras: Sequence[Camera],
+    marker_map: MarkerMap,
+    progress: Callable[[int, int], None] | None = None,
+) -> Collected:
     """Collected with every marker placed once more, from where it was found, by cameras as measured.
 
     Raises FileError naming the image that cannot be decoded
     """
     lenses, seen = {camera.name: camera for camera in cameras}, by_image(collected.corners)
-    images = [(int(frame), camera, name, Read(*seen[int(frame), camera])) for frame, camera, name in
-              zip(recording.exposures.frame, recording.exposures.camera, recording.exposures.image) if name and (int(frame), camera) in seen]
+    images = [
+        (int(frame), camera, name, Read(*seen[int(frame), camera]))
+        for frame, camera, name in zip(recording.exposures.frame, recording.exposures.camera, recording.exposures.image)
+        if name and (int(frame), camera) in seen
+    ]
     folder, spread = shared_path(recording.folder), collected.spread
 
     def one(image: tuple[int, str, str, Read]) -> Detection:
         _, camera, name, read = image
         return fit_read_markers(
-            grey_image(read_image(folder / name), False)[1], lenses[camera], marker_map, read, spread.get(camera, PLAIN), reach=0.0
+            grey_image(read_image(folder / name), False)[1],
+            lenses[camera],
+            marker_map,
+            read,
+            spread.get(camera, PLAIN),
+            reach=0.0,
         )
 
     found = map_images_in_processes(one, images, progress)

@@ -1,4 +1,6 @@
-"""Where markers ought to be in images not yet read: cameras as some frames have taught them, poses from the command or the frame before."""
+"""Where markers ought to be in images not yet read: cameras as some frames have taught them, poses from the command or
+the frame before.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,32 +27,39 @@ LEAST = 4  # frames that teach anything
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Expectation:
-    """cameras : as adjusted to the frames that taught; markers : MarkerMap; commanded : {frame: T_base_platform}, empty where commands
-    do not tell where the platform is: then the frame before does."""
+    """cameras : as adjusted to the frames that taught; markers : MarkerMap; commanded : {frame: T_base_platform}, empty
+    where commands do not tell where the platform is: then the frame before does."""
 
     cameras: tuple[Camera, ...]
     markers: MarkerMap
     commanded: dict[int, RigidTransform]
 
     def camera(self, name: str) -> Camera | None:
-        """The camera of that name, or None for one that moves: where it stands is not known before its image is read."""
+        """The camera of that name, or None for one that moves: where it stands is not known before its image is
+        read.
+        """
         return next((camera for camera in self.cameras if camera.name == name and camera.mount != "moving"), None)
 
     def locate(self, corners: Corners, frame: int, design: Design) -> RigidTransform | None:
         """T_base_platform of a frame from its Corners alone, or None."""
         observations = observations_from_corners(corners, np.array([frame]), design, self.markers)
-        poses = locate_frames(Views(observations, self.cameras, self.markers, FINEST), self.cameras).poses if len(observations) else {}
+        poses = (
+            locate_frames(Views(observations, self.cameras, self.markers, FINEST), self.cameras).poses
+            if len(observations)
+            else {}
+        )
         return RigidTransform.from_matrix(poses[0]) if 0 in poses else None
 
 
 def learn_expectation(
     recording: Recording, corners: Corners, correlation: np.ndarray, repeated: Sequence[int], markers: MarkerMap
 ) -> Expectation | None:
-    """Expectation from the corners of some frames, searched for in whole images; None where they do not show the rig as stated.
+    """Expectation from the corners of some frames, searched for in whole images; None where they do not show the rig as
+    stated.
 
     corners, correlation : Corners and (n, 2, 8); repeated : identities that one of those images shows twice
-    What is not as stated (a marker exchanged, turned, printed twice, frames that are not solved) must be looked for in every image, and so must
-    what is on the stages of a chain, one of whose bodies does not say where the others are.
+    What is not as stated (a marker exchanged, turned, printed twice, frames that are not solved) must be looked for in
+    every image, and so must what is on the stages of a chain, one of whose bodies does not say where the others are.
     """
     frames, design = np.unique(corners.frame), recording.design
     if len(frames) < LEAST or len(repeated) or markers.stage.any():
@@ -65,7 +74,9 @@ def learn_expectation(
 
 
 def _commanded(recording: Recording, m: Measurement, frames: np.ndarray) -> dict[int, RigidTransform]:
-    """{frame: pose} that the commands say, brought to the frames measured; empty where that is not where the platform is seen."""
+    """{frame: pose} that the commands say, brought to the frames measured; empty where that is not where the platform
+    is seen.
+    """
     if recording.commands is None or recording.design.mechanism.kind != "hexapod":
         return {}
     numbers, _, values = recording.commanded()
@@ -80,5 +91,7 @@ def _commanded(recording: Recording, m: Measurement, frames: np.ndarray) -> dict
     here = State(m.design.cameras, T[at], m.adjustment.state.moving)
     miss = ((o.uv - predict(o, here)[0]) ** 2).sum(axis=1)[m.inliers & o.on_platform]
     count = np.bincount(o.frame[m.inliers & o.on_platform], minlength=len(frames))
-    rms = np.sqrt(np.bincount(o.frame[m.inliers & o.on_platform], weights=miss, minlength=len(frames)) / np.maximum(count, 1))
+    rms = np.sqrt(
+        np.bincount(o.frame[m.inliers & o.on_platform], weights=miss, minlength=len(frames)) / np.maximum(count, 1)
+    )
     return dict(zip(numbers.tolist(), T)) if (rms < WORTH_FOLLOWING).all() else {}

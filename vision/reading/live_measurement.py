@@ -1,11 +1,13 @@
-"""A recording measured while it grows: every frame's corners and pose as it comes, cameras adjusted to the frames so far now and then.
+"""A recording measured while it grows: every frame's corners and pose as it comes, cameras adjusted to the frames so
+far now and then.
 
-The first frames' images are searched whole; from then on only the places are read where markers ought to be. Between two
-adjustments the cameras are held, so that one that has moved shows. Adjusting takes seconds and is done beside: frames that come
-meanwhile are measured with the cameras as they were.
+The first frames' images are searched whole; from then on only the places are read where markers ought to be. Between
+two adjustments the cameras are held, so that one that has moved shows. Adjusting takes seconds and is done beside:
+frames that come meanwhile are measured with the cameras as they were.
 
-A marker is fitted as a whole, its sides bent as the lens bends them: the first images are placed once more by the lens as measured, until that
-bends no marker otherwise. Else what the stated lens did to their corners would be in all poses to come.
+A marker is fitted as a whole, its sides bent as the lens bends them: the first images are placed once more by the lens
+as measured, until that bends no marker otherwise. Else what the stated lens did to their corners would be in all poses
+to come.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -40,9 +42,12 @@ TAUGHT = (6, 12, 24, 48, 96)  # solved frames after which cameras are adjusted t
 class Sight:
     """What one frame shows. T_base_platform : None where it is not solved, then `reason` says why.
 
-    covariance : (6, 6) on the right, None too while the cameras have not been adjusted: their share is not known before that
-    observations : Observations of this frame alone; residuals : (n, 2) px against the pose and the cameras held, NaN where unsolved
-    inliers : (n,) bool; detections : {camera: Detection}; expected : {camera: identities that ought to be seen at the pose}
+    covariance : (6, 6) on the right, None too while the cameras have not been adjusted: their share is not known before
+        that
+    observations : Observations of this frame alone; residuals : (n, 2) px against the pose and the cameras held, NaN
+        where unsolved
+    inliers : (n,) bool; detections : {camera: Detection}; expected : {camera: identities that ought to be seen at the
+        pose}
     """
 
     frame: int
@@ -57,22 +62,42 @@ class Sight:
 
 
 def sight_from_limbs(frame: int, T_base_platform: RigidTransform, covariance: np.ndarray) -> Sight:
-    """Sight of a frame whose pose others told, with its covariance (6, 6), m and rad on the right: no camera looked at it."""
-    return Sight(frame, T_base_platform, covariance, "", observations_without_corners(frame), np.zeros((0, 2)), np.zeros(0, bool), {}, {})
+    """Sight of a frame whose pose others told, with its covariance (6, 6), m and rad on the right: no camera looked at
+    it.
+    """
+    return Sight(
+        frame,
+        T_base_platform,
+        covariance,
+        "",
+        observations_without_corners(frame),
+        np.zeros((0, 2)),
+        np.zeros(0, bool),
+        {},
+        {},
+    )
 
 
 def sight_from_hand(sight: Sight) -> Sight:
-    """The Sight of a base that was seen from the platform: where the platform stands, by the inverse, with its covariance."""
+    """The Sight of a base that was seen from the platform: where the platform stands, by the inverse, with its
+    covariance.
+    """
     T = sight.T_base_platform
     if T is None:
         return sight
     inverted = adjoint(T)
-    return replace(sight, T_base_platform=T.inv(), covariance=None if sight.covariance is None else inverted @ sight.covariance @ inverted.T)
+    return replace(
+        sight,
+        T_base_platform=T.inv(),
+        covariance=None if sight.covariance is None else inverted @ sight.covariance @ inverted.T,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Adjusted:
-    """What an adjustment came to. again : {(frame, camera): Detection} placed anew; spread : {camera: Spread}, both empty where not learnt anew."""
+    """What an adjustment came to. again : {(frame, camera): Detection} placed anew; spread : {camera: Spread}, both
+    empty where not learnt anew.
+    """
 
     measurement: Measurement | None
     spread: dict[str, Spread]
@@ -80,12 +105,16 @@ class _Adjusted:
 
 
 class Live:
-    """The measuring of one run. design : Design as stated, one whose cameras are in the hand as seen from there (see vision.hand_mounted_cameras)
+    """The measuring of one run. design : Design as stated, one whose cameras are in the hand as seen from there (see
+    vision.hand_mounted_cameras)
     cameras : as adjusted so far; noise : px of a corner, None before that."""
 
     def __init__(self, design: Design) -> None:
         if not design.cameras or not design.targets:
-            raise NotEnoughData(f"measuring takes a camera and a target at least; rig.toml has {len(design.cameras)} and {len(design.targets)}")
+            raise NotEnoughData(
+                f"measuring takes a camera and a target at least; rig.toml has {len(design.cameras)} and "
+                f"{len(design.targets)}"
+            )
         self._held = has_hand_cameras(design)
         design = design_seen_from_hand(design) if self._held else design.without_stages()
         self.design, self.markers = design, marker_map(design)
@@ -94,22 +123,37 @@ class Live:
         self._rows: list[tuple[int, str, Detection]] = []
         self._solved, self._factor = 0, 1.0
         self._measurement: Measurement | None = None
-        self._first: list[tuple[int, str, np.ndarray]] = []  # images from which the cameras' edges are learnt; none once they are
+        self._first: list[
+            tuple[int, str, np.ndarray]
+        ] = []  # images from which the cameras' edges are learnt; none once they are
         self._spread = {camera.name: PLAIN for camera in design.cameras}
         self._pool, self._beside = ThreadPoolExecutor(worker_count()), ThreadPoolExecutor(1)
         self._adjusting: Future[_Adjusted] | None = None
         self._told = 0  # frames of the last adjustment that was begun
 
     def take(self, frame: int, images: dict[str, np.ndarray], T_expected: RigidTransform | None = None) -> Sight:
-        """The sight of a frame. images : {camera: as cv2 reads it}; T_expected : where the platform ought to be, or None."""
+        """The sight of a frame. images : {camera: as cv2 reads it}; T_expected : where the platform ought to be, or
+        None.
+        """
         self._adopt()
         if self._held and T_expected is not None:
             T_expected = T_expected.inv()
         by_name = {camera.name: camera for camera in self.cameras}
         adjusted = self._measurement is not None and T_expected is not None
-        work = [(name, self._pool.submit(detect_markers, image, by_name[name], self.markers, self._spread[name],
-                                         T_expected if adjusted and by_name[name].mount == "fixed" else None))
-                for name, image in images.items()]
+        work = [
+            (
+                name,
+                self._pool.submit(
+                    detect_markers,
+                    image,
+                    by_name[name],
+                    self.markers,
+                    self._spread[name],
+                    T_expected if adjusted and by_name[name].mount == "fixed" else None,
+                ),
+            )
+            for name, image in images.items()
+        ]
         detections = {name: future.result() for name, future in work}
         rows = [(frame, name, detection) for name, detection in detections.items()]
         self._rows += rows
@@ -120,11 +164,15 @@ class Live:
         return sight_from_hand(sight) if self._held else sight
 
     def adjust(self) -> None:
-        """Begin to adjust cameras to all frames so far where it is time to; what comes of it is taken over with a frame to come."""
+        """Begin to adjust cameras to all frames so far where it is time to; what comes of it is taken over with a frame
+        to come.
+        """
         due = max((count for count in TAUGHT if count <= self._solved), default=0)
         if due > self._told and self._adjusting is None:
             self._told = due
-            self._adjusting = self._beside.submit(self._adjusted, tuple(self._rows), tuple(self._first), {c.name: c for c in self.cameras})
+            self._adjusting = self._beside.submit(
+                self._adjusted, tuple(self._rows), tuple(self._first), {c.name: c for c in self.cameras}
+            )
             self._first = self._first if self._measurement is None else []
 
     def _adopt(self) -> None:
@@ -140,23 +188,40 @@ class Live:
             self.cameras, self.noise, self._factor = m.design.cameras, m.noise, m.factor
 
     def _adjusted(self, rows: Rows, first: Images, cameras: dict[str, Camera]) -> _Adjusted:
-        """Cameras adjusted to all of some rows. first : images from which to learn how each camera's edges look and which are placed once more,
-        or none; cameras : {name: Camera} by which these are placed at first"""
+        """Cameras adjusted to all of some rows. first : images from which to learn how each camera's edges look and
+        which are placed once more, or none; cameras : {name: Camera} by which these are placed at first"""
         full = {(frame, name): grey_image(image)[1] for frame, name, image in first}
         seen = {(frame, name): detection for frame, name, detection in rows if (frame, name) in full}
-        spread = {name: learn_spread([(full[key], d.read) for key, d in seen.items() if key[1] == name], camera, self.markers)
-                  for name, camera in cameras.items() if any(key[1] == name for key in seen)}
+        spread = {
+            name: learn_spread([(full[key], d.read) for key, d in seen.items() if key[1] == name], camera, self.markers)
+            for name, camera in cameras.items()
+            if any(key[1] == name for key in seen)
+        }
         measurement, again, placed_by = None, dict[tuple[int, str], Detection](), cameras
         for _ in range(1 + (ROUNDS if seen else 0)):
-            again = {key: fit_read_markers(full[key], placed_by[key[1]], self.markers, d.read, spread[key[1]], 0.0 if again else REACH)
-                     for key, d in (again or seen).items()}
-            corners, correlation = corners_of([(frame, name, again.get((frame, name), detection)) for frame, name, detection in rows])
-            observed = observations_from_corners(corners, np.unique(corners.frame), self.design, self.markers, correlation)
+            again = {
+                key: fit_read_markers(
+                    full[key], placed_by[key[1]], self.markers, d.read, spread[key[1]], 0.0 if again else REACH
+                )
+                for key, d in (again or seen).items()
+            }
+            corners, correlation = corners_of(
+                [(frame, name, again.get((frame, name), detection)) for frame, name, detection in rows]
+            )
+            observed = observations_from_corners(
+                corners, np.unique(corners.frame), self.design, self.markers, correlation
+            )
             try:
                 measurement = measure(observed, self.design, self.markers)
             except NotEnoughData:
                 return _Adjusted(None, spread, again)
-            if not seen or lens_difference(corners_of([(*key, d) for key, d in again.items()])[0], placed_by, measurement.design.cameras) < SETTLED:
+            if (
+                not seen
+                or lens_difference(
+                    corners_of([(*key, d) for key, d in again.items()])[0], placed_by, measurement.design.cameras
+                )
+                < SETTLED
+            ):
                 break
             placed_by = {camera.name: camera for camera in measurement.design.cameras}
         return _Adjusted(measurement, spread, again)
@@ -172,9 +237,17 @@ class Live:
         corners, correlation = corners_of(rows)
         observed = observations_from_corners(corners, np.array([frame]), self.design, self.markers, correlation)
         observed = replace(observed, covariance=observed.covariance * self._factor)
-        nothing = Sight(frame, None, None, "no marker of the rig is seen", observed, np.full((len(observed), 2), np.nan),
-                        np.zeros(len(observed), bool),
-                        detections, {})
+        nothing = Sight(
+            frame,
+            None,
+            None,
+            "no marker of the rig is seen",
+            observed,
+            np.full((len(observed), 2), np.nan),
+            np.zeros(len(observed), bool),
+            detections,
+            {},
+        )
         if not len(observed):
             return nothing
         cameras = self.cameras if self._measurement is not None else self._resected(corners)
@@ -185,14 +258,25 @@ class Live:
         T = RigidTransform.from_matrix(found.poses[0])
         state = State(cameras, found.all_poses(1), found.all_moving(1))
         on = np.flatnonzero(observed.on_platform)
-        T_camera_base = np.array([state.moving[i][0].inv().as_matrix() if i in state.moving else camera.pose.inv().as_matrix()
-                                  for i, camera in enumerate(cameras)])
+        T_camera_base = np.array(
+            [
+                state.moving[i][0].inv().as_matrix() if i in state.moving else camera.pose.inv().as_matrix()
+                for i, camera in enumerate(cameras)
+            ]
+        )
         located = views.locate(on, T_camera_base)
         inliers = np.ones(len(observed), bool)
         inliers[on] = located.inliers if located else True
         residuals = observed.uv - predict(observed, state)[0]
-        return replace(nothing, T_base_platform=T, covariance=self._uncertain(T, located.covariance) if located else None, reason="",
-                       residuals=residuals, inliers=inliers, expected={name: self._ought(cameras, name, T) for name in detections})
+        return replace(
+            nothing,
+            T_base_platform=T,
+            covariance=self._uncertain(T, located.covariance) if located else None,
+            reason="",
+            residuals=residuals,
+            inliers=inliers,
+            expected={name: self._ought(cameras, name, T) for name in detections},
+        )
 
     def _resected(self, corners: Corners) -> tuple[Camera, ...]:
         """Cameras where their own images of the base's markers put them, before they are adjusted."""
@@ -206,7 +290,9 @@ class Live:
         return tuple(self.markers.id[expected(camera, T, self.markers)[0]].tolist()) if camera.mount == "fixed" else ()
 
     def _uncertain(self, T: RigidTransform, own: np.ndarray) -> np.ndarray | None:
-        """(6, 6) a pose's own covariance and what the cameras' adds, as it is at the nearest pose to which they were adjusted."""
+        """(6, 6) a pose's own covariance and what the cameras' adds, as it is at the nearest pose to which they were
+        adjusted.
+        """
         m = self._measurement
         if m is None:
             return None

@@ -1,7 +1,9 @@
-"""Markers that are not what rig.toml says: turned, exchanged, mirrored, printed twice, of another dictionary. Told from where they are seen.
+"""Markers that are not what rig.toml says: turned, exchanged, mirrored, printed twice, of another dictionary. Told from
+where they are seen.
 
-A sighting most of whose corners were set aside is held against every place that a marker of the rig has, in every turn and
-mirrored: a marker that is mostly seen where something else should be is that. Nothing is mended here; the sightings stay set aside.
+A sighting most of whose corners were set aside is held against every place that a marker of the rig has, in every turn
+and mirrored: a marker that is mostly seen where something else should be is that. Nothing is mended here; the sightings
+stay set aside.
 """
 
 from collections import Counter
@@ -24,8 +26,18 @@ MOST = 40  # sightings of a marker that are held against all places
 LOOKED_AT = 4  # images in which a marker that is never seen is looked for, and dictionaries are tried
 _TURNS = np.array([[(k + q) % 4 for k in range(4)] for q in range(4)])
 _ORDERS = np.concatenate([_TURNS, _TURNS[:, ::-1]])  # (8, 4): turned by so many quarters; then mirrored as well
-_FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5",
-             "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11", "DICT_ARUCO_MIP_36h12")
+_FAMILIES = (
+    "DICT_4X4_1000",
+    "DICT_5X5_1000",
+    "DICT_6X6_1000",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_25h9",
+    "DICT_APRILTAG_36h10",
+    "DICT_APRILTAG_36h11",
+    "DICT_ARUCO_MIP_36h12",
+)
 
 
 ReadImage = Callable[[int, str], np.ndarray | None]  # see `suspects`
@@ -35,9 +47,10 @@ ReadImage = Callable[[int, str], np.ndarray | None]  # see `suspects`
 class Suspect:
     """A marker that disagrees with rig.toml.
 
-    marker : identity; kind : "turned", "mirrored", "elsewhere", "exchanged", "twice", "other" or "askew"; other : identity of the
-    marker whose place it has, or that has its place, or -1; turn : quarters counter-clockwise seen from outside; like : sightings
-    of `of` that look so
+    marker : identity; kind : "turned", "mirrored", "elsewhere", "exchanged", "twice", "other" or "askew";
+        other : identity of the
+    marker whose place it has, or that has its place, or -1; turn : quarters counter-clockwise seen from outside;
+    like : sightings of `of` that look so
     """
 
     marker: int
@@ -51,34 +64,53 @@ class Suspect:
         quarters = f"turned by {self.turn} quarter{'s' * (self.turn > 1)} counter-clockwise"
         turned = f", {quarters}" if self.turn else ""
         share = f" in {self.like} of {self.of} sightings"
-        return f"marker {self.marker}: " + {
-            "turned": f"is {quarters}{share}",
-            "mirrored": f"has its corners in mirrored order{share}",
-            "elsewhere": f"sits where marker {self.other} should{turned}{share}",
-            "exchanged": f"is exchanged with marker {self.other}{turned}: it sits there{share}",
-            "twice": f"is there more than once in {self.like} images: which is meant cannot be told, none is used",
-            "other": f"is never seen; in {self.like} of {self.of} images looked at, marker {self.other} is in its place",
-            "askew": f"is set aside{share}, and no place or turn of another explains it: a face askew, a wrong size or position in rig.toml",
-        }[self.kind]
+        return (
+            f"marker {self.marker}: "
+            + {
+                "turned": f"is {quarters}{share}",
+                "mirrored": f"has its corners in mirrored order{share}",
+                "elsewhere": f"sits where marker {self.other} should{turned}{share}",
+                "exchanged": f"is exchanged with marker {self.other}{turned}: it sits there{share}",
+                "twice": f"is there more than once in {self.like} images: which is meant cannot be told, none is used",
+                "other": f"is never seen; in {self.like} of {self.of} images looked at, marker {self.other} is in its "
+                "place",
+                "askew": f"is set aside{share}, and no place or turn of another explains it: a face askew, a wrong "
+                "size or position in rig.toml",
+            }[self.kind]
+        )
 
 
-def suspects(measurement: Measurement, marker_map: MarkerMap, repeated: Iterable[int] = (), read: ReadImage | None = None) -> tuple[Suspect, ...]:
+def suspects(
+    measurement: Measurement, marker_map: MarkerMap, repeated: Iterable[int] = (), read: ReadImage | None = None
+) -> tuple[Suspect, ...]:
     """Suspects of a Measurement, one for each marker that is not what the rig's description says, in the map's order.
 
-    repeated : identities that one image shows more than once, as often as there are such images; read : called with (frame number, camera
-    name), returns that image, None where there is none; without it markers that are never seen are not looked for
-    Those of a cube that was put back, which sits where nobody has stated, are no suspects
+    repeated : identities that one image shows more than once, as often as there are such images; read : called with
+    (frame number, camera name), returns that image, None where there is none; without it markers that are never seen
+    are not looked for Those of a cube that was put back, which sits where nobody has stated, are no suspects
     """
     found = _misplaced(measurement, marker_map)
-    found.update({number: Suspect(number, "twice", -1, 0, count, count) for number, count in Counter(repeated).items() if number not in found})
+    found.update(
+        {
+            number: Suspect(number, "twice", -1, 0, count, count)
+            for number, count in Counter(repeated).items()
+            if number not in found
+        }
+    )
     if read:
         found.update(_usurped(measurement, marker_map, read))
     pairs = {k: s.other for k, s in found.items() if s.kind == "elsewhere"}
     for number, s in found.items():
         if s.kind == "elsewhere" and pairs.get(s.other) == number:
-            found[number] = Suspect(number, "exchanged", *(getattr(s, name) for name in ("other", "turn", "like", "of")))
+            found[number] = Suspect(
+                number, "exchanged", *(getattr(s, name) for name in ("other", "turn", "like", "of"))
+            )
     loose = {target.name for target in measurement.design.targets if target.turned is not None}
-    return tuple(found[number] for number, name in zip(marker_map.id.tolist(), marker_map.target) if number in found and name not in loose)
+    return tuple(
+        found[number]
+        for number, name in zip(marker_map.id.tolist(), marker_map.target)
+        if number in found and name not in loose
+    )
 
 
 def _misplaced(m: Measurement, marker_map: MarkerMap) -> dict[int, Suspect]:
@@ -97,23 +129,32 @@ def _misplaced(m: Measurement, marker_map: MarkerMap) -> dict[int, Suspect]:
     for marker in np.unique(keys[0][aside]):
         own, off = keys[0] == marker, np.flatnonzero((keys[0] == marker) & aside)
         some = off[np.unique(np.linspace(0, len(off) - 1, min(MOST, len(off))).round().astype(int))]
-        looks = Counter(_look(m, marker_map, marker, camera, frame, quad) for camera, frame, quad in zip(keys[1, some], keys[2, some], quads[some]))
+        looks = Counter(
+            _look(m, marker_map, marker, camera, frame, quad)
+            for camera, frame, quad in zip(keys[1, some], keys[2, some], quads[some])
+        )
         (look, votes), number = looks.most_common(1)[0], int(marker_map.id[marker])
         if look and votes >= ALIKE * len(some):
             likely[number] = Suspect(number, *look, round(votes / len(some) * len(off)), int(own.sum()))
         elif len(off) >= LEAST and len(off) > MOSTLY * own.sum():
             found[number] = Suspect(number, "askew", -1, 0, len(off), int(own.sum()))
     for number, suspect in likely.items():
-        other = likely.get(suspect.other)  # one that is seldom seen is believed where the other of the pair says the same
+        other = likely.get(
+            suspect.other
+        )  # one that is seldom seen is believed where the other of the pair says the same
         if suspect.like >= LEAST or (other and other.other == number and other.like >= LEAST):
             found[number] = suspect
     return found
 
 
-def _look(m: Measurement, marker_map: MarkerMap, marker: int, camera: int, frame: int, quad: np.ndarray) -> tuple[str, int, int] | None:
+def _look(
+    m: Measurement, marker_map: MarkerMap, marker: int, camera: int, frame: int, quad: np.ndarray
+) -> tuple[str, int, int] | None:
     """(kind, other identity, turn) of the place that a quad (4, 2) px of a marker is in, or None."""
     count = len(marker_map.id)
-    places = predict_sightings(Sightings(np.full(count, frame), np.full(count, camera), np.arange(count)), m.adjustment.state, marker_map)
+    places = predict_sightings(
+        Sightings(np.full(count, frame), np.full(count, camera), np.arange(count)), m.adjustment.state, marker_map
+    )
     sides = np.linalg.norm(places - np.roll(places, 1, axis=1), axis=2).mean(axis=1)
     distance = np.linalg.norm(places[:, _ORDERS] - quad, axis=3).mean(axis=2) / sides[:, None]  # (markers, orders)
     distance[np.arange(count) != marker, 4:] = np.inf  # the far side of a cube looks like a mirrored one
@@ -141,7 +182,14 @@ def _usurped(m: Measurement, marker_map: MarkerMap, read: ReadImage) -> dict[int
                 rows, places = expected(cameras[camera], m.T_base_platform[frame], marker_map)
                 if row in rows:
                     there.append((int(m.frames[frame]), cameras[camera].name, places[rows == row][0]))
-        there = [there[k] for k in np.unique(np.linspace(0, len(there) - 1, min(LOOKED_AT, len(there))).round().astype(int))] if there else []
+        there = (
+            [
+                there[k]
+                for k in np.unique(np.linspace(0, len(there) - 1, min(LOOKED_AT, len(there))).round().astype(int))
+            ]
+            if there
+            else []
+        )
         images = [(read(frame, name), place) for frame, name, place in there]
         readings = [_reads_at(image, place, marker_map.dictionary[row]) for image, place in images if image is not None]
         votes = Counter(number for number in readings if number is not None)
@@ -162,7 +210,9 @@ def _reads_at(image: np.ndarray, place: np.ndarray, name: str) -> int | None:
 
 
 def no_marker_reason(images: Sequence[np.ndarray], marker_map: MarkerMap) -> str:
-    """Why no marker of a rig was found in images [(height, width) uint8]: of another dictionary, mirrored. "" where nothing is told."""
+    """Why no marker of a rig was found in images [(height, width) uint8]: of another dictionary, mirrored. "" where
+    nothing is told.
+    """
     stated = sorted(set(marker_map.dictionary))
     for name in stated:
         seen = [_count(cv2.flip(image, 1), name, marker_map.id) for image in images]
@@ -171,11 +221,24 @@ def no_marker_reason(images: Sequence[np.ndarray], marker_map: MarkerMap) -> str
     for name in stated:
         strange = {number for image in images for number in _numbers(image, name)} - set(marker_map.id.tolist())
         if strange:
-            return f"markers of {name} are seen, but other markers than rig.toml has: {', '.join(map(str, sorted(strange)[:12]))}"
-    others = [name for name in _FAMILIES if name.rsplit("_", 1)[0] not in {other.rsplit("_", 1)[0] for other in stated} or "X" not in name]
-    best = max(((sum(_count(image, name, marker_map.id) for image in images), name) for name in others if name not in stated), default=(0, ""))
+            return (
+                f"markers of {name} are seen, but other markers than rig.toml has: "
+                f"{', '.join(map(str, sorted(strange)[:12]))}"
+            )
+    others = [
+        name
+        for name in _FAMILIES
+        if name.rsplit("_", 1)[0] not in {other.rsplit("_", 1)[0] for other in stated} or "X" not in name
+    ]
+    best = max(
+        ((sum(_count(image, name, marker_map.id) for image in images), name) for name in others if name not in stated),
+        default=(0, ""),
+    )
     if best[0] >= max(LEAST, len(images)):
-        return f"{best[0]} markers with rig.toml's identities are of {best[1]} (or a smaller one of its kind), not of {', '.join(stated)}"
+        return (
+            f"{best[0]} markers with rig.toml's identities are of {best[1]} (or a smaller one of its kind), not "
+            f"of {', '.join(stated)}"
+        )
     return ""
 
 

@@ -16,14 +16,23 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def map_images_in_threads(one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None) -> list[Result]:
-    """What comes of each item of some work on images, in order, by threads: few items, or that share images. progress : called with (done, of)"""
+def map_images_in_threads(
+    one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None
+) -> list[Result]:
+    """What comes of each item of some work on images, in order, by threads: few items, or that share images.
+    progress : called with (done, of)
+    """
     with _one_thread_each(), ThreadPoolExecutor(worker_count()) as pool:
         return executor_map(pool, one, work, progress)
 
 
-def map_images_in_processes(one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None) -> list[Result]:
-    """The same by processes, or by a cluster: many items that each read an image of their own. What `one` changes elsewhere is lost."""
+def map_images_in_processes(
+    one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None
+) -> list[Result]:
+    """The same by processes, or by a cluster: many items that each read an image of their own. What `one` changes
+    elsewhere is lost.
+    """
+
     def alone(item: Item) -> Result:
         cv2.setNumThreads(1)
         return one(item)

@@ -32,7 +32,9 @@ Found = tuple[int, str, Detection]  # frame number, camera name, what that image
 
 
 class Unplaced(NamedTuple):
-    """A marker that was read in an image and not placed. marker : identity; repeated : whether it is that the image shows it twice."""
+    """A marker that was read in an image and not placed. marker : identity; repeated : whether it is that the image
+    shows it twice.
+    """
 
     frame: int
     camera: str
@@ -63,7 +65,9 @@ class Collected:
 
 
 def image_reader(recording: Recording) -> Callable[[int, str], np.ndarray | None]:
-    """A function of (frame number, camera name) that gives that image, (height, width) uint8, or None where there is none."""
+    """A function of (frame number, camera name) that gives that image, (height, width) uint8, or None where there is
+    none.
+    """
     e = recording.exposures
     names = {(int(frame), camera): name for frame, camera, name in zip(e.frame, e.camera, e.image) if name}
 
@@ -74,8 +78,12 @@ def image_reader(recording: Recording) -> Callable[[int, str], np.ndarray | None
     return read
 
 
-def collect_corners(recording: Recording, marker_map: MarkerMap, progress: Callable[[int, int], None] | None = None) -> Collected:
-    """Collected from every image of a recording, see `_collected`. Raises FileError naming all images that cannot be decoded."""
+def collect_corners(
+    recording: Recording, marker_map: MarkerMap, progress: Callable[[int, int], None] | None = None
+) -> Collected:
+    """Collected from every image of a recording, see `_collected`. Raises FileError naming all images that cannot be
+    decoded.
+    """
     try:
         return _collected(recording, marker_map, progress)
     except FileError:
@@ -88,9 +96,10 @@ def collect_corners(recording: Recording, marker_map: MarkerMap, progress: Calla
 def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[int, int], None] | None) -> Collected:
     """Collected from every image of a recording. progress : called with (done, of), or None.
 
-    Some images of each camera are searched whole: they teach how its edges look, and what to expect of the others. There only the
-    places are read where markers ought to be. The whole image is searched after all where half a body's markers are not there, where
-    another marker is in the place of one that is not, and on a rig that is not as it is stated.
+    Some images of each camera are searched whole: they teach how its edges look, and what to expect of the others.
+    There only the places are read where markers ought to be. The whole image is searched after all where half a body's
+    markers are not there, where another marker is in the place of one that is not, and on a rig that is not as it is
+    stated.
     Raises FileError naming the image that cannot be decoded or has another size than its camera.
     """
     e, design, folder = recording.exposures, recording.design, shared_path(recording.folder)
@@ -106,7 +115,10 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
         return full, read_markers(eight, marker_map)
 
     whole = dict(zip(taught, map_images_in_threads(searched, taught, None)))
-    spread = {name: learn_spread([whole[k] for k in taught if work[k][1].name == name], camera, marker_map) for name, camera in stated.items()}
+    spread = {
+        name: learn_spread([whole[k] for k in taught if work[k][1].name == name], camera, marker_map)
+        for name, camera in stated.items()
+    }
 
     def placed(k: int) -> Detection:
         full, read = whole[k]
@@ -116,7 +128,9 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     rest = [k for k in range(len(work)) if k not in found]
     rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
     known = (
-        expected_markers.learn_expectation(recording, *corners_of(rows), _repeated(_left_out(rows)), marker_map) if len(rest) > len(taught) else None
+        expected_markers.learn_expectation(recording, *corners_of(rows), _repeated(_left_out(rows)), marker_map)
+        if len(rest) > len(taught)
+        else None
     )
     cameras = {name: camera for name in stated if known is not None and (camera := known.camera(name)) is not None}
 
@@ -124,30 +138,45 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
         camera = cameras[work[k][1].name]
         return fit_read_markers(whole[k][0], camera, marker_map, found[k].read, spread[camera.name], reach=0.0)
 
-    adjusted = [k for k in taught if work[k][1].name in cameras]  # whose markers the lens as stated bent otherwise than those of other images
+    adjusted = [
+        k for k in taught if work[k][1].name in cameras
+    ]  # whose markers the lens as stated bent otherwise than those of other images
     found.update(zip(adjusted, map_images_in_threads(bent, adjusted, None)))
     whole.clear()
     lenses = stated | cameras
 
     def one(item: tuple[Camera, str, RigidTransform | None]) -> Detection:
         camera, name, T = item
-        return detect_markers(_image(folder, camera, name), lenses[camera.name], marker_map, spread[camera.name],
-                      T if camera.name in cameras else None, doubtful=True)
+        return detect_markers(
+            _image(folder, camera, name),
+            lenses[camera.name],
+            marker_map,
+            spread[camera.name],
+            T if camera.name in cameras else None,
+            doubtful=True,
+        )
 
     if known is None or known.commanded:
         commanded = known.commanded if known else {}
-        found.update(zip(rest, map_images_in_processes(one, [(*work[k][1:], commanded.get(work[k][0])) for k in rest], tell)))
+        found.update(
+            zip(rest, map_images_in_processes(one, [(*work[k][1:], commanded.get(work[k][0])) for k in rest], tell))
+        )
     else:
         found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
     rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
-    return Collected(*corners_of(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread, lenses)
+    return Collected(
+        *corners_of(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread, lenses
+    )
 
 
 def _image(folder: Path, camera: Camera, name: str) -> np.ndarray:
     image = read_image(folder / name)
     if image.shape[:2] != (camera.height, camera.width):
-        raise FileError(folder / name, f"is {image.shape[1]} x {image.shape[0]} px, but camera {camera.name!r} has "
-                        f"{camera.width} x {camera.height} px")
+        raise FileError(
+            folder / name,
+            f"is {image.shape[1]} x {image.shape[0]} px, but camera {camera.name!r} has "
+            f"{camera.width} x {camera.height} px",
+        )
     return image
 
 
@@ -156,9 +185,15 @@ def _some(indices: list[int]) -> list[int]:
     return [indices[round(k)] for k in np.linspace(0, len(indices) - 1, min(LEARN_FROM, len(indices)))]
 
 
-def _one_after_the_other(work: list[tuple[int, Camera, str]], rest: list[int], found: dict[int, Detection],
-                         one: Callable[[tuple[Camera, str, RigidTransform | None]], Detection], known: expected_markers.Expectation, design: Design,
-                         tell: Callable[..., None] | None) -> dict[int, Detection]:
+def _one_after_the_other(
+    work: list[tuple[int, Camera, str]],
+    rest: list[int],
+    found: dict[int, Detection],
+    one: Callable[[tuple[Camera, str, RigidTransform | None]], Detection],
+    known: expected_markers.Expectation,
+    design: Design,
+    tell: Callable[..., None] | None,
+) -> dict[int, Detection]:
     """{index: Detection} of images frame by frame, each expected where the frame before was."""
     out: dict[int, Detection] = {}
     last: RigidTransform | None = None
@@ -166,7 +201,9 @@ def _one_after_the_other(work: list[tuple[int, Camera, str]], rest: list[int], f
         own = [k for k, (number, *_) in enumerate(work) if number == frame]
         fresh = [k for k in own if k in rest]
         out.update(zip(fresh, map_images_in_threads(one, [(*work[k][1:], last) for k in fresh], tell)))
-        last = known.locate(corners_of([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design)
+        last = known.locate(
+            corners_of([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design
+        )
     return out
 
 
@@ -186,6 +223,7 @@ def _repeated(left_out: Iterable[Unplaced]) -> list[int]:
 
 def learn_spread(searched: Sequence[tuple[np.ndarray, Read]], camera: Camera, marker_map: MarkerMap) -> Spread:
     """Spread of a camera's edges. searched : (image (height, width) in 255ths of white, Read from it) each"""
+
     def first(item: tuple[np.ndarray, Read]) -> tuple[np.ndarray, Detection]:
         full, read = item
         return full, fit_read_markers(full, camera, marker_map, read)
@@ -193,6 +231,7 @@ def learn_spread(searched: Sequence[tuple[np.ndarray, Read]], camera: Camera, ma
     seen = [(full, d.read) for full, d in map_images_in_threads(first, searched, None) if len(d.marker)]
     spread = PLAIN
     for _ in range(ROUNDS if seen else 0):
+
         def again(item: tuple[np.ndarray, Read], spread: Spread = spread) -> tuple[Detection, np.ndarray]:
             full, read = item
             profile = empty_profile()
@@ -201,12 +240,19 @@ def learn_spread(searched: Sequence[tuple[np.ndarray, Read]], camera: Camera, ma
         done = map_images_in_threads(again, seen, None)
         blur = np.concatenate([d.blur for d, _ in done])
         if len(blur):
-            spread = learn_edge_spread(spread, sum((profile for _, profile in done[1:]), done[0][1]), float(np.median(blur)))
+            spread = learn_edge_spread(
+                spread, sum((profile for _, profile in done[1:]), done[0][1]), float(np.median(blur))
+            )
     return spread
 
 
-def search_missed_markers(recording: Recording, collected: Collected, measurement: Measurement, marker_map: MarkerMap,
-               progress: Callable[[int, int], None] | None = None) -> Collected:
+def search_missed_markers(
+    recording: Recording,
+    collected: Collected,
+    measurement: Measurement,
+    marker_map: MarkerMap,
+    progress: Callable[[int, int], None] | None = None,
+) -> Collected:
     """Collected with the markers added that ought to be seen, by the measured poses and cameras, and were not read.
 
     measurement : Measurement of the collected corners. A marker is added where its bits are read and it is found within
@@ -214,32 +260,54 @@ def search_missed_markers(recording: Recording, collected: Collected, measuremen
     """
     camera_of = {camera.name: camera for camera in measurement.design.cameras}
     seen = defaultdict(set)
-    for frame, name, number in zip(collected.corners.frame.tolist(), collected.corners.camera, collected.corners.marker.tolist()):
+    for frame, name, number in zip(
+        collected.corners.frame.tolist(), collected.corners.camera, collected.corners.marker.tolist()
+    ):
         seen[frame, name].add(number)
-    bodies = {k: dict(zip(m.frames.tolist(), m.T_base_platform)) for k, m in {0: measurement, **measurement.stages}.items()}
+    bodies = {
+        k: dict(zip(m.frames.tolist(), m.T_base_platform)) for k, m in {0: measurement, **measurement.stages}.items()
+    }
     work, folder = [], shared_path(recording.folder)
-    for frame, camera_name, name in zip(recording.exposures.frame.tolist(), recording.exposures.camera, recording.exposures.image):
+    for frame, camera_name, name in zip(
+        recording.exposures.frame.tolist(), recording.exposures.camera, recording.exposures.image
+    ):
         camera = camera_of.get(camera_name)
         if name and camera is not None and camera.mount != "moving":
-            work += [(camera, name, stage, poses[frame], seen[frame, camera_name], frame) for stage, poses in bodies.items() if frame in poses]
+            work += [
+                (camera, name, stage, poses[frame], seen[frame, camera_name], frame)
+                for stage, poses in bodies.items()
+                if frame in poses
+            ]
 
     spread = collected.spread
 
     def one(item: tuple[Camera, str, int, RigidTransform, set[int], int]) -> Detection | None:
         camera, name, stage, T, read, _ = item
         rows, places = expected(camera, T, marker_map)
-        fresh = [k for k, row in enumerate(rows) if marker_map.stage[row] == stage and int(marker_map.id[row]) not in read]
+        fresh = [
+            k for k, row in enumerate(rows) if marker_map.stage[row] == stage and int(marker_map.id[row]) not in read
+        ]
         if not fresh:
             return None
         numbers, places = marker_map.id[rows[fresh]], places[fresh]
         _, full = grey_image(read_image(folder / name))
-        d = fit_read_markers(full, camera, marker_map, Read(numbers, places), spread.get(camera.name, PLAIN), verify=True)
+        d = fit_read_markers(
+            full, camera, marker_map, Read(numbers, places), spread.get(camera.name, PLAIN), verify=True
+        )
         at = [numbers.tolist().index(number) for number in d.marker]
         return d.take(np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool))
 
-    found = [(frame, camera.name, d) for (camera, *_, frame), d in zip(work, map_images_in_processes(one, work, progress)) if d is not None]
+    found = [
+        (frame, camera.name, d)
+        for (camera, *_, frame), d in zip(work, map_images_in_processes(one, work, progress))
+        if d is not None
+    ]
     extra, correlation = corners_of(found)
-    return replace(collected, corners=_joined(collected.corners, extra), correlation=np.concatenate([collected.correlation, correlation]))
+    return replace(
+        collected,
+        corners=_joined(collected.corners, extra),
+        correlation=np.concatenate([collected.correlation, correlation]),
+    )
 
 
 def corners_of(found: Sequence[Found]) -> tuple[Corners, np.ndarray]:
@@ -251,8 +319,10 @@ def corners_of(found: Sequence[Found]) -> tuple[Corners, np.ndarray]:
     marker = np.concatenate([d.marker for *_, d in found] or [np.zeros(0, int)])
     uv = np.concatenate([d.corners for *_, d in found] or [np.zeros((0, 4, 2))]).reshape(-1, 2)
     frame = np.repeat(np.array([number for number, *_ in found], int), 4 * np.array(sizes, int))
-    return (Corners(frame, names, np.repeat(marker, 4), np.tile(np.arange(4), len(marker)), uv, own),
-            corner_correlation(covariance).reshape(-1, 2, 8))
+    return (
+        Corners(frame, names, np.repeat(marker, 4), np.tile(np.arange(4), len(marker)), uv, own),
+        corner_correlation(covariance).reshape(-1, 2, 8),
+    )
 
 
 def by_image(corners: Corners) -> dict[tuple[int, str], tuple[np.ndarray, np.ndarray]]:
@@ -264,8 +334,14 @@ def by_image(corners: Corners) -> dict[tuple[int, str], tuple[np.ndarray, np.nda
 
 
 def _joined(a: Corners, b: Corners) -> Corners:
-    return Corners(np.r_[a.frame, b.frame], a.camera + b.camera, np.r_[a.marker, b.marker], np.r_[a.corner, b.corner],
-                   np.concatenate([a.uv, b.uv]), np.concatenate([a.covariance, b.covariance]))
+    return Corners(
+        np.r_[a.frame, b.frame],
+        a.camera + b.camera,
+        np.r_[a.marker, b.marker],
+        np.r_[a.corner, b.corner],
+        np.concatenate([a.uv, b.uv]),
+        np.concatenate([a.covariance, b.covariance]),
+    )
 
 
 def _by_camera(rows: Sequence[Found], what: str) -> dict[str, np.ndarray]:

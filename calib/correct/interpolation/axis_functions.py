@@ -1,7 +1,9 @@
-"""A sum of functions of one axis each, piecewise linear between knots, as controllers' tables per joint hold them, by least squares.
+"""A sum of functions of one axis each, piecewise linear between knots, as controllers' tables per joint hold them, by
+least squares.
 
-How many knots an axis gets is what the samples bear out (Bayesian information criterion). Source: configuration-space patent, [0137];
-the on-line learning patent for Stewart platforms, [0011] to [0015], learns along one axis after the other likewise
+How many knots an axis gets is what the samples bear out (Bayesian information criterion). Source: configuration-space
+patent, [0137]; the on-line learning patent for Stewart platforms, [0011] to [0015], learns along one axis after the
+other likewise
 """
 
 from dataclasses import dataclass
@@ -18,7 +20,9 @@ SAMPLES = 2  # for each knot, at the least
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Axes(Regressed):
-    """knots : (axes, count), ascending along each axis; coefficients : (axes count, outputs), axis after axis; the rest as Regressed has it."""
+    """knots : (axes, count), ascending along each axis; coefficients : (axes count, outputs), axis after axis; the rest
+    as Regressed has it.
+    """
 
     knots: np.ndarray
     coefficients: np.ndarray
@@ -40,12 +44,22 @@ class Axes(Regressed):
 
     @classmethod
     def fit(cls, known: Known) -> Self:
-        """The sum of functions with as many knots as is likeliest, through samples anywhere; knots where samples lie equally dense."""
+        """The sum of functions with as many knots as is likeliest, through samples anywhere; knots where samples lie
+        equally dense.
+        """
         each = merge_repeats(known)
         n, axes = each.configurations.shape
         counts = [count for count in KNOTS if count == KNOTS[0] or SAMPLES * axes * count <= n]
-        return most_likely_field((cls(np.array([_knots(each.configurations[:, i], count, known.strokes[i]) for i in range(axes)]), *[EMPTY] * 4)
-                          for count in counts), each)
+        return most_likely_field(
+            (
+                cls(
+                    np.array([_knots(each.configurations[:, i], count, known.strokes[i]) for i in range(axes)]),
+                    *[EMPTY] * 4,
+                )
+                for count in counts
+            ),
+            each,
+        )
 
     def functions(self, x: np.ndarray) -> np.ndarray:
         out = np.zeros((len(x), *self.knots.shape))
@@ -70,9 +84,15 @@ class Axes(Regressed):
 
 
 def _knots(values: np.ndarray, count: int, stroke: np.ndarray) -> np.ndarray:
-    """(count,) ascending, from the least to the greatest sample: half even, half where samples are, so that none coincide."""
+    """(count,) ascending, from the least to the greatest sample: half even, half where samples are, so that none
+    coincide.
+    """
     low, high = values.min(), values.max()
     if high <= low:
         high = low + np.ptp(stroke)
     even = np.linspace(low, high, count)
-    return (even + np.quantile(np.append(values, [low, high]), np.linspace(0, 1, count))) / 2 if np.ptp(values) > 0 else even
+    return (
+        (even + np.quantile(np.append(values, [low, high]), np.linspace(0, 1, count))) / 2
+        if np.ptp(values) > 0
+        else even
+    )

@@ -1,7 +1,8 @@
 """Barycentric interpolation of scattered samples, on the simplices of their Delaunay triangulation.
 
-Beyond the samples' hull a place takes the value where the way to it from their middle leaves the hull, so that the field goes on
-continuously. Source: configuration-space patent, [0033], [0034]; Devillers, Pion and Teillaud, Walking in a triangulation, 2002
+Beyond the samples' hull a place takes the value where the way to it from their middle leaves the hull, so that the
+field goes on continuously. Source: configuration-space patent, [0033], [0034]; Devillers, Pion and Teillaud, Walking in
+a triangulation, 2002
 """
 
 from dataclasses import dataclass, field, replace
@@ -16,14 +17,23 @@ from calib.correct.interpolation.weighted_fields import Weighted, Weights
 from rig.compute.numba_kernels import njit
 from rig.errors import RigError
 
-MOST = {1: 100_000, 2: 100_000, 3: 50_000, 4: 10_000, 5: 3_000, 6: 600, 7: 150}  # samples for each number of axes: simplices grow with its factorial
+MOST = {
+    1: 100_000,
+    2: 100_000,
+    3: 50_000,
+    4: 10_000,
+    5: 3_000,
+    6: 600,
+    7: 150,
+}  # samples for each number of axes: simplices grow with its factorial
 WITHIN = 1 - 1e-9  # of the way to the hull: on a face rounding would decide
 EDGE = -1e-10  # of a barycentric weight, for rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Delaunay(Weighted):
-    """centre, half : (axes,) scale of the configuration space; samples : (n, axes) scaled; values, variances : (n, outputs); misfit : (outputs,).
+    """centre, half : (axes,) scale of the configuration space; samples : (n, axes) scaled; values, variances : (n,
+    outputs); misfit : (outputs,).
 
     Raises RigError for samples that span no simplex, or that are too many for their triangulation to be kept
     """
@@ -42,22 +52,34 @@ class Delaunay(Weighted):
     def __post_init__(self) -> None:
         n, axes = self.samples.shape
         if n > MOST.get(axes, 0):
-            raise RigError(f"{n} samples in {axes} dimensions are too many to triangulate (at most {MOST.get(axes, 0)}); "
-                           "simplex takes as many on a grid, radial anywhere")
+            raise RigError(
+                f"{n} samples in {axes} dimensions are too many to triangulate (at most {MOST.get(axes, 0)}); "
+                "simplex takes as many on a grid, radial anywhere"
+            )
         if axes < 2:
             raise RigError("delaunay takes two axes or more; on one axis linear is the same")
         try:
             object.__setattr__(self, "_cut", Triangulation(self.samples))
             object.__setattr__(self, "_faces", ConvexHull(self.samples).equations)
         except QhullError as error:
-            raise RigError(f"the {n} samples span no simplex of {axes} dimensions, which delaunay takes: {str(error).splitlines()[0]}") from None
+            raise RigError(
+                f"the {n} samples span no simplex of {axes} dimensions, which delaunay takes: "
+                f"{str(error).splitlines()[0]}"
+            ) from None
 
     @classmethod
     def fit(cls, known: Known) -> Self:
         """The field through samples anywhere, repeats of a configuration averaged. Raises RigError as above."""
         each = merge_repeats(known)
         centre, half = known.strokes.mean(axis=1), np.ptp(known.strokes, axis=1) / 2
-        found = cls(centre, half, (each.configurations - centre) / half, each.values, each.variances, np.zeros(each.values.shape[1]))
+        found = cls(
+            centre,
+            half,
+            (each.configurations - centre) / half,
+            each.values,
+            each.variances,
+            np.zeros(each.values.shape[1]),
+        )
         return replace(found, misfit=_misfit(found))
 
     def outside(self, x: np.ndarray) -> np.ndarray:
@@ -67,19 +89,28 @@ class Delaunay(Weighted):
     def weights(self, x: np.ndarray) -> Weights:
         shrunk, share, face = self._shrunk((x - self.centre) / self.half)
         cut = self._cut
-        simplex, weight = _walk(np.ascontiguousarray(shrunk), cut.transform, cut.neighbors, int(cut.vertex_to_simplex[0]))
+        simplex, weight = _walk(
+            np.ascontiguousarray(shrunk), cut.transform, cut.neighbors, int(cut.vertex_to_simplex[0])
+        )
         T = cut.transform[simplex]
         slope = np.concatenate([T[:, :-1], -T[:, :-1].sum(axis=1, keepdims=True)], axis=1)
-        # where the place was drawn in to the hull, only what moves along its face counts: d shrunk = share (I - to n / (n . to)) dx
+        # where the place was drawn in to the hull, only what moves along its face counts: d shrunk = share (I - to n /
+        # (n . to)) dx
         to, normal = shrunk - self.samples.mean(axis=0), self._faces[face, :-1]
         along = np.einsum("ni,ni->n", normal, to)
         drawn = share < 1
-        slope = np.where(drawn[:, None, None], share[:, None, None] *
-                         (slope - (slope @ to[..., None]) * (normal / np.where(drawn, along, 1.0)[:, None])[:, None]), slope)
+        slope = np.where(
+            drawn[:, None, None],
+            share[:, None, None]
+            * (slope - (slope @ to[..., None]) * (normal / np.where(drawn, along, 1.0)[:, None])[:, None]),
+            slope,
+        )
         return Weights(cut.simplices[simplex], weight, slope / self.half)
 
     def _shrunk(self, scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(places drawn in to the hull (n, axes), by which share (n,), across which face (n,)) of scaled places (n, axes)."""
+        """(places drawn in to the hull (n, axes), by which share (n,), across which face (n,)) of scaled places (n,
+        axes).
+        """
         middle = self.samples.mean(axis=0)
         to = scaled - middle
         room = -(self._faces[:, :-1] @ middle + self._faces[:, -1])  # from the middle to each face, positive
@@ -94,7 +125,8 @@ class Delaunay(Weighted):
 
 @njit(cache=True, error_model="numpy")
 def _walk(x: np.ndarray, transform: np.ndarray, neighbors: np.ndarray, start: int) -> tuple[np.ndarray, np.ndarray]:
-    """(simplex (n,), barycentric weight (n, axes + 1)) of places x (n, axes) within the hull: across faces, each from where the last ended.
+    """(simplex (n,), barycentric weight (n, axes + 1)) of places x (n, axes) within the hull: across faces, each from
+    where the last ended.
 
     transform : (simplices, axes + 1, axes), NaN for flat ones; neighbors : (simplices, axes + 1), -1 beyond the hull
     """
@@ -138,7 +170,9 @@ def _walk(x: np.ndarray, transform: np.ndarray, neighbors: np.ndarray, start: in
 
 
 def _misfit(found: Delaunay) -> np.ndarray:
-    """(outputs,) what lies between samples: a quarter of what each is off the plane through its nearest others, the noise taken out."""
+    """(outputs,) what lies between samples: a quarter of what each is off the plane through its nearest others, the
+    noise taken out.
+    """
     n, axes = found.samples.shape
     count = min(2 * (axes + 1), n - 1)
     if count <= axes + 1:

@@ -1,4 +1,6 @@
-"""What every way of extending corrections answers to: a value, its gradient and an error estimate all over a configuration space."""
+"""What every way of extending corrections answers to: a value, its gradient and an error estimate all over a
+configuration space.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
@@ -7,9 +9,11 @@ import numpy as np
 
 
 class Field(Protocol):
-    """KSF_KR, the summand function all over a space of `axes` numbers, each of `outputs` values. Beyond its samples it goes on continuously.
+    """KSF_KR, the summand function all over a space of `axes` numbers, each of `outputs` values. Beyond its samples it
+    goes on continuously.
 
-    kind : its name in files and on the command line; exact : whether it passes through its samples, and then has their values (n, outputs)
+    kind : its name in files and on the command line; exact : whether it passes through its samples, and then has their
+        values (n, outputs)
     Source: configuration-space patent, [0027], [0028], [0136], [0137]
     """
 
@@ -25,7 +29,9 @@ class Field(Protocol):
         ...
 
     def error(self, x: np.ndarray) -> np.ndarray:
-        """(..., outputs) m or rad, standard error of the values at x (..., axes): the samples' noise, and what lies between them or beyond."""
+        """(..., outputs) m or rad, standard error of the values at x (..., axes): the samples' noise, and what lies
+        between them or beyond.
+        """
         ...
 
     def inside(self, x: np.ndarray) -> np.ndarray:
@@ -35,7 +41,8 @@ class Field(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """KSF_PM, the summand function on its samples: configurations (n, axes), values (n, outputs), variances (n, outputs), each sample once;
+    """KSF_PM, the summand function on its samples: configurations (n, axes), values (n, outputs), variances (n,
+    outputs), each sample once;
     strokes : (axes, 2) of the space. Raises ValueError for shapes that do not fit each other.
 
     Source: configuration-space patent, [0128] to [0130]
@@ -48,9 +55,16 @@ class Known:
 
     def __post_init__(self) -> None:
         n, axes = np.shape(self.configurations)
-        if np.shape(self.values)[:1] != (n,) or np.shape(self.values) != np.shape(self.variances) or np.shape(self.strokes) != (axes, 2):
-            raise ValueError(f"expected configurations (n, axes), values and variances (n, outputs) and strokes (axes, 2), got "
-                             f"{np.shape(self.configurations)}, {np.shape(self.values)}, {np.shape(self.variances)} and {np.shape(self.strokes)}")
+        if (
+            np.shape(self.values)[:1] != (n,)
+            or np.shape(self.values) != np.shape(self.variances)
+            or np.shape(self.strokes) != (axes, 2)
+        ):
+            raise ValueError(
+                f"expected configurations (n, axes), values and variances (n, outputs) and strokes (axes, 2), got "
+                f"{np.shape(self.configurations)}, {np.shape(self.values)}, {np.shape(self.variances)} and "
+                f"{np.shape(self.strokes)}"
+            )
 
     def take(self, index: np.ndarray) -> "Known":
         """The samples of an index or mask (n,)."""
@@ -58,8 +72,12 @@ class Known:
 
 
 def merge_repeats(known: Known, tolerance: float = 1e-5) -> Known:
-    """Known with repeats of one configuration (within a share of the strokes) as one sample: their mean, weighted by their variances."""
-    scaled = np.round((known.configurations - known.strokes[:, 0]) / (tolerance * np.ptp(known.strokes, axis=1)) / 2).astype(np.int64)
+    """Known with repeats of one configuration (within a share of the strokes) as one sample: their mean, weighted by
+    their variances.
+    """
+    scaled = np.round(
+        (known.configurations - known.strokes[:, 0]) / (tolerance * np.ptp(known.strokes, axis=1)) / 2
+    ).astype(np.int64)
     _, first, at = np.unique(scaled, axis=0, return_index=True, return_inverse=True)
     if len(first) == len(scaled):
         return known
@@ -69,7 +87,9 @@ def merge_repeats(known: Known, tolerance: float = 1e-5) -> Known:
 
 
 def average_samples(known: Known, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(values, variances), (count, outputs) each, of samples that stand for one of 0..count - 1 each: at (n,). Weighted by their variances."""
+    """(values, variances), (count, outputs) each, of samples that stand for one of 0..count - 1 each: at (n,). Weighted
+    by their variances.
+    """
     weight = 1 / np.maximum(known.variances, 1e-300)
     shape = int(at.max()) + 1, weight.shape[1]
     total, mean = np.zeros(shape), np.zeros(shape)

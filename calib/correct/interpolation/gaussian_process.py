@@ -1,9 +1,10 @@
-"""A correction summand known with noise at scattered configurations -> over the whole configuration space (Gaussian process).
+"""A correction summand known with noise at scattered configurations -> over the whole configuration space (Gaussian
+process).
 
-The summand of a strut is the sum of a function of that strut's own command (screw, encoder, scale) and a function of the
-whole configuration; how large and how smooth either is, is found by maximum likelihood. Far from any sample it fades to
-zero, which leaves the fitted geometry alone. Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006,
-eqs 2.25, 2.30, 5.9.
+The summand of a strut is the sum of a function of that strut's own command (screw, encoder, scale) and a function of
+the whole configuration; how large and how smooth either is, is found by maximum likelihood. Far from any sample it
+fades to zero, which leaves the fitted geometry alone. Source: Rasmussen and Williams, Gaussian Processes for Machine
+Learning, 2006, eqs 2.25, 2.30, 5.9.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,8 @@ BOUNDS = ((-12, 5), OWN, (-12, 5), WHOLE, (-12, 5))
 @dataclass(frozen=True, slots=True, eq=False)
 class Radial:
     """centre, half : (axes,) scale of the configuration space; axis : the strut's index; inputs : (n, axes) scaled;
-    weights : (n,) m; sizes : (2,) m and lengths : (2,) half strokes of the two functions; noise : m beyond what was stated
+    weights : (n,) m; sizes : (2,) m and lengths : (2,) half strokes of the two functions; noise : m beyond what was
+        stated
     variances : (n,) m^2 of the samples as stated, None in files of before they were kept."""
 
     centre: np.ndarray
@@ -50,13 +52,20 @@ class Radial:
         """(..., axes) change of the summand with configurations (..., axes)."""
         scaled = (np.asarray(configurations, float) - self.centre) / self.half
         flat = scaled.reshape(-1, scaled.shape[-1])
-        own, whole = (size**2 * kernel * self.weights for size, kernel in zip(self.sizes, _kernels(flat, self.inputs, self.axis, self.lengths)))
+        own, whole = (
+            size**2 * kernel * self.weights
+            for size, kernel in zip(self.sizes, _kernels(flat, self.inputs, self.axis, self.lengths))
+        )
         out = (whole @ self.inputs - whole.sum(axis=1)[:, None] * flat) / self.lengths[1] ** 2
-        out[:, self.axis] += (own @ self.inputs[:, self.axis] - own.sum(axis=1) * flat[:, self.axis]) / self.lengths[0] ** 2
+        out[:, self.axis] += (own @ self.inputs[:, self.axis] - own.sum(axis=1) * flat[:, self.axis]) / self.lengths[
+            0
+        ] ** 2
         return (out / self.half).reshape(scaled.shape)
 
     def error(self, configurations: np.ndarray) -> np.ndarray:
-        """(...,) m, standard error at configurations (..., axes): Rasmussen and Williams, eq. 2.26; the sizes alone where no variances are kept."""
+        """(...,) m, standard error at configurations (..., axes): Rasmussen and Williams, eq. 2.26; the sizes alone
+        where no variances are kept.
+        """
         scaled = (np.asarray(configurations, float) - self.centre) / self.half
         square = np.full(scaled.shape[:-1], (self.sizes**2).sum())
         if self.variances is not None:
@@ -88,7 +97,8 @@ class RadialMap:
 
     @classmethod
     def fit(cls, known: Known, like: "RadialMap | None" = None) -> Self:
-        """The field through samples anywhere; output i may have a function of its own along axis i. Raises ValueError for more outputs than axes.
+        """The field through samples anywhere; output i may have a function of its own along axis i. Raises ValueError
+        for more outputs than axes.
 
         like : a RadialMap whose sizes and smoothness are taken over, or None
         """
@@ -96,9 +106,14 @@ class RadialMap:
         x, axes = each.configurations, each.configurations.shape[1]
         if each.values.shape[1] > axes:
             raise ValueError(f"radial takes no more outputs than axes, got {each.values.shape[1]} and {axes}")
-        parts = tuple(None if like is not None and like.parts[i] is None else
-                      fit_gaussian_process(x, each.values[:, i], each.variances[:, i], i, each.strokes, None if like is None else like.parts[i])
-                      for i in range(each.values.shape[1]))
+        parts = tuple(
+            None
+            if like is not None and like.parts[i] is None
+            else fit_gaussian_process(
+                x, each.values[:, i], each.variances[:, i], i, each.strokes, None if like is None else like.parts[i]
+            )
+            for i in range(each.values.shape[1])
+        )
         return cls(parts, x.min(axis=0), x.max(axis=0))
 
     def value(self, x: np.ndarray) -> np.ndarray:
@@ -111,18 +126,27 @@ class RadialMap:
 
     def error(self, x: np.ndarray) -> np.ndarray:
         x = np.asarray(x, float)
-        return self.inflation * np.stack([np.zeros(x.shape[:-1]) if part is None else part.error(x) for part in self.parts], axis=-1)
+        return self.inflation * np.stack(
+            [np.zeros(x.shape[:-1]) if part is None else part.error(x) for part in self.parts], axis=-1
+        )
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         return np.asarray(((x >= self.low) & (x <= self.high)).all(axis=-1))
 
 
-def fit_gaussian_process(configurations: np.ndarray, values: np.ndarray, variances: np.ndarray, axis: int, strokes: np.ndarray,
-        like: Radial | None = None) -> Radial | None:
+def fit_gaussian_process(
+    configurations: np.ndarray,
+    values: np.ndarray,
+    variances: np.ndarray,
+    axis: int,
+    strokes: np.ndarray,
+    like: Radial | None = None,
+) -> Radial | None:
     """Radial through noisy summands, or None where noise alone explains them (by the Bayesian information criterion).
 
     configurations : (n, axes) m; values : (n,) m; variances : (n,) m^2, stated; axis : the strut's index
-    strokes : (axes, 2) m, the configuration space; like : a Radial whose sizes, lengths and noise are taken over, or None
+    strokes : (axes, 2) m, the configuration space; like : a Radial whose sizes, lengths and noise are taken over, or
+        None
     """
     centre, half = strokes.mean(axis=1), np.ptp(strokes, axis=1) / 2
     scaled = (configurations - centre) / half
@@ -142,14 +166,29 @@ def fit_gaussian_process(configurations: np.ndarray, values: np.ndarray, varianc
 
 
 def _hyper(scaled: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> np.ndarray | None:
-    """(5,) size, length, size, length, noise of greatest likelihood, or None where noise alone is likelier for its simplicity."""
+    """(5,) size, length, size, length, noise of greatest likelihood, or None where noise alone is likelier for its
+    simplicity.
+    """
     thin = np.arange(0, len(y), max(1, -(-len(y) // LARGEST)))
     likelihood = Likelihood(scaled[thin], y[thin], v[thin], axis)
-    fits = [scipy.optimize.minimize(likelihood, np.array([0.0, np.log(own), 0.0, np.log(whole), -2.0]), jac=True,
-                                    method="L-BFGS-B", bounds=BOUNDS, options={"maxiter": 40}) for own, whole in STARTS]
+    fits = [
+        scipy.optimize.minimize(
+            likelihood,
+            np.array([0.0, np.log(own), 0.0, np.log(whole), -2.0]),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=BOUNDS,
+            options={"maxiter": 40},
+        )
+        for own, whole in STARTS
+    ]
     best = min(fits, key=lambda fit: fit.fun)
-    null = scipy.optimize.minimize(lambda p: noise_only(p, y[thin], v[thin]), [-2.0], jac=True, method="L-BFGS-B", bounds=BOUNDS[-1:])
-    return None if null.fun - best.fun < 2 * np.log(len(thin)) else np.exp(best.x)  # four more parameters at log(n)/2 each
+    null = scipy.optimize.minimize(
+        lambda p: noise_only(p, y[thin], v[thin]), [-2.0], jac=True, method="L-BFGS-B", bounds=BOUNDS[-1:]
+    )
+    return (
+        None if null.fun - best.fun < 2 * np.log(len(thin)) else np.exp(best.x)
+    )  # four more parameters at log(n)/2 each
 
 
 def _kernels(a: np.ndarray, b: np.ndarray, axis: int, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

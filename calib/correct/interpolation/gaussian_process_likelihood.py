@@ -1,6 +1,8 @@
-"""How likely samples are of a sum of two functions and noise, with the gradient: what size and smoothness are found by, evaluation by evaluation.
+"""How likely samples are of a sum of two functions and noise, with the gradient: what size and smoothness are found by,
+evaluation by evaluation.
 
-Of the symmetric matrices one half is computed: distances once, the exponentials of all pairs in one go, the sums with the inverse in one pass.
+Of the symmetric matrices one half is computed: distances once, the exponentials of all pairs in one go, the sums with
+the inverse in one pass.
 Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, eqs 5.8 and 5.9
 """
 
@@ -11,7 +13,8 @@ from rig.compute.numba_kernels import njit
 
 
 class Likelihood:
-    """Negative log likelihood of samples, but for a constant, as a function of the logarithms of size, length, size, length and noise.
+    """Negative log likelihood of samples, but for a constant, as a function of the logarithms of size, length, size,
+    length and noise.
 
     x : (n, axes) places; y : (n,) values; v : (n,) their stated variances; axis : the one that the first function is of
     """
@@ -26,18 +29,30 @@ class Likelihood:
     def __call__(self, p: np.ndarray) -> tuple[float, np.ndarray]:
         """(value, gradient (5,)) at p (5,). Raises LinAlgError where the covariance is not positive definite."""
         size1, length1, size2, length2, noise = np.exp(p)
-        own, whole = size1**2 * np.exp(self.gap * (-0.5 / length1**2)), size2**2 * np.exp(self.square * (-0.5 / length2**2))
+        own, whole = (
+            size1**2 * np.exp(self.gap * (-0.5 / length1**2)),
+            size2**2 * np.exp(self.square * (-0.5 / length2**2)),
+        )
         _fill(own, whole, self.v + noise**2 + size1**2 + size2**2, self.work)
         factor, bad = dpotrf(self.work, lower=1, clean=0, overwrite_a=1)
         if bad:
-            raise np.linalg.LinAlgError(f"the covariance of {len(self.y)} samples is not positive definite at {np.exp(p).tolist()}")
+            raise np.linalg.LinAlgError(
+                f"the covariance of {len(self.y)} samples is not positive definite at {np.exp(p).tolist()}"
+            )
         determinant = np.log(np.diag(factor)).sum()
         inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
         alpha = _times(inverse, self.y)
         sums = _sums(inverse, alpha, own, whole, self.gap, self.square)
         trace = sums[4]  # of the inverse less alpha alpha^T
-        gradient = np.array([2 * sums[0] + size1**2 * trace, sums[1] / length1**2, 2 * sums[2] + size2**2 * trace, sums[3] / length2**2,
-                             noise**2 * trace])
+        gradient = np.array(
+            [
+                2 * sums[0] + size1**2 * trace,
+                sums[1] / length1**2,
+                2 * sums[2] + size2**2 * trace,
+                sums[3] / length2**2,
+                noise**2 * trace,
+            ]
+        )
         return float(0.5 * self.y @ alpha + determinant), gradient
 
 
@@ -50,7 +65,9 @@ def noise_only(p: np.ndarray, y: np.ndarray, v: np.ndarray) -> tuple[float, np.n
 
 @njit(cache=True, nogil=True)
 def _fill(own: np.ndarray, whole: np.ndarray, diagonal: np.ndarray, K: np.ndarray) -> None:
-    """The lower triangle of K (n, n) from what its pairs below the diagonal (n (n - 1) / 2,) have, column by column, and its diagonal (n,)."""
+    """The lower triangle of K (n, n) from what its pairs below the diagonal (n (n - 1) / 2,) have, column by column,
+    and its diagonal (n,).
+    """
     at = 0
     for j in range(len(K)):
         K[j, j] = diagonal[j]
@@ -73,8 +90,12 @@ def _times(K: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _sums(inverse: np.ndarray, alpha: np.ndarray, own: np.ndarray, whole: np.ndarray, gap: np.ndarray, square: np.ndarray) -> np.ndarray:
-    """(5,) sums over the pairs below the diagonal of M = inverse - alpha alpha^T times own, own gap, whole, whole square; and the trace of M."""
+def _sums(
+    inverse: np.ndarray, alpha: np.ndarray, own: np.ndarray, whole: np.ndarray, gap: np.ndarray, square: np.ndarray
+) -> np.ndarray:
+    """(5,) sums over the pairs below the diagonal of M = inverse - alpha alpha^T times own, own gap, whole, whole
+    square; and the trace of M.
+    """
     out, at = np.zeros(5), 0
     for j in range(len(alpha)):
         for i in range(j + 1, len(alpha)):

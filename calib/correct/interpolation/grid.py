@@ -1,7 +1,7 @@
 """Samples on a grid: every actuator's interval divided, evenly or not, and a value at each of the vertices.
 
-The levels W(0, i) < W(1, i) < .. < W(Q(i), i) of actuator i may leave out the ends of its stroke. Source: configuration-space
-patent, [0031], [0032], [0144], [0145].
+The levels W(0, i) < W(1, i) < .. < W(Q(i), i) of actuator i may leave out the ends of its stroke. Source:
+configuration-space patent, [0031], [0032], [0144], [0145].
 """
 
 from dataclasses import dataclass, field, replace
@@ -18,26 +18,33 @@ SAME = 1e-5  # of the stroke, within which commands are one level: they are writ
 
 
 class Lattice(NamedTuple):
-    """levels : per axis (Q + 1,), ascending; vertex : (n,) number of each sample's vertex, counted in C order, -1 for one off the grid."""
+    """levels : per axis (Q + 1,), ascending; vertex : (n,) number of each sample's vertex, counted in C order, -1 for
+    one off the grid.
+    """
 
     levels: tuple[np.ndarray, ...]
     vertex: np.ndarray
 
 
 def lattice_of_configurations(configurations: np.ndarray, strokes: np.ndarray) -> Lattice | None:
-    """Lattice that configurations (n, axes) fill, each vertex at least once, others beside it or not; None where they fill none.
+    """Lattice that configurations (n, axes) fill, each vertex at least once, others beside it or not; None where they
+    fill none.
 
     strokes : (axes, 2), the scale by which levels are told apart
     """
     n, axes = configurations.shape
     tolerance = SAME * np.ptp(strokes, axis=1)
     on, fewest = np.ones(n, bool), 2 ** (axes - 1)
-    for _ in range(axes + 1):  # a level is one that enough samples share; samples off the grid may first share some by chance
+    for _ in range(
+        axes + 1
+    ):  # a level is one that enough samples share; samples off the grid may first share some by chance
         levels = tuple(_levels(configurations[on, i], tolerance[i], fewest) for i in range(axes))
         if any(len(level) < 2 for level in levels):
             return None
         nearest = [np.abs(configurations[:, i, None] - level).argmin(axis=1) for i, level in enumerate(levels)]
-        now = np.all([np.abs(configurations[:, i] - level[nearest[i]]) <= tolerance[i] for i, level in enumerate(levels)], axis=0)
+        now = np.all(
+            [np.abs(configurations[:, i] - level[nearest[i]]) <= tolerance[i] for i, level in enumerate(levels)], axis=0
+        )
         if (now == on).all():
             break
         on = now
@@ -47,7 +54,9 @@ def lattice_of_configurations(configurations: np.ndarray, strokes: np.ndarray) -
 
 
 def _levels(values: np.ndarray, tolerance: float, fewest: int) -> np.ndarray:
-    """The middle of each of those groups of values, no further than the tolerance from each other, that have at least so many."""
+    """The middle of each of those groups of values, no further than the tolerance from each other, that have at least
+    so many.
+    """
     ordered = np.sort(values)
     groups = np.split(ordered, np.flatnonzero(np.diff(ordered) > tolerance) + 1)
     return np.array([group[len(group) // 2] for group in groups if len(group) >= fewest])
@@ -71,9 +80,16 @@ class Grid(Weighted):
             if len(level) < 2 or not (np.diff(level) > 0).all():
                 raise ValueError(f"levels must be two or more and grow, got {np.asarray(level).tolist()}")
         vertices = int(np.prod([len(level) for level in self.levels]))
-        if self.values.shape != self.variances.shape or self.values.shape[0] != vertices or self.misfit.shape != self.values.shape[1:]:
-            raise ValueError(f"a grid of {vertices} vertices has values {self.values.shape}, variances {self.variances.shape} and misfit "
-                             f"{self.misfit.shape}")
+        if (
+            self.values.shape != self.variances.shape
+            or self.values.shape[0] != vertices
+            or self.misfit.shape != self.values.shape[1:]
+        ):
+            raise ValueError(
+                f"a grid of {vertices} vertices has values {self.values.shape}, variances "
+                f"{self.variances.shape} and misfit "
+                f"{self.misfit.shape}"
+            )
         object.__setattr__(self, "tables", _tables(self))
 
     @classmethod
@@ -85,8 +101,12 @@ class Grid(Weighted):
         found = lattice_of_configurations(known.configurations, known.strokes)
         if found is None:
             n, axes = known.configurations.shape
-            raise RigError(f"the {n} samples fill no grid of configurations, which {cls.__name__.lower()} takes (a plan division:2 visits one; over "
-                           f"{axes} axes it has {2**axes} vertices at the least); delaunay, axes, radial and polynomial take samples anywhere")
+            raise RigError(
+                f"the {n} samples fill no grid of configurations, which {cls.__name__.lower()} takes (a plan "
+                "division:2 visits one; over "
+                f"{axes} axes it has {2**axes} vertices at the least); delaunay, axes, radial and polynomial "
+                "take samples anywhere"
+            )
         on = found.vertex >= 0
         values, variances = average_samples(known.take(on), found.vertex[on])
         grid = cls(found.levels, values, variances, np.zeros(values.shape[1]))
@@ -103,7 +123,9 @@ class Grid(Weighted):
         return np.linalg.norm(beyond / ((high - low) / 2), axis=1)
 
     def cells(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(cell (n, axes), place in it 0..1 (n, axes), its change with x (n, axes)): places beyond the grid at its nearest faces."""
+        """(cell (n, axes), place in it 0..1 (n, axes), its change with x (n, axes)): places beyond the grid at its
+        nearest faces.
+        """
         cell, t, slope = np.empty(x.shape, int), np.empty(x.shape), np.empty(x.shape)
         for i, level in enumerate(self.levels):
             inner = np.clip(x[:, i], level[0], level[-1])
@@ -121,8 +143,8 @@ class Grid(Weighted):
 def _misfit(grid: Grid) -> np.ndarray:
     """(outputs,) what a piecewise linear field leaves in the middle of cells, from second differences along each axis.
 
-    f'' h^2 / 8 an axis in the middle, a quarter of what a vertex is off the mean of its neighbours. Two levels show no curvature: what their
-    vertices leave of a plane stands in for it.
+    f'' h^2 / 8 an axis in the middle, a quarter of what a vertex is off the mean of its neighbours. Two levels show no
+    curvature: what their vertices leave of a plane stands in for it.
     """
     shape, noise = grid.shape, grid.variances.mean(axis=0)
     cube = grid.values.reshape(*shape, -1)
@@ -135,7 +157,9 @@ def _misfit(grid: Grid) -> np.ndarray:
         off = part[1:-1] - (1 - share) * part[:-2] - share * part[2:]
         square += np.maximum((off**2).reshape(-1, off.shape[-1]).mean(axis=0) - 1.5 * noise, 0) / 16
     if min(shape) < 3:
-        corners = np.stack(np.meshgrid(*[np.linspace(-1, 1, count) for count in shape], indexing="ij"), axis=-1).reshape(-1, len(shape))
+        corners = np.stack(
+            np.meshgrid(*[np.linspace(-1, 1, count) for count in shape], indexing="ij"), axis=-1
+        ).reshape(-1, len(shape))
         plane = np.column_stack([np.ones(len(corners)), corners])
         left = grid.values - plane @ np.linalg.lstsq(plane, grid.values, rcond=None)[0]
         square += np.maximum((left**2).sum(axis=0) / max(len(left) - plane.shape[1], 1) - noise, 0)
@@ -148,4 +172,6 @@ def _tables(grid: Grid) -> Tables:
     levels, inverse = np.full((len(grid.levels), most), np.inf), np.zeros((len(grid.levels), most - 1))
     for i, level in enumerate(grid.levels):
         levels[i, : len(level)], inverse[i, : len(level) - 1] = level, 1 / np.diff(level)
-    return Tables(levels, inverse, np.array(grid.shape) - 1, grid.strides().astype(np.int64), np.ascontiguousarray(grid.values))
+    return Tables(
+        levels, inverse, np.array(grid.shape) - 1, grid.strides().astype(np.int64), np.ascontiguousarray(grid.values)
+    )

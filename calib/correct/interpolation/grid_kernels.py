@@ -1,4 +1,6 @@
-"""The values of grids at many places, compiled: simplices by ranking coordinates without a branch, n-linear by halving."""
+"""The values of grids at many places, compiled: simplices by ranking coordinates without a branch, n-linear by
+halving.
+"""
 
 from collections.abc import Callable
 from functools import cache
@@ -12,7 +14,8 @@ STEPS = 100  # of a fixed point
 
 
 class Tables(NamedTuple):
-    """A grid as kernels take it: levels (axes, most), the rest of a row infinite; inverse : (axes, most - 1) of the cells' widths;
+    """A grid as kernels take it: levels (axes, most), the rest of a row infinite; inverse : (axes, most - 1) of the
+    cells' widths;
     cells : (axes,) how many; strides : (axes,); values : (vertices, outputs)."""
 
     levels: np.ndarray
@@ -23,8 +26,8 @@ class Tables(NamedTuple):
 
 
 class SimplexKernels(NamedTuple):
-    """values : (x (n, axes), *Tables, out (n, outputs)), out filled; fixed_points : (goal (n, axes), Tables, tolerance, commands (n, axes),
-    change (n,)), commands = goal + value(commands) filled, and what its last step changed."""
+    """values : (x (n, axes), *Tables, out (n, outputs)), out filled; fixed_points : (goal (n, axes), Tables, tolerance,
+    commands (n, axes), change (n,)), commands = goal + value(commands) filled, and what its last step changed."""
 
     values: Callable[..., None]
     fixed_points: Callable[..., None]
@@ -35,8 +38,16 @@ def simplex_kernels(axes: int) -> SimplexKernels:
     """The kernels for so many axes. Compiled for each number, so that loops over axes unroll."""
 
     @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-    def at(x: np.ndarray, levels: np.ndarray, inverse: np.ndarray, cells: np.ndarray, strides: np.ndarray, values: np.ndarray,
-           scratch: tuple[np.ndarray, np.ndarray, np.ndarray], out: np.ndarray) -> None:
+    def at(
+        x: np.ndarray,
+        levels: np.ndarray,
+        inverse: np.ndarray,
+        cells: np.ndarray,
+        strides: np.ndarray,
+        values: np.ndarray,
+        scratch: tuple[np.ndarray, np.ndarray, np.ndarray],
+        out: np.ndarray,
+    ) -> None:
         t, ranked, steps = scratch
         vertex = 0
         for i in range(axes):
@@ -62,14 +73,23 @@ def simplex_kernels(axes: int) -> SimplexKernels:
                 out[k] += weight * values[vertex, k]
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def simplex(x: np.ndarray, levels: np.ndarray, inverse: np.ndarray, cells: np.ndarray, strides: np.ndarray, values: np.ndarray,
-                out: np.ndarray) -> None:
+    def simplex(
+        x: np.ndarray,
+        levels: np.ndarray,
+        inverse: np.ndarray,
+        cells: np.ndarray,
+        strides: np.ndarray,
+        values: np.ndarray,
+        out: np.ndarray,
+    ) -> None:
         scratch = np.empty(axes), np.zeros(axes + 1), np.empty(axes, np.int64)
         for q in range(x.shape[0]):
             at(x[q], levels, inverse, cells, strides, values, scratch, out[q])
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def fixed_points(goal: np.ndarray, tables: Tables, tolerance: float, commands: np.ndarray, change: np.ndarray) -> None:
+    def fixed_points(
+        goal: np.ndarray, tables: Tables, tolerance: float, commands: np.ndarray, change: np.ndarray
+    ) -> None:
         levels, inverse, cells, strides, values = tables
         scratch, found = (np.empty(axes), np.zeros(axes + 1), np.empty(axes, np.int64)), np.empty(values.shape[1])
         for q in range(goal.shape[0]):
@@ -88,9 +108,18 @@ def simplex_kernels(axes: int) -> SimplexKernels:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def linear_kernel(x: np.ndarray, levels: np.ndarray, inverse: np.ndarray, cells: np.ndarray, strides: np.ndarray, values: np.ndarray,
-                  out: np.ndarray) -> None:
-    """n-linear values into out (n, outputs) at x (n, axes): a cell's vertices, halved along one axis after the other."""
+def linear_kernel(
+    x: np.ndarray,
+    levels: np.ndarray,
+    inverse: np.ndarray,
+    cells: np.ndarray,
+    strides: np.ndarray,
+    values: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """n-linear values into out (n, outputs) at x (n, axes): a cell's vertices, halved along one axis after the
+    other.
+    """
     axes, outputs = x.shape[1], values.shape[1]
     corner, t = np.zeros(2**axes, np.int64), np.empty(axes)
     part = np.empty((2**axes, outputs))

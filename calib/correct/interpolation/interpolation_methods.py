@@ -11,9 +11,9 @@ from calib.correct.interpolation.delaunay import Delaunay
 from calib.correct.interpolation.field import Field, Known
 from calib.correct.interpolation.gaussian_process import Radial, RadialMap
 from calib.correct.interpolation.multilinear import Linear
-from calib.correct.interpolation.restricted_map import Part, Within
 from calib.correct.interpolation.polynomial import Polynomial
 from calib.correct.interpolation.repeated_passes import Passes
+from calib.correct.interpolation.restricted_map import Part, Within
 from calib.correct.interpolation.simplex import Simplex
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
@@ -22,7 +22,15 @@ SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, th
     **dict.fromkeys(("linear", "simplex"), {"levels": "ragged", "values": "nm", "variances": "nm", "misfit": "m"}),
     "delaunay": {"centre": "a", "half": "a", "samples": "na", "values": "nm", "variances": "nm", "misfit": "m"},
     "axes": {"knots": "ac", "coefficients": "fm", "root": "fk", "noise": "m", "misfit": "m"},
-    "polynomial": {"low": "a", "high": "a", "powers": "fa", "coefficients": "fm", "root": "fk", "noise": "m", "misfit": "m"},
+    "polynomial": {
+        "low": "a",
+        "high": "a",
+        "powers": "fa",
+        "coefficients": "fm",
+        "root": "fk",
+        "noise": "m",
+        "misfit": "m",
+    },
 }
 ALL = {one.kind: one for one in (Linear, Simplex, Delaunay, Axes, RadialMap, Polynomial)}
 
@@ -39,8 +47,14 @@ def field_to_dict(field: Field) -> dict[str, Any]:
     if isinstance(field, Passes):
         return {"kind": field.kind, "fields": [field_to_dict(one) for one in field.fields]}
     if isinstance(field, Within):
-        return {"kind": field.kind, "field": field_to_dict(field.field), "low": _bounds(field.part.low), "high": _bounds(field.part.high)}
-    return {"kind": field.kind} | {part.name: _plain(getattr(field, part.name)) for part in parts_of(field) if part.init}  # type: ignore[arg-type]
+        return {
+            "kind": field.kind,
+            "field": field_to_dict(field.field),
+            "low": _bounds(field.part.low),
+            "high": _bounds(field.part.high),
+        }
+    parts = parts_of(field)  # type: ignore[arg-type]
+    return {"kind": field.kind} | {part.name: _plain(getattr(field, part.name)) for part in parts if part.init}
 
 
 def _bounds(values: np.ndarray) -> list[float | None]:
@@ -75,12 +89,20 @@ def field_from_entries(table: Entries, axes: int) -> Field:
     build: Callable[..., Field] = kind
     if kind is RadialMap:
         parts = _ragged(table, "parts")
-        found = [None if one is None else gaussian_process_from_entries(Entries(one, (*table.path, "parts", i), table.file, table.places), axes)
-                 for i, one in enumerate(parts) if one is None or isinstance(one, dict)]
+        found = [
+            None
+            if one is None
+            else gaussian_process_from_entries(Entries(one, (*table.path, "parts", i), table.file, table.places), axes)
+            for i, one in enumerate(parts)
+            if one is None or isinstance(one, dict)
+        ]
         inflation = table.number("inflation") if "inflation" in table.tree else 1.0
         return RadialMap(tuple(found), table.array("low", (axes,)), table.array("high", (axes,)), inflation)
     sizes: dict[str, int] = {"a": axes}
-    read = {name: _levels(table, axes) if shape == "ragged" else _array(table, name, shape, sizes) for name, shape in SHAPES[kind.kind].items()}
+    read = {
+        name: _levels(table, axes) if shape == "ragged" else _array(table, name, shape, sizes)
+        for name, shape in SHAPES[kind.kind].items()
+    }
     try:
         return build(**read)
     except (ValueError, RigError) as error:
@@ -94,9 +116,17 @@ def gaussian_process_from_entries(table: Entries, axes: int) -> Radial:
     for name, values in (("half", half), ("lengths", lengths)):
         if (values <= 0).any():
             table.fail(f"{table.name(name)} must be positive, not {values.tolist()}", name)
-    return Radial(table.array("centre", (axes,)), half, table.whole("axis", 0, most=axes - 1), inputs, table.array("weights", (len(inputs),)),
-                  table.array("sizes", (2,)), lengths, table.number("noise"),
-                  table.array("variances", (len(inputs),), None) if "variances" in table.tree else None)
+    return Radial(
+        table.array("centre", (axes,)),
+        half,
+        table.whole("axis", 0, most=axes - 1),
+        inputs,
+        table.array("weights", (len(inputs),)),
+        table.array("sizes", (2,)),
+        lengths,
+        table.number("noise"),
+        table.array("variances", (len(inputs),), None) if "variances" in table.tree else None,
+    )
 
 
 def _array(table: Entries, name: str, shape: str, sizes: dict[str, int]) -> np.ndarray:

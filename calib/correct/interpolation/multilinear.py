@@ -33,5 +33,7 @@ class Linear(Grid):
         shares = np.where(corners, t[:, None], 1 - t[:, None])  # (n, 2^axes, axes)
         slopes = np.empty_like(shares)
         for i in range(x.shape[1]):
-            slopes[..., i] = np.delete(shares, i, axis=2).prod(axis=2) * np.where(corners[:, i], 1, -1) * slope[:, None, i]
+            slopes[..., i] = (
+                np.delete(shares, i, axis=2).prod(axis=2) * np.where(corners[:, i], 1, -1) * slope[:, None, i]
+            )
         return Weights(index, shares.prod(axis=2), slopes)

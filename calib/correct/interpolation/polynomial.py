@@ -1,4 +1,5 @@
-"""A polynomial of all axes, of the total degree that the samples bear out (Bayesian information criterion), by least squares.
+"""A polynomial of all axes, of the total degree that the samples bear out (Bayesian information criterion), by least
+squares.
 
 Source: configuration-space patent, [0137] (a suitable fit of the values)
 """
@@ -19,7 +20,9 @@ SAMPLES = 2  # for each of the polynomial's terms, at the least
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Polynomial(Regressed):
-    """powers : (terms, axes) whole numbers, of coordinates that go from -1 to 1 over the box low..high; the rest as Regressed has it."""
+    """powers : (terms, axes) whole numbers, of coordinates that go from -1 to 1 over the box low..high; the rest as
+    Regressed has it.
+    """
 
     low: np.ndarray
     high: np.ndarray

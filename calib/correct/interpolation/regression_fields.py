@@ -1,4 +1,6 @@
-"""Fields that are sums of functions, their shares found by least squares: value, gradient and error estimate from the functions."""
+"""Fields that are sums of functions, their shares found by least squares: value, gradient and error estimate from the
+functions.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -13,9 +15,10 @@ RANK = 1e-10  # of the largest singular value; directions below are not told by 
 
 
 class Regressed:
-    """A field of a sum of functions. Who inherits it has low, high (axes,), the box of the samples, beyond which it goes on as on its faces;
-    coefficients (functions, outputs); root (functions, k), whose root root^T is the coefficients' covariance in units of the noise;
-    noise (outputs,), the standard deviation of a sample about it, and misfit (outputs,), that part of it which is the field's."""
+    """A field of a sum of functions. Who inherits it has low, high (axes,), the box of the samples, beyond which it
+    goes on as on its faces; coefficients (functions, outputs); root (functions, k), whose root root^T is the
+    coefficients' covariance in units of the noise; noise (outputs,), the standard deviation of a sample about it, and
+    misfit (outputs,), that part of it which is the field's."""
 
     __slots__ = ()
     low: np.ndarray
@@ -50,7 +53,9 @@ class Regressed:
         told = ((self.functions(inner) @ self.root) ** 2).sum(axis=1)
         beyond = np.linalg.norm((inner - x.reshape(inner.shape)) / ((self.high - self.low) / 2), axis=1)
         middle = self.functions((self.low + self.high)[None] / 2)
-        size = np.abs((self.functions(inner) - middle) @ self.coefficients)  # as far as it goes over half the box, so far it may go on
+        size = np.abs(
+            (self.functions(inner) - middle) @ self.coefficients
+        )  # as far as it goes over half the box, so far it may go on
         square = told[:, None] * self.noise**2 + self.misfit**2 + (beyond[:, None] * size) ** 2
         return np.sqrt(square).reshape(*x.shape[:-1], -1)
 
@@ -62,18 +67,23 @@ R = TypeVar("R", bound=Regressed)
 
 
 def most_likely_field(blanks: Iterable[R], known: Known) -> R:
-    """The field, of some whose shares are not found yet, the simplest first, that is likeliest once these are fitted to samples."""
+    """The field, of some whose shares are not found yet, the simplest first, that is likeliest once these are fitted to
+    samples.
+    """
     best, least = None, np.inf
     for blank in blanks:
         coefficients, root, noise, misfit, bic = _shares(blank.functions(known.configurations), known)
         if best is None or bic < least:
-            best, least = replace(blank, coefficients=coefficients, root=root, noise=noise, misfit=misfit), bic  # type: ignore[type-var]
+            fitted = {"coefficients": coefficients, "root": root, "noise": noise, "misfit": misfit}
+            best, least = replace(blank, **fitted), bic  # type: ignore[type-var]
     assert best is not None
     return best
 
 
 def _shares(functions: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-    """(coefficients, root, noise, misfit, Bayesian information criterion) of functions (n, f) fitted to the values of n samples."""
+    """(coefficients, root, noise, misfit, Bayesian information criterion) of functions (n, f) fitted to the values of n
+    samples.
+    """
     n, count = functions.shape
     U, s, Vt = np.linalg.svd(functions, full_matrices=False)
     told = s > RANK * s[0]
@@ -85,5 +95,7 @@ def _shares(functions: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray
     stated = known.variances.mean(axis=0)
     noise = np.sqrt(np.maximum(variance, stated))
     misfit = np.sqrt(np.maximum(variance - stated, 0))
-    bic = float(n * np.log(np.maximum(left / n, 0.1 * stated + 1e-300)).sum() + rank * known.values.shape[1] * np.log(n))
+    bic = float(
+        n * np.log(np.maximum(left / n, 0.1 * stated + 1e-300)).sum() + rank * known.values.shape[1] * np.log(n)
+    )
     return coefficients, root, noise, misfit, bic

@@ -27,7 +27,9 @@ class Passes:
         return np.asarray(sum(field.gradient(x) for field in self.fields))
 
     def error(self, x: np.ndarray) -> np.ndarray:
-        """Of the last pass that holds at x: it was measured on what the others left, whose errors are in its samples."""
+        """Of the last pass that holds at x: it was measured on what the others left, whose errors are in its
+        samples.
+        """
         square = self.fields[0].error(x) ** 2
         for field in self.fields[1:]:
             weight = field.part.weight(np.asarray(x, float))[0][..., None] if isinstance(field, Within) else 1.0
@@ -38,5 +40,7 @@ class Passes:
     def inside(self, x: np.ndarray) -> np.ndarray:
         inside = self.fields[0].inside(x)
         for field in self.fields[1:]:
-            inside = np.where(field.part.holds(x), field.inside(x), inside) if isinstance(field, Within) else field.inside(x)
+            inside = (
+                np.where(field.part.holds(x), field.inside(x), inside) if isinstance(field, Within) else field.inside(x)
+            )
         return np.asarray(inside)

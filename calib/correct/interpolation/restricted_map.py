@@ -1,4 +1,5 @@
-"""A map that holds in a part of its space: whole within, fading to nothing just beyond, so that commands go on continuously.
+"""A map that holds in a part of its space: whole within, fading to nothing just beyond, so that commands go on
+continuously.
 
 Source: configuration-space patent, [0035] (corrections in some regions of the configuration space or the workspace)
 """
@@ -10,19 +11,27 @@ import numpy as np
 
 from calib.correct.interpolation.field import Field
 
-FADES, HALF = 0.1, 1e-3  # of a part's extent, over which a map fades beyond it; m or rad where it is bounded on one side alone
+FADES, HALF = (
+    0.1,
+    1e-3,
+)  # of a part's extent, over which a map fades beyond it; m or rad where it is bounded on one side alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """low, high : (axes,) m or rad, infinite where a coordinate is free. Raises ValueError where they bound nothing or are the wrong way round."""
+    """low, high : (axes,) m or rad, infinite where a coordinate is free. Raises ValueError where they bound nothing or
+    are the wrong way round.
+    """
 
     low: np.ndarray
     high: np.ndarray
 
     def __post_init__(self) -> None:
         if np.shape(self.low) != np.shape(self.high) or not (np.asarray(self.low) < np.asarray(self.high)).all():
-            raise ValueError(f"a part reaches from low to high, not from {np.ravel(self.low).tolist()} to {np.ravel(self.high).tolist()}")
+            raise ValueError(
+                f"a part reaches from low to high, not from {np.ravel(self.low).tolist()} to "
+                f"{np.ravel(self.high).tolist()}"
+            )
         if not np.isfinite(np.concatenate([self.low, self.high])).any():
             raise ValueError("a part is bounded on one side at the least")
 
@@ -37,7 +46,9 @@ class Part:
         return np.asarray(((x >= self.low) & (x <= self.high)).all(axis=-1))
 
     def weight(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(weight (...), 1 within and 0 far from it, its slope (..., axes)) at places x (..., axes), continuous both."""
+        """(weight (...), 1 within and 0 far from it, its slope (..., axes)) at places x (..., axes), continuous
+        both.
+        """
         below, above = self.low - x, x - self.high
         far = np.clip(np.maximum(np.maximum(below, above), 0) / self.fade, 0, 1)
         each = (1 - far) ** 2 * (1 + 2 * far)
@@ -62,7 +73,9 @@ class Within:
     def gradient(self, x: np.ndarray) -> np.ndarray:
         x = np.asarray(x, float)
         weight, slope = self.part.weight(x)
-        return np.asarray(weight[..., None, None] * self.field.gradient(x) + self.field.value(x)[..., None] * slope[..., None, :])
+        return np.asarray(
+            weight[..., None, None] * self.field.gradient(x) + self.field.value(x)[..., None] * slope[..., None, :]
+        )
 
     def error(self, x: np.ndarray) -> np.ndarray:
         x = np.asarray(x, float)

@@ -1,8 +1,9 @@
-"""Barycentric interpolation on the simplices into which Kuhn cuts each cell of a grid: axes + 1 samples a place, however many the axes.
+"""Barycentric interpolation on the simplices into which Kuhn cuts each cell of a grid: axes + 1 samples a place,
+however many the axes.
 
-A place in a cell lies in the simplex whose vertices are met on going through the cell along the axes in the order of the place's
-coordinates, the largest first; neighbouring cells are cut alike where they meet. Sources: configuration-space patent, [0033],
-[0034]; Kuhn, Some combinatorial lemmas in topology, 1960.
+A place in a cell lies in the simplex whose vertices are met on going through the cell along the axes in the order of
+the place's coordinates, the largest first; neighbouring cells are cut alike where they meet. Sources:
+configuration-space patent, [0033], [0034]; Kuhn, Some combinatorial lemmas in topology, 1960.
 """
 
 from typing import ClassVar
@@ -33,7 +34,9 @@ class Simplex(Grid):
         return out.reshape(*x.shape[:-1], -1)
 
     def fixed_points(self, goal: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-        """(commands (n, axes), what their last step changed (n,)): commands = goal + value(commands), for goals (n, axes)."""
+        """(commands (n, axes), what their last step changed (n,)): commands = goal + value(commands), for goals (n,
+        axes).
+        """
         commands, change = np.empty(goal.shape), np.empty(len(goal))
         kernel = simplex_kernels(goal.shape[1]).fixed_points
         run_in_threads(lambda part: kernel(goal[part], self.tables, tolerance, commands[part], change[part]), len(goal))

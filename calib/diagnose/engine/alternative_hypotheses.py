@@ -1,4 +1,6 @@
-"""For each finding, the hypotheses that would have explained as much: listed, and fitted in its place where a scan cannot decide."""
+"""For each finding, the hypotheses that would have explained as much: listed, and fitted in its place where a scan
+cannot decide.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any, Generic
@@ -26,7 +28,9 @@ def is_indistinguishable(alternative: Alternative[C], policy: SelectionPolicy) -
     return close > policy.cosine or (alternative.behind < policy.alike and close >= policy.akin)
 
 
-def alternatives_of(problem: Problem[Fit, Model, C], model: Model, own: Score[C], progress: Any) -> list[Alternative[C]]:
+def alternatives_of(
+    problem: Problem[Fit, Model, C], model: Model, own: Score[C], progress: Any
+) -> list[Alternative[C]]:
     """[Alternative] by weight of a Score on a model without it, the best of each name and place."""
     policy, linear = problem.policy, problem.linear(model)
     size, here = linear.size, (own.candidate.name, own.candidate.place)
@@ -35,7 +39,11 @@ def alternatives_of(problem: Problem[Fit, Model, C], model: Model, own: Score[C]
     column = problem.column(model, own)
 
     def alternative(score: Score[C]) -> Alternative[C]:
-        return Alternative(score, own.evidence(size) - score.evidence(size), column_cosine(linear, column, problem.column(model, score)))
+        return Alternative(
+            score,
+            own.evidence(size) - score.evidence(size),
+            column_cosine(linear, column, problem.column(model, score)),
+        )
 
     out: list[Alternative[C]] = []
     listed: set[tuple[str, str]] = set()
@@ -52,10 +60,17 @@ def alternatives_of(problem: Problem[Fit, Model, C], model: Model, own: Score[C]
     return sorted(out, key=lambda a: a.behind)
 
 
-def refit_alternatives(problem: Problem[Fit, Model, C], fit: Fit, number: int, own: Score[C], found: list[Alternative[C]],
-             hidden: bool = False) -> list[Refit[Fit, C]]:
+def refit_alternatives(
+    problem: Problem[Fit, Model, C],
+    fit: Fit,
+    number: int,
+    own: Score[C],
+    found: list[Alternative[C]],
+    hidden: bool = False,
+) -> list[Refit[Fit, C]]:
     """[Refit] of the first few that a scan does not tell from a finding: a scan takes for scatter what is not admitted
-    yet, and so tells of a strong term far less than it could. hidden : whether the finding convinces by its fit alone, as they then may"""
+    yet, and so tells of a strong term far less than it could. hidden : whether the finding convinces by its fit alone,
+    as they then may"""
     close = [a for a in found if is_indistinguishable(a, problem.policy)][: problem.policy.refitted]
     if not close:
         return []
@@ -64,7 +79,9 @@ def refit_alternatives(problem: Problem[Fit, Model, C], fit: Fit, number: int, o
         new = problem.add_term(bare, a.score)
         behind = problem.likelihood_ratio(new, fit) + a.score.complexity(size) - own.complexity(size)
         score = (
-            score_with_likelihood_ratio(a.score, problem.likelihood_ratio(bare, new), problem.linear(problem.residual(bare)).frames)
+            score_with_likelihood_ratio(
+                a.score, problem.likelihood_ratio(bare, new), problem.linear(problem.residual(bare)).frames
+            )
             if hidden
             else a.score
         )

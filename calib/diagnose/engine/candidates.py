@@ -10,7 +10,9 @@ Node = dict  # {parameter: value} of the nonlinear parameters, one node of a can
 
 
 class Role(Enum):
-    """How a number that rigs show over some range enters: in proportion, by its reciprocal, or as the size that a grid goes through."""
+    """How a number that rigs show over some range enters: in proportion, by its reciprocal, or as the size that a grid
+    goes through.
+    """
 
     LINEAR = "linear"
     INVERSE = "inverse"
@@ -37,7 +39,8 @@ class Candidate:
     usual : what rigs show of its numbers, None where nobody says
     bounds : (low (q,), high (q,)) of its coefficients, None for none
     vector : whether its size is many numbers, of which nobody says what is usual
-    searched : whether a parameter that means nothing without the effect is sought over the grid, so that the search over it tells its cost
+    searched : whether a parameter that means nothing without the effect is sought over the grid, so that the search
+        over it tells its cost
     """
 
     name: str

@@ -33,7 +33,9 @@ class CrossValidation:
 
 
 class HeldOut(NamedTuple):
-    """Residuals by a fit to other frames. frames : for each block (m,), the rows of frames alone; beforehand : for each block, the rest."""
+    """Residuals by a fit to other frames. frames : for each block (m,), the rows of frames alone; beforehand : for each
+    block, the rest.
+    """
 
     frames: tuple[np.ndarray, ...]
     beforehand: tuple[np.ndarray, ...]
@@ -45,9 +47,10 @@ def time_stretch_folds(count: int, number: int) -> np.ndarray:
 
 
 def frame_folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = ()) -> np.ndarray:
-    """(F,) which frames are held out together: a stretch of time; where something happens at one time (sudden), several shorter ones, so that
-    what comes before it and after it is never held out whole. sides : each (F,) bool, what is before such a moment or after it; of one that
-    is within a single stretch, the later half is held out with the next."""
+    """(F,) which frames are held out together: a stretch of time; where something happens at one time (sudden), several
+    shorter ones, so that what comes before it and after it is never held out whole. sides : each (F,) bool, what is
+    before such a moment or after it; of one that is within a single stretch, the later half is held out with the
+    next."""
     count = min(FOLDS, frames // FEWEST)
     if not sudden:
         return time_block_folds(frames, count)
@@ -58,10 +61,14 @@ def frame_folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = ()) -> 
     return fold
 
 
-def held_out_residuals(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.ndarray, only: int | None = None) -> HeldOut:
-    """HeldOut of residuals (one (m,) for each block, as they are with the nuisances at the model's values): nuisances fitted on other folds.
+def held_out_residuals(
+    model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.ndarray, only: int | None = None
+) -> HeldOut:
+    """HeldOut of residuals (one (m,) for each block, as they are with the nuisances at the model's values): nuisances
+    fitted on other folds.
 
-    model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is judged by the fit to all
+    model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is
+        judged by the fit to all
     only : the one fold to hold out, the others' rows staying as they are; None for each in turn
     """
     if model.half is not None:
@@ -74,8 +81,10 @@ def held_out_residuals(model: LinearModel, residuals: tuple[np.ndarray, ...], fo
     everything = sum(rights.values()) + pulled
     out = [y[block.frames_rows].copy() for block, y in zip(model.blocks, residuals)]
     for hold in rights if only is None else [only]:
-        size = np.linalg.solve(sum(gram for h, gram in grams.items() if h != hold) + held,
-                               sum(right for h, right in rights.items() if h != hold) + pulled)
+        size = np.linalg.solve(
+            sum(gram for h, gram in grams.items() if h != hold) + held,
+            sum(right for h, right in rights.items() if h != hold) + pulled,
+        )
         for left, Q, block in zip(out, basis, model.blocks):
             for rows in block.rows_of(fold == hold):
                 left[rows] -= Q[rows] @ size
@@ -85,7 +94,8 @@ def held_out_residuals(model: LinearModel, residuals: tuple[np.ndarray, ...], fo
 def sizes_without_columns(
     grams: Sequence[np.ndarray], rights: Sequence[np.ndarray], information: np.ndarray
 ) -> Callable[[np.ndarray], list[np.ndarray]]:
-    """A function: indices of columns that are left out -> for each fold, the sizes (p,) of all columns (0 for those) fitted on the other folds.
+    """A function: indices of columns that are left out -> for each fold, the sizes (p,) of all columns (0 for those)
+    fitted on the other folds.
 
     grams, rights : for each fold, (p, p) its whitened columns' products with each other and (p,) with the residual
     information : (p, p) of all folds, priors included
@@ -98,14 +108,16 @@ def sizes_without_columns(
     whole = [P @ (sum(rights) - right) for P, right in zip(inverses, rights)]
 
     def sizes(gone: np.ndarray) -> list[np.ndarray]:
-        return [size - P[:, gone] @ np.linalg.solve(P[np.ix_(gone, gone)], size[gone]) for P, size in zip(inverses, whole)]
+        return [
+            size - P[:, gone] @ np.linalg.solve(P[np.ix_(gone, gone)], size[gone]) for P, size in zip(inverses, whole)
+        ]
 
     return sizes
 
 
 def signed_rank_gain(fall: np.ndarray) -> float:
-    """How surely stretches gain by a fall (n,) of squares, in standard errors: Wilcoxon's signed ranks, since a strong term's gains are uneven
-    (one stretch may hold most of it); none where their sum falls."""
+    """How surely stretches gain by a fall (n,) of squares, in standard errors: Wilcoxon's signed ranks, since a strong
+    term's gains are uneven (one stretch may hold most of it); none where their sum falls."""
     by = np.bincount(time_stretch_folds(len(fall), STRETCHES), weights=fall)
     by = by[by != 0]
     if by.sum() <= 0:
@@ -119,7 +131,8 @@ def signed_rank_gain(fall: np.ndarray) -> float:
 def summed_gain(fall: np.ndarray, beforehand: float = 0.0) -> float:
     """The same by the sum over stretches of a fall (n,), in standard errors of that sum.
 
-    beforehand : what squares fall by that belong to no frame: a misfit that the prior on a nuisance alone shows is no stretch's, and has no rank
+    beforehand : what squares fall by that belong to no frame: a misfit that the prior on a nuisance alone shows is no
+        stretch's, and has no rank
     """
     by = np.bincount(time_block_folds(len(fall), min(20, len(fall) // 2)), weights=fall)
     error = np.sqrt(len(by)) * by.std(ddof=1) if len(by) > 1 else np.inf

@@ -1,6 +1,8 @@
-"""What a short formula may be made of: products of a few quantities, and sinusoids of one, each a column of the linear model.
+"""What a short formula may be made of: products of a few quantities, and sinusoids of one, each a column of the linear
+model.
 
-A quantity is whatever a recording says of every frame (a stroke, a temperature, a time); an atom is one product or one sinusoid.
+A quantity is whatever a recording says of every frame (a stroke, a temperature, a time); an atom is one product or one
+sinusoid.
 """
 
 from dataclasses import dataclass
@@ -16,7 +18,8 @@ SLOWEST = 0.75  # turns over its range: less is a power
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quantity:
-    """name; values : (F, a) of each frame in each direction that it can be moved in, or (F, 1) the same in all; in its own unit, from its own zero
+    """name; values : (F, a) of each frame in each direction that it can be moved in, or (F, 1) the same in all; in its
+    own unit, from its own zero
     powers : the greatest; turns : the most over its range that frames resolve, 0 for what has no sinusoid"""
 
     name: str
@@ -49,7 +52,8 @@ class Wave(NamedTuple):
 
 
 class Atom(NamedTuple):
-    """powers : ((index of a quantity, power), ..) whose product it is; wave : Wave that it is multiplied with, sine and cosine, or None
+    """powers : ((index of a quantity, power), ..) whose product it is; wave : Wave that it is multiplied with, sine and
+    cosine, or None
     direction : index of the one that it moves frames in, None for all of them alike"""
 
     powers: tuple[tuple[int, int], ...] = ()
@@ -90,7 +94,9 @@ class Library:
         return [Atom(powers, w) for w in waves for powers in [(), *(((i, 1),) for i in range(len(self.quantities)))]]
 
     def column(self, atom: Atom, rows: np.ndarray) -> np.ndarray:
-        """(f, a or 1, q) values of an atom at frames rows (f,), in units of its quantities' scales; q = 2 for a sinusoid, else 1."""
+        """(f, a or 1, q) values of an atom at frames rows (f,), in units of its quantities' scales; q = 2 for a
+        sinusoid, else 1.
+        """
         out = np.ones((len(rows), 1))
         for i, power in atom.powers:
             q = self.quantities[i]
@@ -102,7 +108,7 @@ class Library:
 
     def scale(self, atom: Atom) -> float:
         """What a coefficient of an atom's column is divided by for the quantities in their own units."""
-        return float(np.prod([self.quantities[i].scale**power for i, power in atom.powers]))
+        return float(np.prod([self.quantities[i].scale ** power for i, power in atom.powers]))
 
     def weights(self, atom: Atom, rows: np.ndarray) -> np.ndarray:
         """(f, a, q) by which an atom moves frames rows (f,) in all directions."""

@@ -1,8 +1,10 @@
-"""A short formula for what nobody named: atoms of a library admitted greedily and exchanged, frequencies refined, complexity paid for.
+"""A short formula for what nobody named: atoms of a library admitted greedily and exchanged, frequencies refined,
+complexity paid for.
 
-Description length: minus twice the log likelihood with scatter at its best (never below the noise that is known), Schwarz's logarithm of
-the size for each number, and twice the logarithm of how many there were to choose from for each quantity, kind of atom, direction and frequency
-(Chen and Chen, Biometrika 95, 2008, 759-771, gamma = 1): what looks at few quantities is shorter.
+Description length: minus twice the log likelihood with scatter at its best (never below the noise that is known),
+Schwarz's logarithm of the size for each number, and twice the logarithm of how many there were to choose from for each
+quantity, kind of atom, direction and frequency (Chen and Chen, Biometrika 95, 2008, 759-771, gamma = 1): what looks at
+few quantities is shorter.
 """
 
 from collections.abc import Iterator
@@ -23,8 +25,8 @@ CLOSER = 1e-6  # of a frequency, to which it is refined
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Formula:
-    """atoms; coefficients : (q,) in turn, of quantities in their own units, a sinusoid's sine and cosine; length : by which the description is
-    shorter than without; cost : what its numbers and their choice take of the description"""
+    """atoms; coefficients : (q,) in turn, of quantities in their own units, a sinusoid's sine and cosine; length : by
+    which the description is shorter than without; cost : what its numbers and their choice take of the description"""
 
     atoms: tuple[Atom, ...]
     coefficients: np.ndarray
@@ -39,7 +41,9 @@ class Formula:
 
 @dataclass(eq=False)
 class Search:
-    """Of a formula for a Reduced residual. floor : what a whitened square is by the noise that is known alone, at most 1"""
+    """Of a formula for a Reduced residual. floor : what a whitened square is by the noise that is known alone, at most
+    1
+    """
 
     library: Library
     data: Reduced
@@ -59,7 +63,9 @@ class Search:
             return None
         columns = self._columns(atoms)
         scales = np.concatenate([np.full(1 if a.wave is None else 2, self.library.scale(a)) for a in atoms])
-        return Formula(atoms, self.data.coefficients(columns) / scales, self.length(()) - self.length(atoms), self.cost(atoms))
+        return Formula(
+            atoms, self.data.coefficients(columns) / scales, self.length(()) - self.length(atoms), self.cost(atoms)
+        )
 
     def length(self, atoms: tuple[Atom, ...] | None) -> float:
         """Description length of the residual by some atoms; infinite where they swallow one another."""
@@ -77,16 +83,24 @@ class Search:
         size, library = np.log(self.data.size), self.library
         quantities = frozenset().union(*(atom.quantities for atom in atoms))
         waves = {atom.wave for atom in atoms if atom.wave is not None}
-        each = sum((1 if atom.wave is None else 2) * size + 2 * np.log(CLASSES * (library.directions if library.apart else 1)) for atom in atoms)
+        each = sum(
+            (1 if atom.wave is None else 2) * size + 2 * np.log(CLASSES * (library.directions if library.apart else 1))
+            for atom in atoms
+        )
         turned = sum(size + 2 * np.log(max(library.quantities[wave.quantity].turns, 1.0)) for wave in waves)
         return float(each + turned + 2 * np.log(len(library.quantities)) * len(quantities))
 
     def _costs(self, atoms: tuple[Atom, ...], group: list[Atom]) -> np.ndarray:
-        """(k,) costs of atoms with each of a group besides: those that look at the same and are of one kind cost the same."""
+        """(k,) costs of atoms with each of a group besides: those that look at the same and are of one kind cost the
+        same.
+        """
         known: dict[tuple, float] = {}
         out = []
         for atom in group:
-            key = atom.quantities, atom.wave if any(atom.wave == a.wave for a in atoms) else atom.wave and atom.wave.quantity
+            key = (
+                atom.quantities,
+                atom.wave if any(atom.wave == a.wave for a in atoms) else atom.wave and atom.wave.quantity,
+            )
             if key not in known:
                 known[key] = self.cost((*atoms, atom))
             out.append(known[key])
@@ -123,10 +137,14 @@ class Search:
                 yield swelling, self._stacked(swelling)
 
     def _stacked(self, atoms: list[Atom]) -> Stack:
-        return self.data.stack(np.stack([self.data.whitened(self.library.weights(atom, self.data.rows)) for atom in atoms], axis=1))
+        return self.data.stack(
+            np.stack([self.data.whitened(self.library.weights(atom, self.data.rows)) for atom in atoms], axis=1)
+        )
 
     def _columns(self, atoms: tuple[Atom, ...]) -> np.ndarray:
-        return np.concatenate([self.data.whitened(self.library.weights(atom, self.data.rows)) for atom in atoms], axis=1)
+        return np.concatenate(
+            [self.data.whitened(self.library.weights(atom, self.data.rows)) for atom in atoms], axis=1
+        )
 
     def _refined(self, atoms: tuple[Atom, ...]) -> tuple[Atom, ...]:
         """Atoms with the frequency of each wave at its best between those that were tried."""
@@ -134,11 +152,17 @@ class Search:
             step = 2 * np.pi * FINE / max(self.library.quantities[wave.quantity].range, 1e-300)
 
             def at(frequency: float, wave: Wave = wave, now: tuple[Atom, ...] = atoms) -> tuple[Atom, ...]:
-                return tuple(a._replace(wave=Wave(wave.quantity, float(frequency))) if a.wave == wave else a for a in now)
+                return tuple(
+                    a._replace(wave=Wave(wave.quantity, float(frequency))) if a.wave == wave else a for a in now
+                )
 
             low, high = max(wave.frequency - step, step / 2), wave.frequency + step
-            found = scipy.optimize.minimize_scalar(lambda w, at=at: min(self.length(at(w)), 1e300), bounds=(low, high), method="bounded",
-                                                   options={"xatol": CLOSER * wave.frequency})
+            found = scipy.optimize.minimize_scalar(
+                lambda w, at=at: min(self.length(at(w)), 1e300),
+                bounds=(low, high),
+                method="bounded",
+                options={"xatol": CLOSER * wave.frequency},
+            )
             atoms = min(atoms, at(found.x), key=self.length)
         return atoms
 

@@ -1,7 +1,7 @@
 """Inner products frame by frame, from which every candidate's normal equations follow without its columns being made.
 
-A candidate moves each frame in a few directions (an axis longer, a camera's mount moved) by weights; so a search over thousands of
-hypotheses costs sums over frames alone.
+A candidate moves each frame in a few directions (an axis longer, a camera's mount moved) by weights; so a search over
+thousands of hypotheses costs sums over frames alone.
 """
 
 from dataclasses import dataclass
@@ -14,8 +14,10 @@ SWALLOWED = 1e-7  # share of a direction's square that the nuisances must leave 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameProducts:
-    """Of the directions (a) that a frame can be moved in. beta : (F, a) with the residual; gamma : (F, a, a) with each other
-    kappa : (F, a, p) with columns that span the nuisances; half : (p, r), columns @ half orthonormal, None where they are so already."""
+    """Of the directions (a) that a frame can be moved in. beta : (F, a) with the residual; gamma : (F, a, a) with each
+    other
+    kappa : (F, a, p) with columns that span the nuisances; half : (p, r), columns @ half orthonormal, None where they
+        are so already."""
 
     beta: np.ndarray
     gamma: np.ndarray
@@ -26,7 +28,9 @@ class FrameProducts:
         """The same of some of the directions: (a,) bool."""
         if directions.all():
             return self
-        return FrameProducts(self.beta[:, directions], self.gamma[:, directions][:, :, directions], self.kappa[:, directions], self.half)
+        return FrameProducts(
+            self.beta[:, directions], self.gamma[:, directions][:, :, directions], self.kappa[:, directions], self.half
+        )
 
     def onto(self, products: np.ndarray) -> np.ndarray:
         """Products with the columns (.., p) -> with the orthonormal basis (.., r)."""
@@ -38,7 +42,8 @@ class FrameProducts:
 
 
 class Normal(NamedTuple):
-    """Normal equations of k candidates. b : (k, q) projections of the residual; G : (k, q, q) Gram matrices, nuisances taken out;
+    """Normal equations of k candidates. b : (k, q) projections of the residual; G : (k, q, q) Gram matrices, nuisances
+    taken out;
     raw : (k, q) squares before they were"""
 
     b: np.ndarray
@@ -47,7 +52,8 @@ class Normal(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """delta_chi2 : (k,) by which the sum of squares falls; coefficients : k of (q,); rank : (k,) numbers that the data determine
+    """delta_chi2 : (k,) by which the sum of squares falls; coefficients : k of (q,); rank : (k,) numbers that the data
+    determine
     seen : (k,) share of the candidate's own size that nuisances leave, 0..1"""
 
     delta_chi2: np.ndarray
@@ -58,8 +64,12 @@ class Solved(NamedTuple):
     @staticmethod
     def of(parts: list["Solved"]) -> "Solved":
         """Several one after the other."""
-        return Solved(np.concatenate([p.delta_chi2 for p in parts]), [c for p in parts for c in p.coefficients],
-                      np.concatenate([p.rank for p in parts]), np.concatenate([p.seen for p in parts]))
+        return Solved(
+            np.concatenate([p.delta_chi2 for p in parts]),
+            [c for p in parts for c in p.coefficients],
+            np.concatenate([p.rank for p in parts]),
+            np.concatenate([p.seen for p in parts]),
+        )
 
 
 def normal_of_weighted_directions(products: FrameProducts, weights: np.ndarray) -> Normal:
@@ -95,7 +105,9 @@ def solve_normal_equations(normal: Normal) -> Solved:
 
 
 def solve_with_prior(normal: Normal, prior: np.ndarray | float) -> Solved:
-    """Least squares with coefficients normal about 0 with standard deviations (q,); the rank is the trace of what the data say against it."""
+    """Least squares with coefficients normal about 0 with standard deviations (q,); the rank is the trace of what the
+    data say against it.
+    """
     b, G, raw = normal
     size = np.linalg.solve(G + np.eye(b.shape[1]) / np.square(prior), np.concatenate([b[..., None], G], axis=2))
     rank = np.round(np.einsum("sqq->s", size[..., 1:]), 1)
@@ -106,4 +118,6 @@ def solve_fixed_size(normal: Normal) -> Solved:
     """For candidates (q = 1) whose size is in their node: the coefficient is one."""
     b, G, raw = normal.b[:, 0], normal.G[:, 0, 0], normal.raw[:, 0]
     seen = G / np.maximum(raw, 1e-300)
-    return Solved(np.where(seen > SWALLOWED, 2 * b - G, 0.0), [np.zeros(0)] * len(b), np.zeros(len(b), int), np.clip(seen, 0, 1))
+    return Solved(
+        np.where(seen > SWALLOWED, 2 * b - G, 0.0), [np.zeros(0)] * len(b), np.zeros(len(b), int), np.clip(seen, 0, 1)
+    )

@@ -1,4 +1,6 @@
-"""How well two hypotheses are told apart: what each does to what is measured, less what calibration's own freedoms can swallow."""
+"""How well two hypotheses are told apart: what each does to what is measured, less what calibration's own freedoms can
+swallow.
+"""
 
 from dataclasses import dataclass
 
@@ -7,8 +9,8 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Separation:
-    """plan : its text; frames; misfit : standard deviations by which the better of two models beats the other, scaled to fit its best,
-    over the plan's exposures; cosine : of the two sensitivities, freedoms taken out"""
+    """plan : its text; frames; misfit : standard deviations by which the better of two models beats the other, scaled
+    to fit its best, over the plan's exposures; cosine : of the two sensitivities, freedoms taken out"""
 
     plan: str
     frames: int
@@ -16,8 +18,12 @@ class Separation:
     cosine: float
 
 
-def hypothesis_separation(text: str, frames: int, parts: tuple[np.ndarray, np.ndarray], freedoms: np.ndarray, prior: np.ndarray) -> Separation:
-    """Separation of two sensitivities (n,), whitened, by freedoms (n, p), whitened, each of which a prior (p,) holds."""
+def hypothesis_separation(
+    text: str, frames: int, parts: tuple[np.ndarray, np.ndarray], freedoms: np.ndarray, prior: np.ndarray
+) -> Separation:
+    """Separation of two sensitivities (n,), whitened, by freedoms (n, p), whitened, each of which a prior (p,)
+    holds.
+    """
     Q = np.linalg.qr(np.concatenate([freedoms, np.diag(1 / prior)]))[0]
     a, b = (np.r_[part, np.zeros(len(prior))] for part in parts)
     a, b = a - Q @ (Q.T @ a), b - Q @ (Q.T @ b)

@@ -22,9 +22,11 @@ LIKELY = 1e-3  # chance above which no dispersion is asked, since that only make
 
 @dataclass(frozen=True, slots=True)
 class Test:
-    """Of one basis of smooth functions, the simplest first, tested whole, at a place. weights : (F, a, q) of what a frame can be moved in
+    """Of one basis of smooth functions, the simplest first, tested whole, at a place. weights : (F, a, q) of what a
+    frame can be moved in
     unit : of the size
-    depends_on : names of covariates; information : sum of 1 / unit^2 by which the place is weighed; prior : size of a coefficient, None for any"""
+    depends_on : names of covariates; information : sum of 1 / unit^2 by which the place is weighed; prior : size of a
+        coefficient, None for any"""
 
     place: str
     unit: str
@@ -36,8 +38,9 @@ class Test:
 
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
-    """Something unknown at a place. magnitude : RMS of what it does, in unit; depends_on : names of covariates, none for scatter
-    p_value; delta_chi2; freedom : parameters fitted; dispersion : that delta_chi2 was divided by, None for what is no function that was fitted
+    """Something unknown at a place. magnitude : RMS of what it does, in unit; depends_on : names of covariates, none
+    for scatter p_value; delta_chi2; freedom : parameters fitted; dispersion : that delta_chi2 was divided by, None for
+    what is no function that was fitted
     simpler : ((delta chi-square, not divided, and parameters) of its first function alone, of its first two, ..)
     among : how many such were asked of its place, of which it is one"""
 
@@ -57,8 +60,9 @@ class LackOfFit:
         return self.delta_chi2 - self.freedom * np.log(size)
 
     def shortest(self, size: int) -> tuple[float, float]:
-        """(delta chi-square with the dispersion not allowed for, what its parameters and its choice among others cost) of as many of the functions,
-        from the first on, as are worth it by Schwarz's criterion: to compare with candidates by (Chen and Chen, Biometrika 95, 2008)."""
+        """(delta chi-square with the dispersion not allowed for, what its parameters and its choice among others cost)
+        of as many of the functions, from the first on, as are worth it by Schwarz's criterion: to compare with
+        candidates by (Chen and Chen, Biometrika 95, 2008)."""
         whole = self.delta_chi2 * (self.dispersion or 1.0), self.freedom
         delta, freedom = max((whole, *self.simpler), key=lambda one: one[0] - one[1] * np.log(size))
         return delta, float(freedom * np.log(size) + 2 * np.log(self.among))
@@ -69,8 +73,11 @@ class LackOfFit:
         return delta - cost
 
 
-def test_lack_of_fit(model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1, alpha: float = LIKELY) -> LackOfFit | None:
-    """LackOfFit of a Test, None where the nuisances swallow its functions: what the fit explains beyond what noise alone would, nuisances
+def test_lack_of_fit(
+    model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1, alpha: float = LIKELY
+) -> LackOfFit | None:
+    """LackOfFit of a Test, None where the nuisances swallow its functions: what the fit explains beyond what noise
+    alone would, nuisances
     taken out, tells their size. alpha : chance above which no dispersion is asked"""
     normal = normal_of_weighted_directions(products, test.weights[None])
     solved = solve_normal_equations(normal) if test.prior is None else solve_with_prior(normal, test.prior)
@@ -83,7 +90,17 @@ def test_lack_of_fit(model: LinearModel, products: FrameProducts, test: Test, cl
         spread, freedom = residual_dispersion(model, products, test.weights, solved.coefficients[0], cluster)
         p = scan_p_value(delta / spread, rank, freedom)
     magnitude = float(np.sqrt(max(delta[0] - rank, 0.0) / test.information))
-    return LackOfFit(test.place, magnitude, test.unit, test.depends_on, p, float(delta[0] / spread), int(np.ceil(rank)), spread, simpler)
+    return LackOfFit(
+        test.place,
+        magnitude,
+        test.unit,
+        test.depends_on,
+        p,
+        float(delta[0] / spread),
+        int(np.ceil(rank)),
+        spread,
+        simpler,
+    )
 
 
 def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
@@ -100,10 +117,16 @@ def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
 
 
 def significant_lack_of_fit(found: list[LackOfFit | None], alpha: float = ALPHA) -> list[LackOfFit]:
-    """Those too good for chance over all of them, functions of something before scatter, the most convincing first. alpha : that chance"""
+    """Those too good for chance over all of them, functions of something before scatter, the most convincing first.
+    alpha : that chance
+    """
     held = [u for u in found if u is not None]
     functions = Counter(u.place for u in held if u.dispersion is not None)
-    held = [replace(u, among=functions[u.place] if u.dispersion is not None else 1) for u in held if u.p_value * len(held) < alpha]
+    held = [
+        replace(u, among=functions[u.place] if u.dispersion is not None else 1)
+        for u in held
+        if u.p_value * len(held) < alpha
+    ]
     return sorted(held, key=lambda u: (not u.depends_on, u.p_value if u.p_value > 0 else -u.delta_chi2))
 
 

@@ -1,7 +1,8 @@
-"""A linear model of whitened residuals in blocks, frame by frame, with the nuisances' directions taken out of all of them.
+"""A linear model of whitened residuals in blocks, frame by frame, with the nuisances' directions taken out of all of
+them.
 
-Every residual r is whitened; P = I - Q Q^T takes out the span of the nuisances, Q orthonormal. Each block (corners, closures, poses) is
-a kind of measurement; its rows stand frame by frame, then what was known beforehand.
+Every residual r is whitened; P = I - Q Q^T takes out the span of the nuisances, Q orthonormal. Each block (corners,
+closures, poses) is a kind of measurement; its rows stand frame by frame, then what was known beforehand.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,8 @@ RANK = 1e-11  # of the greatest eigenvalue; nuisances below are none
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
     """name; unit : of the residual before whitening; residual : (m,) whitened, nuisances taken out
-    edges : (F + 1,) rows edges[f] : edges[f + 1] belong to frame f, those after the last to what was known beforehand"""
+    edges : (F + 1,) rows edges[f] : edges[f + 1] belong to frame f, those after the last to what was known
+        beforehand"""
 
     name: str
     unit: str
@@ -42,7 +44,8 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Column:
-    """k directions in all blocks. parts : one (m, k) for each block, an array or what multiplies as one does; None for nothing
+    """k directions in all blocks. parts : one (m, k) for each block, an array or what multiplies as one does; None for
+    nothing
     inner : (F, L, k) coordinates in each frame's own freedoms, None for nothing"""
 
     parts: tuple[np.ndarray | LinearOperator | None, ...]
@@ -50,7 +53,10 @@ class Column:
 
     def __matmul__(self, sizes: np.ndarray) -> "Column":
         """The directions (k, r) combined by sizes (k, r)."""
-        return Column(tuple(None if part is None else part @ sizes for part in self.parts), None if self.inner is None else self.inner @ sizes)
+        return Column(
+            tuple(None if part is None else part @ sizes for part in self.parts),
+            None if self.inner is None else self.inner @ sizes,
+        )
 
     def __add__(self, other: "Column") -> "Column":
         """Column of what two do together."""
@@ -77,7 +83,9 @@ class Column:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
-    """Of a Column on a LinearModel: onto : (r, k) on the nuisances' basis; right : (k,) with the residual; gram : (k, k), nuisances out."""
+    """Of a Column on a LinearModel: onto : (r, k) on the nuisances' basis; right : (k,) with the residual; gram : (k,
+    k), nuisances out.
+    """
 
     onto: np.ndarray
     right: np.ndarray
@@ -88,7 +96,8 @@ class Projection:
 class LinearModel:
     """Residuals in blocks with the span of the nuisances taken out.
 
-    blocks : (Block, ..); columns : Column (p) that spans the nuisances; half : (p, r), columns @ half orthonormal; None where they are so already
+    blocks : (Block, ..); columns : Column (p) that spans the nuisances; half : (p, r), columns @ half orthonormal; None
+        where they are so already
     size : independent numbers that the residuals hold, nuisances taken off
     """
 
@@ -142,7 +151,10 @@ class LinearModel:
 
     def project(self, column: Column) -> Projection:
         """Projection of a Column (k)."""
-        K, b, G = (np.zeros(shape) for shape in ((self.columns.count, column.count), column.count, (column.count, column.count)))
+        K, b, G = (
+            np.zeros(shape)
+            for shape in ((self.columns.count, column.count), column.count, (column.count, column.count))
+        )
         for block, basis, part in reversed(list(zip(self.blocks, self.columns.whole, column.parts))):
             if part is not None:
                 K, b, G = K + basis.T @ part, b + part.T @ block.residual, G + part.T @ part
@@ -159,14 +171,18 @@ class LinearModel:
         found = self.project(column)
         half = orthonormal_combinations(found.gram)
         lost, z = found.onto @ half, half.T @ found.right
-        more = [(0 if part is None else part @ half) - basis @ lost for basis, part in zip(self.columns.whole, column.parts)]
+        more = [
+            (0 if part is None else part @ half) - basis @ lost for basis, part in zip(self.columns.whole, column.parts)
+        ]
         blocks = tuple(replace(block, residual=block.residual - part @ z) for block, part in zip(self.blocks, more))
         columns = Column(tuple(np.column_stack([basis, part]) for basis, part in zip(self.columns.whole, more)))
         return LinearModel(blocks, columns, None, self.size - half.shape[1])
 
     def _few(self) -> bool:
         """Whether the products of a frame's basis, which is explicit, are fewer numbers than its rows."""
-        return self.half is None and self.columns.count * self.frames <= sum(int(block.edges[-1]) for block in self.blocks)
+        return self.half is None and self.columns.count * self.frames <= sum(
+            int(block.edges[-1]) for block in self.blocks
+        )
 
     def leakage(self, reach: np.ndarray, onto: np.ndarray) -> np.ndarray:
         """(F, q): per frame, the product of Q onto^T with the residual plus Q reach. reach : (r,); onto : (q, r)"""
@@ -205,7 +221,9 @@ class LinearModel:
 
 
 def orthonormal_combinations(gram: np.ndarray) -> np.ndarray:
-    """(p, r) combinations of columns with a Gram matrix (p, p) that are orthonormal: the columns' span, what is null left out."""
+    """(p, r) combinations of columns with a Gram matrix (p, p) that are orthonormal: the columns' span, what is null
+    left out.
+    """
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / scale[:, None] / scale)
     kept = values > RANK * values[-1]
@@ -213,15 +231,20 @@ def orthonormal_combinations(gram: np.ndarray) -> np.ndarray:
 
 
 def join_columns(columns: list[Column]) -> Column:
-    """One Column of several over the same blocks; what is nothing in one is zero beside the others. Raises ValueError for none"""
+    """One Column of several over the same blocks; what is nothing in one is zero beside the others. Raises ValueError
+    for none
+    """
     if not columns:
         raise ValueError("there is nothing to join")
     parts: list[np.ndarray | None] = []
     for n in range(len(columns[0].parts)):
         own = [c.parts[n] for c in columns]
         rows = next((part.shape[0] for part in own if part is not None), None)
-        parts.append(None if rows is None else
-                     np.column_stack([np.zeros((rows, c.count)) if part is None else part for c, part in zip(columns, own)]))
+        parts.append(
+            None
+            if rows is None
+            else np.column_stack([np.zeros((rows, c.count)) if part is None else part for c, part in zip(columns, own)])
+        )
     shape = next((c.inner.shape[:2] for c in columns if c.inner is not None), None)
     if shape is None:
         return Column(tuple(parts))

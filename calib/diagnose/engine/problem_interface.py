@@ -1,6 +1,7 @@
 """What a problem answers, so that the engine can search it: the one protocol of platforms, bodies and arms.
 
-A Fit is all that is admitted at its best; a Model is what it leaves, linear, with nuisances and the admitted terms' parameters taken out.
+A Fit is all that is admitted at its best; a Model is what it leaves, linear, with nuisances and the admitted terms'
+parameters taken out.
 """
 
 from collections.abc import Callable
@@ -20,7 +21,9 @@ Progress = Callable[[str, int, int], None]  # called with (label, done, of)
 
 
 class Wald(NamedTuple):
-    """How far a term stands from nothing, in squared standard deviations, by how many numbers that the data determine."""
+    """How far a term stands from nothing, in squared standard deviations, by how many numbers that the data
+    determine.
+    """
 
     statistic: float
     freedom: float
@@ -54,14 +57,16 @@ class Problem(Protocol[Fit, Model, C]):
         """What it leaves."""
 
     def is_explained_by_tolerances(self, fit: Fit, best: Score[C] | None) -> bool:
-        """Whether from here on something that is nobody's fault stands among the nuisances, since it explains more than the best there is: a
-        change for all Fits, made once."""
+        """Whether from here on something that is nobody's fault stands among the nuisances, since it explains more than
+        the best there is: a change for all Fits, made once."""
 
     def without_term(self, fit: Fit, number: int) -> Model:
         """What it leaves with one term taken away, the others' parameters among the nuisances."""
 
     def covered(self, fit: Fit, number: int, left: list[LackOfFit]) -> Model | None:
-        """The same with the smooth functions of what is left among the nuisances; None where there are none for such a problem."""
+        """The same with the smooth functions of what is left among the nuisances; None where there are none for such a
+        problem.
+        """
 
     def linear(self, model: Model) -> LinearModel:
         """The LinearModel that a Model stands for."""
@@ -69,7 +74,9 @@ class Problem(Protocol[Fit, Model, C]):
     def open(self, fit: Fit) -> list[C]:
         """The candidates that may still be admitted."""
 
-    def search(self, model: Model, candidates: list[C], least: float, progress: Callable[[int, int], None] | None) -> list[Score[C]]:
+    def search(
+        self, model: Model, candidates: list[C], least: float, progress: Callable[[int, int], None] | None
+    ) -> list[Score[C]]:
         """Scores by raw delta BIC, the greatest first; those below `least` may be missing."""
 
     def rescored(self, model: Model, fit: Fit, number: int) -> Score[C]:
@@ -97,7 +104,9 @@ class Problem(Protocol[Fit, Model, C]):
         """The Fit with terms' nonlinear parameters at their best now that others are admitted."""
 
     def simplified(self, fit: Fit, /) -> Fit:
-        """The Fit with special cases in place of general ones that do no better, and one general one in place of many special."""
+        """The Fit with special cases in place of general ones that do no better, and one general one in place of many
+        special.
+        """
 
     def wald(self, fit: Fit, number: int) -> Wald:
         """Of one term."""
@@ -112,7 +121,9 @@ class Problem(Protocol[Fit, Model, C]):
         """Of one term."""
 
     def lack_of_fit(self, model: Model, place: str | None = None) -> list[LackOfFit]:
-        """What nobody named, the most convincing first; at a place of a name alone, by the chance that names are found by, where one is given."""
+        """What nobody named, the most convincing first; at a place of a name alone, by the chance that names are found
+        by, where one is given.
+        """
 
     def within(self, left: LackOfFit, place: str) -> bool:
         """Whether what is left sits where something at a place does, or at a part of it."""

@@ -1,4 +1,6 @@
-"""Frames' own directions whitened, nuisances taken out: ordinary least squares in which columns are added one after the other."""
+"""Frames' own directions whitened, nuisances taken out: ordinary least squares in which columns are added one after the
+other.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -11,8 +13,10 @@ from calib.diagnose.engine.linear_model import LinearModel, orthonormal_combinat
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """Of frames that can be moved in directions (a). rows : (f,) which frames; root : (f, a, a) that whitens the directions
-    y : (f a,) residual; basis : (f a, r) of what is taken out, as far as these directions see it; size : numbers that the residual holds"""
+    """Of frames that can be moved in directions (a). rows : (f,) which frames; root : (f, a, a) that whitens the
+    directions
+    y : (f a,) residual; basis : (f a, r) of what is taken out, as far as these directions see it; size : numbers that
+        the residual holds"""
 
     rows: np.ndarray
     root: np.ndarray
@@ -22,8 +26,9 @@ class Reduced:
 
     @staticmethod
     def of(products: FrameProducts, rows: np.ndarray, known: tuple[np.ndarray, np.ndarray] | None = None) -> "Reduced":
-        """Reduced of products of frames rows (f,). known : ((p, p) information of the nuisances on these frames with all that was known
-        beforehand, (p,) the residual's products with their columns there), None where the model has them taken out already"""
+        """Reduced of products of frames rows (f,). known : ((p, p) information of the nuisances on these frames with
+        all that was known beforehand, (p,) the residual's products with their columns there), None where the model has
+        them taken out already"""
         values, vectors = np.linalg.eigh(products.gamma)
         seen = values > SWALLOWED * np.maximum(values[:, -1:], 1e-300)
         half = np.sqrt(np.where(seen, values, 0.0))
@@ -41,11 +46,20 @@ class Reduced:
 
     @staticmethod
     def on(model: LinearModel, products: FrameProducts, train: np.ndarray) -> "Reduced":
-        """Reduced of the frames of a mask train (F,), the nuisances of a LinearModel with an explicit basis fitted to these alone."""
-        rows, known = np.flatnonzero(train), [(Q[block.known_rows], block.residual[block.known_rows])
-                                              for Q, block in zip(model.columns.whole, model.blocks)]
+        """Reduced of the frames of a mask train (F,), the nuisances of a LinearModel with an explicit basis fitted to
+        these alone.
+        """
+        rows, known = (
+            np.flatnonzero(train),
+            [
+                (Q[block.known_rows], block.residual[block.known_rows])
+                for Q, block in zip(model.columns.whole, model.blocks)
+            ],
+        )
         information = model.gram(train) + sum(Q.T @ Q for Q, _ in known)
-        right = model.right(train, [block.residual for block in model.blocks]) + sum(Q.T @ residual for Q, residual in known)
+        right = model.right(train, [block.residual for block in model.blocks]) + sum(
+            Q.T @ residual for Q, residual in known
+        )
         confined = FrameProducts(products.beta[rows], products.gamma[rows], products.kappa[rows], products.half)
         return Reduced.of(confined, rows, (information, right))
 
@@ -58,7 +72,9 @@ class Reduced:
         free = columns - self.basis @ (self.basis.T @ columns)
         gram = columns.T @ free
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        if (np.diag(gram) <= SWALLOWED * (columns**2).sum(axis=0)).any() or np.linalg.eigvalsh(gram / scale[:, None] / scale)[0] < SWALLOWED:
+        if (np.diag(gram) <= SWALLOWED * (columns**2).sum(axis=0)).any() or np.linalg.eigvalsh(
+            gram / scale[:, None] / scale
+        )[0] < SWALLOWED:
             return None
         lower = np.linalg.cholesky(gram)
         along = solve_triangular(lower, free.T, lower=True).T
@@ -73,10 +89,17 @@ class Reduced:
     def stack(self, columns: np.ndarray) -> "Stack":
         """Stack of columns (f a, k, q) beside what is taken out now."""
         raw = _grams(columns)
-        return Stack(columns, raw - _grams(_onto(self.basis, columns)), np.maximum(np.einsum("kqq->kq", raw), 1e-300), self.basis.shape[1])
+        return Stack(
+            columns,
+            raw - _grams(_onto(self.basis, columns)),
+            np.maximum(np.einsum("kqq->kq", raw), 1e-300),
+            self.basis.shape[1],
+        )
 
     def drops(self, stack: "Stack") -> np.ndarray:
-        """(k,) by which the squares fall with each of a Stack's columns, or pairs, by themselves, beside what was taken out since it was made."""
+        """(k,) by which the squares fall with each of a Stack's columns, or pairs, by themselves, beside what was taken
+        out since it was made.
+        """
         b = (self.y @ stack.columns.reshape(len(self.y), -1)).reshape(stack.own.shape)
         since = self.basis[:, stack.beside :]
         gram = stack.gram if not since.shape[1] else stack.gram - _grams(_onto(since, stack.columns))
@@ -91,7 +114,8 @@ class Reduced:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stack:
-    """Columns that are tried, each by itself. columns : (f a, k, q), q = 1 or 2; gram : (k, q, q) of them, what was taken out first left out
+    """Columns that are tried, each by itself. columns : (f a, k, q), q = 1 or 2; gram : (k, q, q) of them, what was
+    taken out first left out
     own : (k, q) squares before; beside : how many columns were taken out first"""
 
     columns: np.ndarray

@@ -1,4 +1,6 @@
-"""Every threshold of the selection, with its reason; what an arm needs otherwise stands in `ARM`, with the reason beside it."""
+"""Every threshold of the selection, with its reason; what an arm needs otherwise stands in `ARM`, with the reason
+beside it.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -8,23 +10,33 @@ class SelectionPolicy:
     """The thresholds by which terms are admitted, kept, named and told apart.
 
     alpha : chance of a finding where there is nothing, over all effects, places and searches (Bonferroni)
-    delta_bic : of the Bayesian information criterion that a term must bring; 10 is "very strong" (Kass and Raftery 1995)
-    hidden : chance, over all candidates, above which a candidate is not fitted to see whether its own scatter hides it, unless it explains by
-    delta_bic more than it costs; 0 for never
+    delta_bic : of the Bayesian information criterion that a term must bring; 10 is "very strong" (Kass and Raftery
+        1995)
+    hidden : chance, over all candidates, above which a candidate is not fitted to see whether its own scatter hides it,
+    unless it explains by delta_bic more than it costs; 0 for never
     most : terms at once
     tried : candidates that may fail on held-out stretches before the search ends
-    companions : of the greatest delta BIC; another axis' candidate with so much is admitted in the same step, inf for none
-    forward_gain : standard errors by which held-out stretches must gain for a term to be admitted, None where it is asked at the end alone
-    final_gain : standard errors by which they must gain for a term to stay at the end, None where it was asked when it was admitted
+    companions : of the greatest delta BIC; another axis' candidate with so much is admitted in the same step, inf for
+        none
+    forward_gain : standard errors by which held-out stretches must gain for a term to be admitted, None where it is
+        asked at the end alone
+    final_gain : standard errors by which they must gain for a term to stay at the end, None where it was asked when it
+        was admitted
     alike : minus twice the logarithm of odds, from which hypotheses are told apart (odds of 20 to 1)
     cosine : between sensitivities, nuisances taken out, from which two hypotheses are the same
-    akin : between sensitivities, below which two hypotheses are different effects and no alternatives, whatever each explains
-    near : of a finding's delta chi-square; an alternative whose sensitivities are nearly the same lies no farther behind
-    alternative_alpha : chance above which an alternative explains nothing by itself; what searching for it costs is in its odds already
+    akin : between sensitivities, below which two hypotheses are different effects and no alternatives, whatever each
+        explains
+    near : of a finding's delta chi-square; an alternative whose sensitivities are nearly the same lies no farther
+        behind
+    alternative_alpha : chance above which an alternative explains nothing by itself; what searching for it costs is in
+        its odds already
     refitted : alternatives that are fitted with all that is free in a finding's place; 0 where the score is exact
-    takes_over : minus twice the logarithm of odds by which an alternative must lead to take a finding's place, inf for never
-    smooth_beyond : times a name's delta BIC, from which a smooth function without one explains so much more that no further name is given
-    smooth_anywhere : whether a smooth function at another place, likelier by `alike` than a name, takes that name away; one at its own always does
+    takes_over : minus twice the logarithm of odds by which an alternative must lead to take a finding's place, inf for
+        never
+    smooth_beyond : times a name's delta BIC, from which a smooth function without one explains so much more that no
+        further name is given
+    smooth_anywhere : whether a smooth function at another place, likelier by `alike` than a name, takes that name away;
+        one at its own always does
     cluster : frames in a row whose errors may be alike, taken together where dispersion is judged
     """
 
@@ -53,15 +65,24 @@ PLATFORM = SelectionPolicy()
 ARM = replace(
     PLATFORM,
     hidden=0.0,  # an arm's scatter is one for all joints, and no joint's own
-    most=24,  # an arm has six gears, six bearings and six loads of its own, where a platform's struts are alike and stiff
-    companions=0.4,  # each joint's turn is measured nearly apart from the others', so that several can be admitted on one look
+    # an arm has six gears, six bearings and six loads of its own, where a platform's struts are alike and stiff
+    most=24,
+    # each joint's turn is measured nearly apart from the others', so that several can be admitted on one look
+    companions=0.4,
     forward_gain=None,  # a step admits several at once, each too small to tell by stretches until the others are in
-    final_gain=2.0,  # no alternative takes a term's place and nothing is refitted nonlinearly, so stretches are the last judge of it
-    akin=0.5,  # a sinusoid may stand for any smooth function of one joint: as good a score does not make another effect of it
-    alternative_alpha=1e-4,  # many sinusoids stand for any smooth function of a joint, each explaining a little of every other
+    # no alternative takes a term's place and nothing is refitted nonlinearly, so stretches are the last judge of it
+    final_gain=2.0,
+    # a sinusoid may stand for any smooth function of one joint: as good a score does not make another effect of it
+    akin=0.5,
+    # many sinusoids stand for any smooth function of a joint, each explaining a little of every other
+    alternative_alpha=1e-4,
     refitted=0,  # terms are linear at their grid's node: the score is the refit
-    takes_over=float("inf"),  # a general profile beats its special case by chance; `simplified` decides between them instead
-    smooth_beyond=float("inf"),  # something unnamed always remains of a real arm, and is most often several gears not admitted yet
+    takes_over=float(
+        "inf"
+    ),  # a general profile beats its special case by chance; `simplified` decides between them instead
+    smooth_beyond=float(
+        "inf"
+    ),  # something unnamed always remains of a real arm, and is most often several gears not admitted yet
     smooth_anywhere=False,  # for the same reason: what remains at one joint says little of a name at another
     cluster=5,  # poses of a trajectory are neighbours: what a geometry leaves is alike in a row
 )

@@ -1,7 +1,8 @@
 """Sums of many columns against sinusoids of many orders of an angle at once: a non-uniform fast Fourier transform.
 
-Each pose's values are spread onto an even grid by a short kernel, the grid is transformed, and the kernel's own transform divided
-out. Source: Barnett, Magland and af Klinteberg, SIAM J. Sci. Comput. 41, 2019, C479-C504 (type 1; kernel eq. 1.8, upsampling 2).
+Each pose's values are spread onto an even grid by a short kernel, the grid is transformed, and the kernel's own
+transform divided out. Source: Barnett, Magland and af Klinteberg, SIAM J. Sci. Comput. 41, 2019, C479-C504 (type 1;
+kernel eq. 1.8, upsampling 2).
 """
 
 from functools import lru_cache
@@ -18,7 +19,8 @@ NODES = 60  # of the quadrature for the kernel's transform
 def sinusoid_sums(q: np.ndarray, values: np.ndarray, step: float, first: int, count: int) -> np.ndarray:
     """(count, p) complex: sum over poses of values * exp(1j * order * q) at orders step * (first, first + 1, ..).
 
-    q : (m,) rad, its span times step below 2 pi; values : (m, p); step : cycles per radian times 2 pi, between orders; first : at least 0
+    q : (m,) rad, its span times step below 2 pi; values : (m, p); step : cycles per radian times 2 pi, between orders;
+        first : at least 0
     """
     last = first + count
     size = next_fast_len(4 * last + 2 * WIDTH)
@@ -27,7 +29,9 @@ def sinusoid_sums(q: np.ndarray, values: np.ndarray, step: float, first: int, co
     start = np.ceil(at - WIDTH / 2).astype(int)
     cells = start[:, None] + np.arange(WIDTH)
     rows = np.repeat(np.arange(len(q)), WIDTH)
-    spread = csr_array((_kernel(2 * (cells - at[:, None]) / WIDTH).ravel(), ((cells % size).ravel(), rows)), shape=(size, len(q)))
+    spread = csr_array(
+        (_kernel(2 * (cells - at[:, None]) / WIDTH).ravel(), ((cells % size).ravel(), rows)), shape=(size, len(q))
+    )
     order = np.arange(first, last)
     grid = np.fft.rfft(spread @ values, axis=0)[order].conj()
     return grid * (np.exp(1j * order * step * centre) / _transform(size, first, count))[:, None]

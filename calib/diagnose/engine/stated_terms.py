@@ -9,7 +9,9 @@ Site = tuple[str, str]  # an effect's name and a place
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """assumed : terms that are there, whatever the data say of them; before : terms seen before, that have to stand like any other."""
+    """assumed : terms that are there, whatever the data say of them; before : terms seen before, that have to stand
+    like any other.
+    """
 
     assumed: tuple[Site, ...] = ()
     before: tuple[Site, ...] = ()

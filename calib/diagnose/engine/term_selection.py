@@ -18,7 +18,9 @@ RESTARTS = 2  # times the most terms that there may be, after which terms are co
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding(Generic[C]):
-    """number : of the term among the admitted; score : with all others admitted; alternatives : that the recording cannot tell from it"""
+    """number : of the term among the admitted; score : with all others admitted; alternatives : that the recording
+    cannot tell from it
+    """
 
     number: int
     score: Score[C]
@@ -27,7 +29,9 @@ class Finding(Generic[C]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection(Generic[Fit, C]):
-    """before : Fit with nothing admitted; fit : with all; findings : in the order of their weight; asked : how many candidates were"""
+    """before : Fit with nothing admitted; fit : with all; findings : in the order of their weight; asked : how many
+    candidates were
+    """
 
     before: Fit
     fit: Fit
@@ -48,13 +52,17 @@ def labelled_progress(progress: Progress | None, label: str) -> Any:
 def select_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
     """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
     before = problem.start()
-    fit = remove_terms_without_held_out_gain(problem, problem.simplified(_forward(problem, fit_with_stated_terms(problem, before), progress)))
+    fit = remove_terms_without_held_out_gain(
+        problem, problem.simplified(_forward(problem, fit_with_stated_terms(problem, before), progress))
+    )
     fit, findings = _confirm(problem, fit, progress)
     return Selection(before, fit, findings, len(problem.candidates))
 
 
 def choose_terms(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
-    """The Fit that `select_terms` finds before its terms are held against alternatives: what a stretch held out is predicted with."""
+    """The Fit that `select_terms` finds before its terms are held against alternatives: what a stretch held out is
+    predicted with.
+    """
     return remove_terms_without_held_out_gain(
         problem, problem.simplified(_forward(problem, fit_with_stated_terms(problem, problem.start()), progress))
     )
@@ -73,15 +81,17 @@ def fit_with_stated_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
 
 
 def _forward(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> Fit:
-    """The Fit with terms admitted step by step; from the beginning again where it turns out that more stands among the nuisances."""
+    """The Fit with terms admitted step by step; from the beginning again where it turns out that more stands among the
+    nuisances.
+    """
     while (found := _steps(problem, fit, progress)) is None:
         continue
     return found
 
 
 def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> Fit | None:
-    """The Fit with terms admitted step by step; after each step, those that others have made needless go again. None where the nuisances have
-    become more, see `Problem.tolerates`."""
+    """The Fit with terms admitted step by step; after each step, those that others have made needless go again. None
+    where the nuisances have become more, see `Problem.tolerates`."""
     policy, count = problem.policy, len(problem.candidates)
     taken: set[tuple] = set()
     refused: list[C] = []
@@ -90,7 +100,9 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
         label = f"searching beside {admitted} effects" if admitted else "searching"
         scores = problem.search(model, problem.open(fit), policy.delta_bic, labelled_progress(progress, label))
         fresh = [s for s in scores if hypothesis_key(s) not in taken and not any(s.candidate is c for c in refused)]
-        promising = [s for s in fresh if is_significant(s, count, problem.linear(model).size, policy)] or _hidden(problem, fit, model, fresh)
+        promising = [s for s in fresh if is_significant(s, count, problem.linear(model).size, policy)] or _hidden(
+            problem, fit, model, fresh
+        )
         if problem.is_explained_by_tolerances(fit, promising[0] if promising else None):
             return None
         if not promising:
@@ -108,32 +120,51 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
 
 
 def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: list[Score[C]]) -> list[Score[C]]:
-    """Of the strongest that a scan sees and the few that it finds least likely by chance, none convincing, those that convince once fitted, the most
-    convincing first: what is not admitted yet counts as its own axis' scatter, the strongest hides itself most, and what a scan sees of it is
-    worth no more than its frames, however many numbers that has to pay for."""
+    """Of the strongest that a scan sees and the few that it finds least likely by chance, none convincing, those that
+    convince once fitted, the most convincing first: what is not admitted yet counts as its own axis' scatter, the
+    strongest hides itself most, and what a scan sees of it is worth no more than its frames, however many numbers that
+    has to pay for."""
     policy, linear = problem.policy, problem.linear(model)
     scanned = [s for s in scores if may_become_significant(s, len(problem.candidates), linear.size, policy)]
     surest = sorted(scanned, key=lambda s: s.p_value)[: policy.tried]
-    strongest = [s for s in sorted(scanned, key=lambda s: -s.raw_delta_bic(linear.size))[:1] if not any(s is other for other in surest)]
-    fitted = [score_with_likelihood_ratio(s, problem.likelihood_ratio(fit, problem.add_term(fit, s)), linear.frames) for s in strongest + surest]
+    strongest = [
+        s
+        for s in sorted(scanned, key=lambda s: -s.raw_delta_bic(linear.size))[:1]
+        if not any(s is other for other in surest)
+    ]
+    fitted = [
+        score_with_likelihood_ratio(s, problem.likelihood_ratio(fit, problem.add_term(fit, s)), linear.frames)
+        for s in strongest + surest
+    ]
     found = [s for s in fitted if is_significant(s, len(problem.candidates), linear.size, policy)]
     return sorted(found, key=lambda s: -s.delta_bic(linear.size))
 
 
 def may_become_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
-    """Whether a Score that does not convince may once it is fitted: it is not likely by chance, or explains much by whichever frames."""
-    return policy.hidden > 0 and (score.p_value * count <= policy.hidden or score.raw_delta_bic(size) >= policy.delta_bic)
+    """Whether a Score that does not convince may once it is fitted: it is not likely by chance, or explains much by
+    whichever frames.
+    """
+    return policy.hidden > 0 and (
+        score.p_value * count <= policy.hidden or score.raw_delta_bic(size) >= policy.delta_bic
+    )
 
 
 def hypothesis_key(score: Score[C]) -> tuple:
     """What a hypothesis is known by: its name, place and node."""
-    node = tuple(sorted((name, round(value, DIGITS) if isinstance(value, float) else value) for name, value in score.node.items()))
+    node = tuple(
+        sorted(
+            (name, round(value, DIGITS) if isinstance(value, float) else value) for name, value in score.node.items()
+        )
+    )
     return score.candidate.name, score.candidate.place, node
 
 
-def _step(problem: Problem[Fit, Model, C], fit: Fit, promising: list[Score[C]], scores: list[Score[C]],
-          refused: list[C]) -> tuple[Fit, Score[C]] | None:
-    """(Fit, Score) with the first of the promising that predicts stretches held out; None where none of the first few does."""
+def _step(
+    problem: Problem[Fit, Model, C], fit: Fit, promising: list[Score[C]], scores: list[Score[C]], refused: list[C]
+) -> tuple[Fit, Score[C]] | None:
+    """(Fit, Score) with the first of the promising that predicts stretches held out; None where none of the first few
+    does.
+    """
     least = problem.policy.forward_gain
     for best in promising[: problem.policy.tried]:
         trial = problem.add_term(fit, best)
@@ -143,15 +174,22 @@ def _step(problem: Problem[Fit, Model, C], fit: Fit, promising: list[Score[C]], 
     return None
 
 
-def _exchanged(problem: Problem[Fit, Model, C], fit: Fit, trial: Fit, best: Score[C], scores: list[Score[C]]) -> tuple[Fit, Score[C]]:
-    """(Fit, Score) with the variant of a name and place that is best once fitted, of those that may do better than the scan's `best`: by what
-    factor that explains more than the scan said, others may do so twice over, since a large effect is not linear in its numbers, and what a coarse
+def _exchanged(
+    problem: Problem[Fit, Model, C], fit: Fit, trial: Fit, best: Score[C], scores: list[Score[C]]
+) -> tuple[Fit, Score[C]]:
+    """(Fit, Score) with the variant of a name and place that is best once fitted, of those that may do better than the
+    scan's `best`: by what factor that explains more than the scan said, others may do so twice over, since a large
+    effect is not linear in its numbers, and what a coarse
     variant leaves counted as scatter. trial : `fit` with `best`"""
     size, fitted = problem.size(fit), problem.likelihood_ratio(fit, trial)
-    variants = [s for s in scores if (s.candidate.name, s.candidate.place) == (best.candidate.name, best.candidate.place)]
+    variants = [
+        s for s in scores if (s.candidate.name, s.candidate.place) == (best.candidate.name, best.candidate.place)
+    ]
     told = next(s.delta_chi2 * s.dispersion for s in variants if s.candidate is best.candidate)
     reach, least = max(fitted / told, 1.0) ** 2, fitted - best.complexity(size)
-    seen = [s for s in variants if s.candidate is not best.candidate and s.freedom > 0]  # of the others the scan says nothing
+    seen = [
+        s for s in variants if s.candidate is not best.candidate and s.freedom > 0
+    ]  # of the others the scan says nothing
     others = [s for s in seen if reach * s.delta_chi2 * s.dispersion - s.complexity(size) >= least]
     found, chosen = trial, best
     for s in sorted(others, key=lambda s: -s.evidence(size))[: problem.policy.refitted]:
@@ -161,7 +199,9 @@ def _exchanged(problem: Problem[Fit, Model, C], fit: Fit, trial: Fit, best: Scor
     return found, chosen
 
 
-def _companions(problem: Problem[Fit, Model, C], fit: Fit, best: Score[C], promising: list[Score[C]], taken: set[tuple], size: int) -> Fit:
+def _companions(
+    problem: Problem[Fit, Model, C], fit: Fit, best: Score[C], promising: list[Score[C]], taken: set[tuple], size: int
+) -> Fit:
     """The Fit with what other places show nearly as strongly, each asked again with the ones before it admitted."""
     policy, places = problem.policy, {best.candidate.place}
     for score in promising:
@@ -181,7 +221,11 @@ def _smooth_beyond(problem: Problem[Fit, Model, C], model: Model, best: Score[C]
     if not np.isfinite(problem.policy.smooth_beyond):
         return False
     size = problem.linear(model).size
-    return any(u.delta_bic(size) > problem.policy.smooth_beyond * best.delta_bic(size) for u in problem.lack_of_fit(model) if u.dispersion)
+    return any(
+        u.delta_bic(size) > problem.policy.smooth_beyond * best.delta_bic(size)
+        for u in problem.lack_of_fit(model)
+        if u.dispersion
+    )
 
 
 def remove_redundant_terms(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
@@ -213,8 +257,8 @@ def remove_terms_without_held_out_gain(problem: Problem[Fit, Model, C], fit: Fit
 
 
 def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> tuple[Fit, list[Finding[C]]]:
-    """Each term against all candidates with the others admitted: gone where it does not stand, replaced where another does better, its
-    alternatives listed."""
+    """Each term against all candidates with the others admitted: gone where it does not stand, replaced where another
+    does better, its alternatives listed."""
     policy, count = problem.policy, len(problem.candidates)
     findings: list[Finding[C]] = []
     for _ in range(RESTARTS * policy.most):
@@ -225,19 +269,27 @@ def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
         scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
         own = scanned
         if not is_significant(own, count, size, policy) and may_become_significant(own, count, size, policy):
-            own = score_with_likelihood_ratio(own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames)
+            own = score_with_likelihood_ratio(
+                own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
+            )
         if not held and not is_significant(own, count, size, policy):  # beside all others it is none
             fit, findings = problem.remove_term(fit, number), []
             continue
-        found = alternatives_of(problem, model, scanned, labelled_progress(progress, f"alternatives of {own.candidate.name}"))  # like against like
+        found = alternatives_of(
+            problem, model, scanned, labelled_progress(progress, f"alternatives of {own.candidate.name}")
+        )  # like against like
         tries = refit_alternatives(problem, fit, number, scanned, found, own is not scanned)
         rest = [a for a in found if not any(a is t.scanned for t in tries)]
         ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
-        better = next((t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None)
+        better = next(
+            (t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None
+        )
         if better is not None and not held and is_significant(better.alternative.score, count, size, policy):
             fit, findings = problem.in_place(better.fit, number), []
             continue
-        if not held and _outdone(problem, model, fit, own):  # only now: what has no name may be likelier than one name, and not than the next
+        if not held and _outdone(
+            problem, model, fit, own
+        ):  # only now: what has no name may be likelier than one name, and not than the next
             fit, findings = problem.remove_term(fit, number), []
             continue
         findings.append(Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)]))
@@ -245,14 +297,20 @@ def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
 
 
 def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Score[C]) -> bool:
-    """Whether a smooth function without a name is likelier than a hypothesis that consists of a few numbers: these lie far from what rigs show,
-    or the place is another. model : without it; fit : with it; a name that leaves nothing there explains, once fitted, as much as the function."""
+    """Whether a smooth function without a name is likelier than a hypothesis that consists of a few numbers: these lie
+    far from what rigs show,
+    or the place is another. model : without it; fit : with it; a name that leaves nothing there explains, once fitted,
+        as much as the function."""
     if score.candidate.vector:
         return False
     size, place, alike = problem.linear(model).size, score.candidate.place, problem.policy.alike
 
     def there(at: Model) -> list[LackOfFit]:
-        return [u for u in problem.lack_of_fit(at) if u.dispersion and (problem.policy.smooth_anywhere or problem.within(u, place))]
+        return [
+            u
+            for u in problem.lack_of_fit(at)
+            if u.dispersion and (problem.policy.smooth_anywhere or problem.within(u, place))
+        ]
 
     likelier = [u.shortest(size) for u in there(model) if u.evidence(size) > score.evidence(size) + alike]
     if not likelier:
@@ -260,36 +318,55 @@ def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Sco
     return any(score.complexity(size) > cost + alike for _, cost in likelier) or bool(there(problem.residual(fit)))
 
 
-def remove_unsupported_findings(problem: Problem[Fit, Model, C], selection: Selection[Fit, C], left: list[LackOfFit]) -> Selection[Fit, C]:
-    """Selection without findings whose name does not stand where something is left unexplained: which smooth functions of the same would explain
-    as well, or which explain less than they leave at their place. Where what is left at a name's own place would make no finding, and is as
-    unlikely by chance as what is named, the same is asked; then the name goes only for what is told in its stead."""
+def remove_unsupported_findings(
+    problem: Problem[Fit, Model, C], selection: Selection[Fit, C], left: list[LackOfFit]
+) -> Selection[Fit, C]:
+    """Selection without findings whose name does not stand where something is left unexplained: which smooth functions
+    of the same would explain as well, or which explain less than they leave at their place. Where what is left at a
+    name's own place would make no finding, and is as unlikely by chance as what is named, the same is asked; then the
+    name goes only for what is told in its stead."""
     fit, gone, after = selection.fit, [], problem.residual(selection.fit)
     for f in selection.findings:
         if problem.given.holds(f.score.candidate):
             continue
         place = f.score.candidate.place
-        doubts = [u for u in problem.lack_of_fit(after, place) if not any((u.place, u.depends_on) == (v.place, v.depends_on) for v in left)]
+        doubts = [
+            u
+            for u in problem.lack_of_fit(after, place)
+            if not any((u.place, u.depends_on) == (v.place, v.depends_on) for v in left)
+        ]
         if left and not _stays(problem, f, fit, left, selection.asked):
             gone.append(f.number)
         elif doubts and not _stays(problem, f, fit, left + doubts, selection.asked):
-            gone += [f.number] * any(problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, f.number)))
+            gone += [f.number] * any(
+                problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, f.number))
+            )
     for number in sorted(gone, reverse=True):
         fit = problem.remove_term(fit, number)
     kept = [f for f in selection.findings if f.number not in gone]
-    return replace(selection, fit=fit, findings=[replace(f, number=f.number - sum(g < f.number for g in gone)) for f in kept])
+    return replace(
+        selection, fit=fit, findings=[replace(f, number=f.number - sum(g < f.number for g in gone)) for f in kept]
+    )
 
 
 def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left: list[LackOfFit], count: int) -> bool:
-    """Whether a Finding of a Fit explains more than what is left at its place, and stands beside smooth functions of what all that is left depends
-    on, of so many candidates asked; where there are none for such a problem it does."""
+    """Whether a Finding of a Fit explains more than what is left at its place, and stands beside smooth functions of
+    what all that is left depends on, of so many candidates asked; where there are none for such a problem it does."""
     model = problem.covered(fit, finding.number, left)
     if model is None:
         return True
-    larger = any(u.delta_chi2 > finding.score.delta_chi2 for u in left if u.depends_on and problem.within(u, finding.score.candidate.place))
+    larger = any(
+        u.delta_chi2 > finding.score.delta_chi2
+        for u in left
+        if u.depends_on and problem.within(u, finding.score.candidate.place)
+    )
     return not larger and is_finding_significant(problem, finding, model, fit, count)
 
 
-def is_finding_significant(problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int) -> bool:
+def is_finding_significant(
+    problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int
+) -> bool:
     """Whether a Finding convinces on a model without it, of so many candidates asked."""
-    return is_significant(problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy)
+    return is_significant(
+        problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy
+    )

@@ -1,4 +1,6 @@
-"""What is suggested of something without a name: a formula, how it was chosen, what it leaves on stretches that it was chosen and fitted without."""
+"""What is suggested of something without a name: a formula, how it was chosen, what it leaves on stretches that it was
+chosen and fitted without.
+"""
 
 from dataclasses import dataclass
 
@@ -12,7 +14,8 @@ from rig.effects.framework.machine_motion import Motion
 from rig.effects.texts.formula_effect_file import Term, Written
 
 NAME = "suggested"  # of the effect until a person gives it one
-GAIN = 0.5  # standard errors by which stretches held out must gain, as a name must: what shows in a few of them gains in few
+# standard errors by which stretches held out must gain, as a name must: what shows in a few of them gains in few
+GAIN = 0.5
 AGREE = 0.6  # of the parts, that must suggest something by themselves
 TURNS = 8.0  # of a sinusoid over a quantity's range, the most that is tried
 SPARSE = 14.0  # frames for each turn in time, at least
@@ -21,9 +24,12 @@ STILL = 1e-9  # share of its greatest value that a quantity must vary by
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suggestion:
-    """place; written : Written; effect : as fitted with all that is free; intervals : {parameter: (value, low, high)} at 95 %
-    before, after : RMS, unit, on stretches held out whole, without it and by formulas chosen and fitted without them; noise : what noise leaves
-    gain : standard errors by which the stretches gain; parts : quantities that each part of the recording chose; length : by which a description
+    """place; written : Written; effect : as fitted with all that is free; intervals : {parameter: (value, low, high)}
+    at 95 %
+    before, after : RMS, unit, on stretches held out whole, without it and by formulas chosen and fitted without them;
+        noise : what noise leaves
+    gain : standard errors by which the stretches gain; parts : quantities that each part of the recording chose;
+        length : by which a description
     of the whole is shorter, as minus twice a logarithm"""
 
     place: str
@@ -40,8 +46,8 @@ class Suggestion:
 
 
 def formula_library(motion: Motion, axis: int | None, directions: int = 1, apart: bool = False) -> Library:
-    """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform, which goes apart along and about
-    the base's axes."""
+    """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform, which
+    goes apart along and about the base's axes."""
     own = None if axis is None else f"travel of {motion.places[axis]}"
     out = []
     for q in quantities(motion, not apart):
@@ -62,9 +68,16 @@ def written(formula: Formula, library: Library, word: str, alike: bool) -> Writt
         if atom.wave is not None:
             swung = library.quantities[atom.wave.quantity]
             count, wave, turns = 2, (swung.name, atom.wave.frequency), atom.wave.frequency * swung.range / (2 * np.pi)
-        terms.append(Term(tuple((library.quantities[i].name, power) for i, power in atom.powers), wave,
-                          None if atom.direction is None else POSE[atom.direction], tuple(formula.coefficients[at : at + count].tolist()),
-                          library.scale(atom), turns))
+        terms.append(
+            Term(
+                tuple((library.quantities[i].name, power) for i, power in atom.powers),
+                wave,
+                None if atom.direction is None else POSE[atom.direction],
+                tuple(formula.coefficients[at : at + count].tolist()),
+                library.scale(atom),
+                turns,
+            )
+        )
         at += count
     return Written(word, tuple(terms), alike)
 

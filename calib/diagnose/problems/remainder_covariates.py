@@ -1,4 +1,6 @@
-"""What a machine's remainder may go with: every channel of its log, known or not, time, order, step, direction, speed, dwell, way travelled."""
+"""What a machine's remainder may go with: every channel of its log, known or not, time, order, step, direction, speed,
+dwell, way travelled.
+"""
 
 import numpy as np
 
@@ -24,7 +26,11 @@ def motion_functions(path: Path, commands: Commands, t: np.ndarray) -> dict[str,
     """{covariate: (F, axes or 1, q) functions of it} of how the axes came to where they were at times (F,) s."""
     wait = np.log(np.maximum(path.dwell, AT_ONCE))
     own = {"step": path.last_step, "speed": speed(commands, t), "way travelled": path.way}
-    out = {name: np.stack([powers(column, 2) for column in values.T], axis=1) for name, values in own.items() if np.ptp(values) > 0}
+    out = {
+        name: np.stack([powers(column, 2) for column in values.T], axis=1)
+        for name, values in own.items()
+        if np.ptp(values) > 0
+    }
     out["direction"] = path.direction[..., None]
     return {**out, "dwell": powers(wait, 2)[:, None, :]} if np.ptp(wait) > 0 else out
 
@@ -53,5 +59,8 @@ def cosines(t: np.ndarray, count: int) -> np.ndarray:
 
 def speed(commands: Commands, t: np.ndarray) -> np.ndarray:
     """(F, axes) m/s or rad/s of the axes at times (F,) s."""
-    ends = [np.stack([np.interp(t + s * ABOUT, commands.t, column) for column in commands.values.T], axis=1) for s in (1, -1)]
+    ends = [
+        np.stack([np.interp(t + s * ABOUT, commands.t, column) for column in commands.values.T], axis=1)
+        for s in (1, -1)
+    ]
     return (ends[0] - ends[1]) / (2 * ABOUT)

@@ -12,7 +12,8 @@ from rig.errors import RigError
 
 @dataclass(frozen=True, slots=True)
 class RequestedEffects:
-    """only : "effect" or "effect place" to which the catalogue is confined, empty for all of it; without : what is left out
+    """only : "effect" or "effect place" to which the catalogue is confined, empty for all of it; without : what is left
+    out
     kinds : the catalogue, with what a user adds to it."""
 
     only: tuple[str, ...] = ()
@@ -20,7 +21,9 @@ class RequestedEffects:
     kinds: tuple[type[Effect], ...] = ALL
 
     @staticmethod
-    def of(only: Iterable[str] | None, without: Iterable[str], given: Given, kinds: tuple[type[Effect], ...] = ALL) -> "RequestedEffects":
+    def of(
+        only: Iterable[str] | None, without: Iterable[str], given: Given, kinds: tuple[type[Effect], ...] = ALL
+    ) -> "RequestedEffects":
         """Asked with what is assumed besides. Raises RigError where that is left out at the same time."""
         asked = RequestedEffects(tuple(only or ()), tuple(without), kinds)
         assumed = tuple(f"{name} {place}" for name, place in given.assumed)
@@ -43,11 +46,15 @@ class RequestedEffects:
         return (not self.only or bool(there & set(self.only))) and not there & set(self.without)
 
     def check(self, sites: dict[str, tuple[str, ...]]) -> None:
-        """Raise RigError where a place is asked for, or left out, that none of the places (of each effect that can be asked for) is."""
+        """Raise RigError where a place is asked for, or left out, that none of the places (of each effect that can be
+        asked for) is.
+        """
         for text in (*self.only, *self.without):
             name, _, place = text.partition(" ")
             if place and name in sites and place not in sites[name]:
-                raise RigError(f"{text!r}: {name} cannot sit at {place!r} in this recording; it can at {', '.join(sites[name])}")
+                raise RigError(
+                    f"{text!r}: {name} cannot sit at {place!r} in this recording; it can at {', '.join(sites[name])}"
+                )
 
 
 def require_answerable(given: Given, candidates: Sequence[Candidate], not_asked: Sequence[NotAsked]) -> Given:
@@ -56,5 +63,8 @@ def require_answerable(given: Given, candidates: Sequence[Candidate], not_asked:
     for name, place in given.assumed:
         if (name, place) not in there:
             reasons = [s.reason for s in not_asked if s.effect == name]
-            raise RigError(f"{name} at {place} is assumed, but this recording cannot be asked for it" + (f": {reasons[0]}" if reasons else ""))
+            raise RigError(
+                f"{name} at {place} is assumed, but this recording cannot be asked for it"
+                + (f": {reasons[0]}" if reasons else "")
+            )
     return given

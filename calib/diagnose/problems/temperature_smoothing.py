@@ -1,5 +1,5 @@
-"""Temperatures as they were, from a log that holds a thermometer's noise as well: noise in what an effect follows makes the effect look smaller,
-and leaves behind what no model explains (Fuller, Measurement error models, 1987, ch. 1)."""
+"""Temperatures as they were, from a log that holds a thermometer's noise as well: noise in what an effect follows makes
+the effect look smaller, and leaves behind what no model explains (Fuller, Measurement error models, 1987, ch. 1)."""
 
 from dataclasses import replace
 
@@ -8,7 +8,10 @@ import scipy
 
 from rig.recording.recording_folder import Sensors
 
-DEGREES = (1, 2)  # of the plainest courses: a temperature has at least a slope, and a log too short to show it still bounds it
+DEGREES = (
+    1,
+    2,
+)  # of the plainest courses: a temperature has at least a slope, and a log too short to show it still bounds it
 KNOTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)  # stretches of a cubic spline that are tried beyond these
 ROWS = 4  # of the log for each stretch, and beyond what a course takes, at least
 ALIKE = 3.0  # standard errors by which what is taken for noise may follow its neighbour
@@ -16,27 +19,42 @@ FAR = 8.0  # times its middle size that noise may reach
 
 
 def smooth_temperatures(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, np.ndarray]]:
-    """(Sensors, {channel: (n, q) K}): each temperature's line, parabola or cubic spline, of as many stretches as Schwarz's criterion grants, in
-    place of its log, and its errors as q directions of one standard deviation each: those of the next course, since what the criterion did not
-    grant may be there as far as noise hides it.
+    """(Sensors, {channel: (n, q) K}): each temperature's line, parabola or cubic spline, of as many stretches as
+    Schwarz's criterion grants, in place of its log, and its errors as q directions of one standard deviation each:
+    those of the next course, since what the criterion did not grant may be there as far as noise hides it.
 
-    A log that is not smooth with white noise on it stays as it is, and so do all other channels. sensors : Sensors or None, for which (None, {})
-    is returned. Source of the criterion: Schwarz, Annals of Statistics 6, 1978, 461-464; for few rows McQuarrie, Statistics and Probability
-    Letters 44, 1999, 79-86
+    A log that is not smooth with white noise on it stays as it is, and so do all other channels. sensors : Sensors or
+    None, for which (None, {}) is returned. Source of the criterion: Schwarz, Annals of Statistics 6, 1978, 461-464; for
+    few rows McQuarrie, Statistics and Probability Letters 44, 1999, 79-86
     """
     if sensors is None:
         return None, {}
-    edges = [0, *np.searchsorted(sensors.t, sensors.starts).tolist(), len(sensors.t)]  # of the logs, each of one recording
+    edges = [
+        0,
+        *np.searchsorted(sensors.t, sensors.starts).tolist(),
+        len(sensors.t),
+    ]  # of the logs, each of one recording
     parts = [slice(a, b) for a, b in zip(edges[:-1], edges[1:])]
-    tried = {name: [_smooth(sensors.t[part], values[part]) for part in parts] for name, values in sensors.channels.items()
-             if name.endswith("temperature_C")}
-    courses = {name: _joined(sensors.channels[name], parts, found) for name, found in tried.items() if any(one is not None for one in found)}
+    tried = {
+        name: [_smooth(sensors.t[part], values[part]) for part in parts]
+        for name, values in sensors.channels.items()
+        if name.endswith("temperature_C")
+    }
+    courses = {
+        name: _joined(sensors.channels[name], parts, found)
+        for name, found in tried.items()
+        if any(one is not None for one in found)
+    }
     channels = {**sensors.channels, **{name: curve for name, (curve, _) in courses.items()}}
     return replace(sensors, channels=channels), {name: errors for name, (_, errors) in courses.items()}
 
 
-def _joined(values: np.ndarray, parts: list[slice], found: list[tuple[np.ndarray, np.ndarray] | None]) -> tuple[np.ndarray, np.ndarray]:
-    """(curve (n,), errors (n, q)) of a log (n,) in parts, each by itself; a part that is not smoothed stands as it is."""
+def _joined(
+    values: np.ndarray, parts: list[slice], found: list[tuple[np.ndarray, np.ndarray] | None]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(curve (n,), errors (n, q)) of a log (n,) in parts, each by itself; a part that is not smoothed stands as it
+    is.
+    """
     curve, errors = values.astype(float), []
     for part, one in zip(parts, found):
         if one is not None:
@@ -72,7 +90,9 @@ def _price(rows: int, numbers: int) -> float:
 
 def _courses(t: np.ndarray) -> list[np.ndarray]:
     """Orthonormal bases (n, q) of the courses that a log at times (n,) s bears, the plainest first."""
-    plain = [np.vander((t - t[0]) / max(np.ptp(t), 1e-300), degree + 1) for degree in DEGREES if degree + 1 + ROWS <= len(t)]
+    plain = [
+        np.vander((t - t[0]) / max(np.ptp(t), 1e-300), degree + 1) for degree in DEGREES if degree + 1 + ROWS <= len(t)
+    ]
     splines = []
     for count in (count for count in KNOTS if count * ROWS + ROWS <= len(t)):
         inner = np.interp(np.linspace(0, len(t) - 1, count + 1)[1:-1], np.arange(len(t)), t)

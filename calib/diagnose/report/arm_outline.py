@@ -1,4 +1,6 @@
-"""The arm, or the chain of mechanisms, in outline, as it stood in the recording, with the joints marked that a diagnosis points at."""
+"""The arm, or the chain of mechanisms, in outline, as it stood in the recording, with the joints marked that a
+diagnosis points at.
+"""
 
 from typing import NamedTuple
 
@@ -26,10 +28,19 @@ def arm_outline_figures(arm: Arm | Chain, q: np.ndarray, moved: dict[int, dict[s
     typical = int(np.argmin(((q - np.median(q, axis=0)) ** 2).sum(axis=1)))
     ghosts = np.linspace(0, len(q) - 1, GHOSTS).astype(int)
     places, units = mechanisms.axis_places(arm), mechanisms.axis_units(arm)
-    said = {j: f"{places[j]}: " + ", ".join(f"{name} {size * 1e3:.3f} m{units[j]}" for name, size in moved[j].items()) for j in sorted(moved)}
+    said = {
+        j: f"{places[j]}: " + ", ".join(f"{name} {size * 1e3:.3f} m{units[j]}" for name, size in moved[j].items())
+        for j in sorted(moved)
+    }
     largest = max((max(found.values()) for found in moved.values()), default=1.0)
-    marks = [Mark(place, max(moved[j].values()) / largest if j in moved else None, said.get(j, place)) for j, place in enumerate(places)]
-    views = [_view(title, at[ghosts][:, :, [a, b]], at[typical][:, [a, b]], joints[typical][:, [a, b]], marks) for (a, b), title in VIEWS]
+    marks = [
+        Mark(place, max(moved[j].values()) / largest if j in moved else None, said.get(j, place))
+        for j, place in enumerate(places)
+    ]
+    views = [
+        _view(title, at[ghosts][:, :, [a, b]], at[typical][:, [a, b]], joints[typical][:, [a, b]], marks)
+        for (a, b), title in VIEWS
+    ]
     return panel_row(*views) + (list_html(said.values()) if said else "")
 
 
@@ -42,26 +53,40 @@ class Mark(NamedTuple):
 
 
 def _view(title: str, ghosts: np.ndarray, points: np.ndarray, joints: np.ndarray, marks: list[Mark]) -> str:
-    """One view. ghosts : (g, k, 2) m; points : (k, 2) m of the configuration drawn in full; joints : (joints, 2) m of it"""
+    """One view. ghosts : (g, k, 2) m; points : (k, 2) m of the configuration drawn in full; joints : (joints, 2) m of
+    it
+    """
     every = np.concatenate([ghosts.reshape(-1, 2), points, joints])
     low, high = every.min(axis=0), every.max(axis=0)
     scale = min((WIDTH - 2 * MARGIN) / max(high[0] - low[0], 1e-9), (HIGH - 2 * MARGIN) / max(high[1] - low[1], 1e-9))
 
     def placed(way: np.ndarray) -> list[list[float]]:
-        return np.stack([MARGIN + scale * (way[:, 0] - low[0]), 20 + HIGH - MARGIN - scale * (way[:, 1] - low[1])], axis=1).tolist()
+        return np.stack(
+            [MARGIN + scale * (way[:, 0] - low[0]), 20 + HIGH - MARGIN - scale * (way[:, 1] - low[1])], axis=1
+        ).tolist()
 
     def drawn(way: np.ndarray, style: str) -> str:
         return f'<path class="{style}" d="M' + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(way)) + '"/>'
 
     parts = [text(4, 14, title, style="name"), *(drawn(ghost, "tick") for ghost in ghosts), drawn(points, "link")]
     for j, (mark, (x, y)) in enumerate(zip(marks, placed(joints))):
-        parts += [f'<circle class="joint{"" if mark.size is None else " marked"}" cx="{x:.1f}" cy="{y:.1f}" r="{8 + 5 * (mark.size or 0.0):.1f}">'
-                  f"{tooltip(mark.said)}</circle>", text(x, y + 4, str(j + 1), "middle", "within")]
-    return svg(int(HIGH) + 24, f"the machine {title}, marked: {', '.join(mark.place for mark in marks if mark.size is not None) or 'nothing'}", parts)
+        parts += [
+            f'<circle class="joint{"" if mark.size is None else " marked"}" cx="{x:.1f}" cy="{y:.1f}" '
+            f'r="{8 + 5 * (mark.size or 0.0):.1f}">'
+            f"{tooltip(mark.said)}</circle>",
+            text(x, y + 4, str(j + 1), "middle", "within"),
+        ]
+    return svg(
+        int(HIGH) + 24,
+        f"the machine {title}, marked: {', '.join(mark.place for mark in marks if mark.size is not None) or 'nothing'}",
+        parts,
+    )
 
 
 def _points(q: np.ndarray, arm: Arm | Chain) -> tuple[np.ndarray, np.ndarray]:
-    """((n, k, 3) m points of the outline, (n, joints, 3) m where the joints are), seen in the machine's own base, whatever stands where."""
+    """((n, k, 3) m points of the outline, (n, joints, 3) m where the joints are), seen in the machine's own base,
+    whatever stands where.
+    """
     if isinstance(arm, Arm):
         at = (mechanism.frames(q, arm)[..., :3, 3] - arm.base.translation) @ arm.base.rotation.as_matrix()
         return at, at[:, : len(arm.joints)]

@@ -19,7 +19,12 @@ from rig.report.pages.plots import Series, plot_panel
 from rig.report.pages.view_3d import Effect, view_3d_html
 
 PLAYED = 4  # findings that are shown in three dimensions
-ROWS = ("geometry alone", "with effects", "of these, every joint near angles it was fitted at", "of these, a joint at angles never fitted")
+ROWS = (
+    "geometry alone",
+    "with effects",
+    "of these, every joint near angles it was fitted at",
+    "of these, a joint at angles never fitted",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,11 +46,15 @@ class ArmView:
         for number, term in enumerate(d.fit.terms):
             if term.candidate.joint is not None:
                 here = moved.setdefault(term.candidate.joint, {})
-                here[term.candidate.name] = float(np.hypot(here.get(term.candidate.name, 0.0), d.fit.part(number).std()))
+                here[term.candidate.name] = float(
+                    np.hypot(here.get(term.candidate.name, 0.0), d.fit.part(number).std())
+                )
         return arm_outline_figures(d.arm, d.arms.q, moved)
 
     def plot(self, finding: FindingEntry) -> str | None:
-        """Residuals of all poses turned back into the joint against what gives the finding away; None where it acts on the whole arm."""
+        """Residuals of all poses turned back into the joint against what gives the finding away; None where it acts on
+        the whole arm.
+        """
         d = self.diagnosis
         number = d.findings[next(i for i, entry in enumerate(self.entries) if entry is finding)].number
         term, fit = d.fit.terms[number], d.fit
@@ -58,7 +67,9 @@ class ArmView:
         covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(d.arms.context.moved())
         x = covariate.values if covariate.values.ndim == 1 else covariate.values[:, joint]
         both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
-        return residual_scatter_figure(x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{mechanisms.axis_units(d.arm)[joint]}")
+        return residual_scatter_figure(
+            x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{mechanisms.axis_units(d.arm)[joint]}"
+        )
 
     def in_space(self) -> list[str]:
         """The arm's poses, with what each finding at a joint does, linear in its size."""
@@ -70,7 +81,13 @@ class ArmView:
             if candidate.joint is not None:
                 once = J[:, :, candidate.joint] * d.fit.part(finding.number)[:, None]
                 sizes = tuple(f"{factor:g} times as found" for factor in FACTORS)
-                effects.append(Effect(f"{candidate.name.replace('_', ' ')} at {candidate.place}", sizes, np.multiply.outer(FACTORS, once)))
+                effects.append(
+                    Effect(
+                        f"{candidate.name.replace('_', ' ')} at {candidate.place}",
+                        sizes,
+                        np.multiply.outer(FACTORS, once),
+                    )
+                )
         return view_3d_html(mechanism_stage(d.arm, d.arms.frame, d.arms.q, tuple(effects)))
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
@@ -81,20 +98,42 @@ class ArmView:
             for label, left in zip(ROWS, (h.before, h.after, h.after[near], h.after[~near])):
                 if len(left):
                     f = residual_statistics(left)
-                    rows.append([f"{label}, {h.stretches} stretches", *(f"{f[key] * 1e6:.1f}" for key in ("mean_m", "rms_m", "p95_m", "max_m")),
-                                 f"{f['mean_rad'] * 1e6:.1f}" if "mean_rad" in f else "", f["n"]])
-        parts: list[str] = [self._errors(), table(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows)]
+                    rows.append(
+                        [
+                            f"{label}, {h.stretches} stretches",
+                            *(f"{f[key] * 1e6:.1f}" for key in ("mean_m", "rms_m", "p95_m", "max_m")),
+                            f"{f['mean_rad'] * 1e6:.1f}" if "mean_rad" in f else "",
+                            f["n"],
+                        ]
+                    )
+        parts: list[str] = [
+            self._errors(),
+            table(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows),
+        ]
         if d.findings:
-            parts += [heading("What each finding brings on poses held out", 3), self._proofs(), heading("What single poses suffer from", 3),
-                      paragraph("The poses that all findings together displace most, for each finding a bar, the biggest first. "
-                                "contributions.csv has them for every pose."), finding_contributions.contribution_figure(d)]
+            parts += [
+                heading("What each finding brings on poses held out", 3),
+                self._proofs(),
+                heading("What single poses suffer from", 3),
+                paragraph(
+                    "The poses that all findings together displace most, for each finding a bar, the biggest first. "
+                    "contributions.csv has them for every pose."
+                ),
+                finding_contributions.contribution_figure(d),
+            ]
         aside = d.arms.frame[d.fit.aside]
         if len(aside):
-            parts.append(paragraph(f"{len(aside)} poses agree with no model and count for next to nothing: frames {', '.join(map(str, aside))}."))
+            parts.append(
+                paragraph(
+                    f"{len(aside)} poses agree with no model and count for next to nothing: frames "
+                    f"{', '.join(map(str, aside))}."
+                )
+            )
         if d.repeats is not None and any(u.depends_on == ("configuration",) for u in d.left):
             parts.append(
                 paragraph(
-                    f"The same command brings {d.repeats.recurring_share:.0%} of what remains again: that is no noise, and of no form that was tried."
+                    f"The same command brings {d.repeats.recurring_share:.0%} of what remains again: that is "
+                    "no noise, and of no form that was tried."
                 )
             )
         return parts
@@ -102,29 +141,56 @@ class ArmView:
     def measurement(self) -> list[tuple[str, Any]]:
         """Where poses came from, and how well they repeat."""
         d = self.diagnosis
-        again: list[tuple[str, Any]] = [] if d.repeats is None else [("the same command given again comes back within",
-                                               f"{d.repeats.mean * 1e6:.1f} µm ({d.repeats.pairs} pairs)")]
+        again: list[tuple[str, Any]] = (
+            []
+            if d.repeats is None
+            else [
+                (
+                    "the same command given again comes back within",
+                    f"{d.repeats.mean * 1e6:.1f} µm ({d.repeats.pairs} pairs)",
+                )
+            ]
+        )
         if d.fit.scatter[0] > 0:
-            again.append(("beyond what the instrument states, poses scatter by", f"{np.sqrt(3) * d.fit.scatter[0] * 1e6:.1f} µm"))
-        return [("poses from", d.source), ("poses", len(d.arms)), ("time", f"{np.ptp(d.arms.t) / 60:.1f} min"),
-                ("sensors", ", ".join(d.arms.channels) or "none"), *again]
+            again.append(
+                ("beyond what the instrument states, poses scatter by", f"{np.sqrt(3) * d.fit.scatter[0] * 1e6:.1f} µm")
+            )
+        return [
+            ("poses from", d.source),
+            ("poses", len(d.arms)),
+            ("time", f"{np.ptp(d.arms.t) / 60:.1f} min"),
+            ("sensors", ", ".join(d.arms.channels) or "none"),
+            *again,
+        ]
 
     def _proofs(self) -> str:
-        """Table of the fall of the held-out misfit by each finding, with stretches of time and regions of each joint's travel held out."""
+        """Table of the fall of the held-out misfit by each finding, with stretches of time and regions of each joint's
+        travel held out.
+        """
         d, rows = self.diagnosis, []
         for i, finding in enumerate(d.findings):
             candidate = d.fit.terms[finding.number].candidate
             found = [d.cross_validations[i], *(row[i] for row in d.regions)]
-            rows.append([f"{candidate.name.replace('_', ' ')} at {candidate.place}", *(f"{(v.before - v.after) * 1e6:+.1f}" for v in found)])
+            rows.append(
+                [
+                    f"{candidate.name.replace('_', ' ')} at {candidate.place}",
+                    *(f"{(v.before - v.after) * 1e6:+.1f}" for v in found),
+                ]
+            )
         joints = mechanisms.axis_places(d.arm)[: len(d.regions)]
-        said = note("µm, RMS of a position per axis, by which poses are predicted better with it than without. A curve of a joint's own angle is "
-                    "not told where that joint never stood: there, what it brings by that joint's own regions may be a loss.")
+        said = note(
+            "µm, RMS of a position per axis, by which poses are predicted better with it than without. A "
+            "curve of a joint's own angle is "
+            "not told where that joint never stood: there, what it brings by that joint's own regions may be a loss."
+        )
         return table(("finding", "held out: time", *joints), rows) + said
 
     def _errors(self) -> str:
         d = self.diagnosis
-        series = [Series(np.arange(len(left)), np.linalg.norm(left[:, :3], axis=1) * 1e6, label, colour=colour) for left, label, colour in
-                  ((d.held[0].before, "geometry alone", 1), (d.held[0].after, "with effects", 0))]
+        series = [
+            Series(np.arange(len(left)), np.linalg.norm(left[:, :3], axis=1) * 1e6, label, colour=colour)
+            for left, label, colour in ((d.held[0].before, "geometry alone", 1), (d.held[0].after, "with effects", 0))
+        ]
         if d.repeats is not None:
             ends = np.array([0.0, len(d.held[0].after) - 1.0])
             series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command again", "line", -1))

@@ -1,4 +1,6 @@
-"""An arm's diagnosis as a Report, with intervals that allow for how residuals scatter, and what it takes to draw the recording anew."""
+"""An arm's diagnosis as a Report, with intervals that allow for how residuals scatter, and what it takes to draw the
+recording anew.
+"""
 
 import json
 from dataclasses import replace
@@ -56,7 +58,9 @@ SMALL = 1e-4  # step of an order, for its derivative
 def arm_report(d: ArmDiagnosis) -> Report:
     """Report of an ArmDiagnosis."""
     found = [_finding(d, f, proof) for f, proof in zip(d.findings, d.cross_validations)]
-    fit = FitEntry(mean_position_error(d.held[0].before), mean_position_error(d.held[0].after), position_error_floor(d), "m")
+    fit = FitEntry(
+        mean_position_error(d.held[0].before), mean_position_error(d.held[0].after), position_error_floor(d), "m"
+    )
     held = [
         {
             "stretches": h.stretches,
@@ -67,8 +71,17 @@ def arm_report(d: ArmDiagnosis) -> Report:
         }
         for h in d.held
     ]
-    again = None if d.repeats is None else {"pairs": d.repeats.pairs, "mean_m": d.repeats.mean, "rms_m": d.repeats.rms,
-                                            "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.recurring_share}
+    again = (
+        None
+        if d.repeats is None
+        else {
+            "pairs": d.repeats.pairs,
+            "mean_m": d.repeats.mean,
+            "rms_m": d.repeats.rms,
+            "mean_rad": d.repeats.mean_rad,
+            "remainder_that_repeats": d.repeats.recurring_share,
+        }
+    )
     return Report(
         d.recording,
         d.origin.shown(0.0),
@@ -98,21 +111,32 @@ def arm_report(d: ArmDiagnosis) -> Report:
 
 
 def excess_position_scatter(d: ArmDiagnosis) -> Unexplained | None:
-    """What positions scatter beyond what is stated for them, by length, where that and what is stated exceed the stated UNSTATED times."""
+    """What positions scatter beyond what is stated for them, by length, where that and what is stated exceed the stated
+    UNSTATED times.
+    """
     beyond, stated = float(np.sqrt(3) * d.fit.scatter[0]), _by_length(d.arms.own, slice(0, 3))
     return Unexplained("rig", beyond, "m", ()) if np.hypot(beyond, stated) > UNSTATED * stated else None
 
 
 def held_out_region_gains(d: ArmDiagnosis) -> list[dict[str, Any]]:
-    """For each joint, what each finding brings where whole regions of its travel are held out: misfit before and after, m, and standard errors."""
+    """For each joint, what each finding brings where whole regions of its travel are held out: misfit before and after,
+    m, and standard errors.
+    """
     places = mechanisms.axis_places(d.arm)
-    return [{"joint": j + 1, "place": places[j],
-             "findings": [{"heldout_before": v.before, "heldout_after": v.after, "gain_sigma": v.gain} for v in row]}
-            for j, row in enumerate(d.regions)]
+    return [
+        {
+            "joint": j + 1,
+            "place": places[j],
+            "findings": [{"heldout_before": v.before, "heldout_after": v.after, "gain_sigma": v.gain} for v in row],
+        }
+        for j, row in enumerate(d.regions)
+    ]
 
 
 def position_error_floor(d: ArmDiagnosis) -> float:
-    """m, mean position error that no model can be below: that of commands given twice or, without any, the instrument's own."""
+    """m, mean position error that no model can be below: that of commands given twice or, without any, the instrument's
+    own.
+    """
     return _by_length(d.arms.own, slice(0, 3)) if d.repeats is None else d.repeats.mean
 
 
@@ -122,16 +146,22 @@ def mean_position_error(left: np.ndarray) -> float:
 
 
 def residual_statistics(left: np.ndarray) -> dict[str, float]:
-    """{mean_m, rms_m, p95_m, max_m, n} of position errors and, where they were measured, the mean rotation error in rad."""
+    """{mean_m, rms_m, p95_m, max_m, n} of position errors in m and, where measured, the mean rotation error in rad."""
     size = np.linalg.norm(left[:, :3], axis=1)
-    out = {"mean_m": float(size.mean()), "rms_m": float(np.sqrt((size**2).mean())), "p95_m": float(np.quantile(size, 0.95)),
-           "max_m": float(size.max()), "n": len(size)}
+    out = {
+        "mean_m": float(size.mean()),
+        "rms_m": float(np.sqrt((size**2).mean())),
+        "p95_m": float(np.quantile(size, 0.95)),
+        "max_m": float(size.max()),
+        "n": len(size),
+    }
     return out | ({"mean_rad": float(np.linalg.norm(left[:, 3:], axis=1).mean())} if left.shape[1] == 6 else {})
 
 
 def extrapolation_figures(held: HeldOutPoses) -> dict[str, Any]:
-    """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within SAME_ANGLE of an angle that they were
-    fitted at, and of the rest; None where there are none. No data tell a profile where its joint never stood."""
+    """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within SAME_ANGLE of
+    an angle that they were fitted at, and of the rest; None where there are none. No data tell a profile where its
+    joint never stood."""
     near = held.far <= SAME_ANGLE
     return {
         name: residual_statistics(held.after[rows]) if rows.any() else None
@@ -140,9 +170,16 @@ def extrapolation_figures(held: HeldOutPoses) -> dict[str, Any]:
 
 
 def instrument_noise(d: ArmDiagnosis) -> dict[str, float | None]:
-    """{corner_px, pose_m, pose_rad, strut_m}: the instrument's own standard uncertainty of a position and rotation, by length."""
+    """{corner_px, pose_m, pose_rad, strut_m}: the instrument's own standard uncertainty of a position and rotation, by
+    length.
+    """
     own = d.arms.own
-    return {"corner_px": None, "pose_m": _by_length(own, slice(0, 3)), "pose_rad": _by_length(own, slice(3, 6)) or None, "strut_m": None}
+    return {
+        "corner_px": None,
+        "pose_m": _by_length(own, slice(0, 3)),
+        "pose_rad": _by_length(own, slice(3, 6)) or None,
+        "strut_m": None,
+    }
 
 
 def _by_length(own: np.ndarray, part: slice) -> float:
@@ -168,19 +205,32 @@ def finding_parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
     if len(theta) > 1:  # a curve, or a load's moments: what it comes to first, then the numbers
         name = spec.linear[0].name
         level = theta - theta.mean() if candidate.form is Form.PROFILE else theta
-        out = {"rms": _scaled(fit.part(number), theta, covariance, one, unit),
-               name: Value(level.tolist(), units[name].split(", ")[0], [(level - sigma).tolist(), (level + sigma).tolist()])}
+        out = {
+            "rms": _scaled(fit.part(number), theta, covariance, one, unit),
+            name: Value(
+                level.tolist(), units[name].split(", ")[0], [(level - sigma).tolist(), (level + sigma).tolist()]
+            ),
+        }
         return out | ({SPAN: Value(list(one.node[SPAN]), unit)} if SPAN in one.node else {})
     name = spec.linear[0].name if spec.linear else candidate.sought
     roles = {p.name: p.role for p in effect.parameters}
-    value, low, high = (1 / c if c > 0 else np.inf for c in (theta[0], theta[0] + sigma[0], theta[0] - sigma[0])) if roles[name] == "inverse" else (
-        theta[0], theta[0] - sigma[0], theta[0] + sigma[0])
+    value, low, high = (
+        (1 / c if c > 0 else np.inf for c in (theta[0], theta[0] + sigma[0], theta[0] - sigma[0]))
+        if roles[name] == "inverse"
+        else (theta[0], theta[0] - sigma[0], theta[0] + sigma[0])
+    )
     out = {name: bounded_value(float(value), units[name], (float(low), float(high)), bounds[name])}
     spreads = Z95 * np.sqrt(np.diag(joint.covariance)[len(theta) :] * finding.score.dispersion)
     spread = {n: float(s) for n, s in zip(joint.names, spreads)}
-    return out | {key: moment_text(d.arms.t, v, d.origin, onset_time_interval(fit, number, finding.score.dispersion)) if roles[key] == "moment"
-                  else bounded_value(v, units[key], (v - spread[key], v + spread[key]), bounds[key]) if key in spread else Value(v, units[key])
-                  for key, v in one.node.items() if key in units and key != name}
+    return out | {
+        key: moment_text(d.arms.t, v, d.origin, onset_time_interval(fit, number, finding.score.dispersion))
+        if roles[key] == "moment"
+        else bounded_value(v, units[key], (v - spread[key], v + spread[key]), bounds[key])
+        if key in spread
+        else Value(v, units[key])
+        for key, v in one.node.items()
+        if key in units and key != name
+    }
 
 
 def unit_at(d: ArmDiagnosis, joint: int | None) -> str:
@@ -216,8 +266,12 @@ def _cycle(d: ArmDiagnosis, finding: Finding, theta: np.ndarray) -> dict[str, Va
     across = np.array([-along[1], along[0]])
     sigma = np.sqrt([along @ covariance @ along, across @ covariance @ across / amplitude**2, variance])
     values = (amplitude, float(np.arctan2(theta[1], theta[0])), order)
-    return {key: Value(float(v), unit, [float(v - Z95 * s), float(v + Z95 * s)])
-            for key, v, s, unit in zip(("amplitude", "phase", name), values, sigma, (unit_at(d, candidate.joint), "rad", ""))}
+    return {
+        key: Value(float(v), unit, [float(v - Z95 * s), float(v + Z95 * s)])
+        for key, v, s, unit in zip(
+            ("amplitude", "phase", name), values, sigma, (unit_at(d, candidate.joint), "rad", "")
+        )
+    }
 
 
 def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> FindingEntry:
@@ -233,15 +287,30 @@ def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> Findi
         )
         for a, other in ((a, a.score.candidate) for a in finding.alternatives)
     )
-    evidence = Evidence(score.delta_bic(d.fit.size), min(1.0, score.p_value * d.asked), proof.before, proof.after, proof.unit, proof.gain)
+    evidence = Evidence(
+        score.delta_bic(d.fit.size),
+        min(1.0, score.p_value * d.asked),
+        proof.before,
+        proof.after,
+        proof.unit,
+        proof.gain,
+    )
     found = finding_parameters(d, finding)
-    return FindingEntry(candidate.name, candidate.place, found, evidence, others, candidate.kind.action_at(candidate.place),
-                        stated_beforehand(d.given, candidate.name, candidate.place), unusual_size_reason(candidate.kind, candidate.place, found))
+    return FindingEntry(
+        candidate.name,
+        candidate.place,
+        found,
+        evidence,
+        others,
+        candidate.kind.action_at(candidate.place),
+        stated_beforehand(d.given, candidate.name, candidate.place),
+        unusual_size_reason(candidate.kind, candidate.place, found),
+    )
 
 
 def write_arm_diagnosis(folder: Path, d: ArmDiagnosis, recording: Recording, report: Report) -> None:
-    """Write diagnosis.json into a folder, and what it takes to simulate the arm as found: machine.json and the recording's own rig.toml,
-    commands, frames and sensors.
+    """Write diagnosis.json into a folder, and what it takes to simulate the arm as found: machine.json and the
+    recording's own rig.toml, commands, frames and sensors.
     report : Report of d"""
     write(folder, report)
     found = replace(recording.design, mechanism=d.arm)

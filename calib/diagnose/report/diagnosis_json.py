@@ -14,15 +14,20 @@ from rig.recording.recording_folder import Part
 SCHEMA = "diagnosis/1"
 NOTHING = 0.2  # of the misfit held out, added in squares, that a finding must take away to be more than significant
 ASSUMED, SEEN_BEFORE = "assumed", "seen before"
-STATED, RESIDUALS, ASSUMED_NOISE = "stated", "residuals", "assumed"  # whence the noise comes: a statement, the residuals themselves, a usual figure
+STATED, RESIDUALS, ASSUMED_NOISE = (
+    "stated",
+    "residuals",
+    "assumed",
+)  # whence the noise comes: a statement, the residuals themselves, a usual figure
 UNKNOWN = "unknown"  # name of a finding that nothing in the catalogue explains
 
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """value : number, list of numbers or names; unit; ci95 : (low, high) of a number, (lows, highs) of a list; at_bound : the bound of what makes
-    sense that the value stands at, the data asking for more; open : "below", "above" or "both" where the data leave it open up to a bound of what
-    makes sense, at which ci95 ends"""
+    """value : number, list of numbers or names; unit; ci95 : (low, high) of a number, (lows, highs) of a list;
+    at_bound : the bound of what makes sense that the value stands at, the data asking for more; open : "below", "above"
+        or
+    "both" where the data leave it open up to a bound of what makes sense, at which ci95 ends"""
 
     value: Any
     unit: str
@@ -31,11 +36,19 @@ class Value:
     open: str | None = None
 
 
-def bounded_value(value: float, unit: str, ends: tuple[float, float], bounds: tuple[float, float], at_bound: float | None = None) -> Value:
+def bounded_value(
+    value: float, unit: str, ends: tuple[float, float], bounds: tuple[float, float], at_bound: float | None = None
+) -> Value:
     """Value of a number whose 95 % interval ends where what makes sense does."""
     low, high = max(ends[0], bounds[0]), min(ends[1], bounds[1])
     below, above = low == bounds[0], high == bounds[1]
-    return Value(value, unit, [low, high], at_bound, "both" if below and above else "below" if below else "above" if above else None)
+    return Value(
+        value,
+        unit,
+        [low, high],
+        at_bound,
+        "both" if below and above else "below" if below else "above" if above else None,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +67,9 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class AlternativeEntry:
-    """Another effect that explains as much; delta_bic : by how much less likely it is; order : of a sinusoid; experiment : what would tell them."""
+    """Another effect that explains as much; delta_bic : by how much less likely it is; order : of a sinusoid;
+    experiment : what would tell them.
+    """
 
     effect: str
     place: str
@@ -66,7 +81,8 @@ class AlternativeEntry:
 
 @dataclass(frozen=True, slots=True)
 class FindingEntry:
-    """One effect at one place. parameters : {name: Value}; action : what an owner can do about it; unusual : why its size is hard to believe
+    """One effect at one place. parameters : {name: Value}; action : what an owner can do about it; unusual : why its
+    size is hard to believe
     said : "assumed" where the operator took it to be there, "seen before" where the search began with it, else None"""
 
     effect: str
@@ -80,14 +96,18 @@ class FindingEntry:
 
     @property
     def matters(self) -> bool:
-        """Whether it changes what was held out by more than next to nothing; what is assumed or was found before all else always does."""
+        """Whether it changes what was held out by more than next to nothing; what is assumed or was found before all
+        else always does.
+        """
         before, after = self.evidence.heldout_before, self.evidence.heldout_after
         return self.said == ASSUMED or before is None or after is None or before**2 - after**2 > (NOTHING * after) ** 2
 
 
 @dataclass(frozen=True, slots=True)
 class RemarkEntry:
-    """Something that is there beyond chance and is no finding. parameters : {name: Value}; reason : why, in a sentence; p_value : of chance."""
+    """Something that is there beyond chance and is no finding. parameters : {name: Value}; reason : why, in a sentence;
+    p_value : of chance.
+    """
 
     effect: str
     place: str
@@ -108,7 +128,9 @@ class Unexplained:
 
 @dataclass(frozen=True, slots=True)
 class FitEntry:
-    """Misfit of stretches held out in one unit, with nothing admitted and with all; noise_floor : what noise alone leaves."""
+    """Misfit of stretches held out in one unit, with nothing admitted and with all; noise_floor : what noise alone
+    leaves.
+    """
 
     heldout_before: float
     heldout_after: float
@@ -126,7 +148,9 @@ class NotAskedEntry:
 
 @dataclass(frozen=True, slots=True)
 class ShareEntry:
-    """Share of the squares left that a covariate explains, with nothing admitted and with all; p_value : of chance, with all."""
+    """Share of the squares left that a covariate explains, with nothing admitted and with all; p_value : of chance,
+    with all.
+    """
 
     before: float
     after: float
@@ -135,9 +159,12 @@ class ShareEntry:
 
 @dataclass(frozen=True, slots=True)
 class SuggestionEntry:
-    """A formula for something without a name. formula; where : what its symbols stand for; parameters : {name: Value}; covariates : their names
-    heldout_before, heldout_after : RMS in unit on stretches held out whole, by formulas chosen and fitted without them; noise : what noise leaves
-    gain_sigma : standard errors by which they gain; parts : covariates that were chosen without each of the stretches; model : its terms"""
+    """A formula for something without a name. formula; where : what its symbols stand for; parameters : {name: Value};
+    covariates : their names
+    heldout_before, heldout_after : RMS in unit on stretches held out whole, by formulas chosen and fitted without them;
+        noise : what noise leaves
+    gain_sigma : standard errors by which they gain; parts : covariates that were chosen without each of the stretches;
+        model : its terms"""
 
     place: str
     formula: str
@@ -159,14 +186,30 @@ def suggestion_entries(found: Sequence[Suggestion]) -> tuple[SuggestionEntry, ..
     for s in found:
         units = {p.name: p.unit for p in s.effect.parameters_at(s.place)}
         parameters = {name: Value(value, units[name], [low, high]) for name, (value, low, high) in s.intervals.items()}
-        out.append(SuggestionEntry(s.place, s.written.text().replace("np.", ""), s.written.where(), parameters,
-                                   tuple(q.name for q in s.written.quantities), s.before, s.after, s.noise, s.unit, s.gain, s.parts, s.written))
+        out.append(
+            SuggestionEntry(
+                s.place,
+                s.written.text().replace("np.", ""),
+                s.written.where(),
+                parameters,
+                tuple(q.name for q in s.written.quantities),
+                s.before,
+                s.after,
+                s.noise,
+                s.unit,
+                s.gain,
+                s.parts,
+                s.written,
+            )
+        )
     return tuple(out)
 
 
 @dataclass(frozen=True, slots=True)
 class EffectsFile:
-    """A file of effects of the operator's own that were asked for besides the catalogue. sha256 : of its bytes; effects : their names."""
+    """A file of effects of the operator's own that were asked for besides the catalogue. sha256 : of its bytes;
+    effects : their names.
+    """
 
     file: str
     sha256: str
@@ -175,7 +218,9 @@ class EffectsFile:
 
 def effects_files(own: tuple[Plugin, ...]) -> tuple[EffectsFile, ...]:
     """Entries of files of effects, in their order."""
-    return tuple(EffectsFile(plugin.path.name, plugin.sha256, tuple(kind.name for kind in plugin.kinds)) for plugin in own)
+    return tuple(
+        EffectsFile(plugin.path.name, plugin.sha256, tuple(kind.name for kind in plugin.kinds)) for plugin in own
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,13 +233,20 @@ class CovariateEntry:
 
 def covariate_entries(found: list[Covariate]) -> tuple[CovariateEntry, ...]:
     """Entries of ranked covariates, in their order."""
-    return tuple(CovariateEntry(c.name, {what: ShareEntry(s.share, c.after[what].share, c.after[what].p_value) for what, s in c.before.items()})
-                 for c in found)
+    return tuple(
+        CovariateEntry(
+            c.name,
+            {what: ShareEntry(s.share, c.after[what].share, c.after[what].p_value) for what, s in c.before.items()},
+        )
+        for c in found
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingEntry:
-    """One of several recordings together. frames, t_s : what is added to its frames' numbers and to its times (s) among all"""
+    """One of several recordings together. frames, t_s : what is added to its frames' numbers and to its times (s) among
+    all
+    """
 
     name: str
     frames: int

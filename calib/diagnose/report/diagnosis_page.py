@@ -1,4 +1,6 @@
-"""A diagnosis as a page that an owner can act on: verdict, where, what it looks like, how sure, what to do, what else, what remains."""
+"""A diagnosis as a page that an owner can act on: verdict, where, what it looks like, how sure, what to do, what else,
+what remains.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +17,11 @@ from rig.report.pages.plots import panel_row
 from rig.report.pages.view_3d import view_scripts
 from vision.effect_sketches import effect_sketch
 
-DOTS = ("Small dots are residuals, large ones means of as many of them each with their 95 % interval. Without it: the best that calibration can do "
-        "alone, which swallows part of it.")
+DOTS = (
+    "Small dots are residuals, large ones means of as many of them each with their 95 % interval. Without "
+    "it: the best that calibration can do "
+    "alone, which swallows part of it."
+)
 
 
 class View(Protocol):
@@ -51,37 +56,55 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
         parts += [heading("Where"), view.where([f.place for f in (*main, *report.unknown, *slight)])]
     for number, finding in enumerate(main):
         title = (
-            report_sentences.finding_title(finding) + report_sentences.finding_size_text(finding) + report_sentences.stated_beforehand_text(finding)
+            report_sentences.finding_title(finding)
+            + report_sentences.finding_size_text(finding)
+            + report_sentences.stated_beforehand_text(finding)
         )
         parts += [heading(f"{number + 1}. {title}"), *_finding(finding, view)]
     if slight:
-        parts += [heading("Significant, and of little account"),
-                  paragraph("These are there beyond chance; without them, what was held out would be predicted as well.")]
-    for finding in slight:
         parts += [
-            heading(
-                f"{report_sentences.finding_title(finding)}{report_sentences.finding_size_text(finding)}{report_sentences.stated_beforehand_text(finding)}",
-                3,
-            ),
-            *_slight(finding),
+            heading("Significant, and of little account"),
+            paragraph("These are there beyond chance; without them, what was held out would be predicted as well."),
         ]
+    for finding in slight:
+        title = report_sentences.finding_title(finding) + report_sentences.finding_size_text(finding)
+        parts += [heading(title + report_sentences.stated_beforehand_text(finding), 3), *_slight(finding)]
     shown = view.in_space()
     parts += [heading("In three dimensions"), *shown] if shown else []
     parts += [heading("What remains"), *_remaining(report, view)]
     parts += _suggestions(report)
     if report.covariates:
-        parts += [heading("What it goes with"),
-                  paragraph("Share of the squares left that smooth functions of one covariate explain, beyond what as many numbers do by chance: "
-                            "with nothing admitted, and with all that was found. Covariates that go together share what they explain."),
-                  table(*report_sentences.covariate_table(report.covariates))]
+        parts += [
+            heading("What it goes with"),
+            paragraph(
+                "Share of the squares left that smooth functions of one covariate explain, beyond what as "
+                "many numbers do by chance: "
+                "with nothing admitted, and with all that was found. Covariates that go together share what "
+                "they explain."
+            ),
+            table(*report_sentences.covariate_table(report.covariates)),
+        ]
     if report.remarks:
-        parts += [heading("There, and nobody's fault"),
-                  paragraph("Beyond chance, and no more than parts and instruments may do on their own: nothing to be done about it."),
-                  table(("what", "size", "why it is no finding"), [report_sentences.remark_row(r) for r in report.remarks])]
+        parts += [
+            heading("There, and nobody's fault"),
+            paragraph(
+                "Beyond chance, and no more than parts and instruments may do on their own: nothing to be "
+                "done about it."
+            ),
+            table(("what", "size", "why it is no finding"), [report_sentences.remark_row(r) for r in report.remarks]),
+        ]
     parts += _left_out(report)
-    parts += [heading("What was asked"), *_asked(report, view), heading("The measurement"), table(("what", "value"), _measurement(report, view))]
+    parts += [
+        heading("What was asked"),
+        *_asked(report, view),
+        heading("The measurement"),
+        table(("what", "value"), _measurement(report, view)),
+    ]
     verdict = diagnosis_verdict(report)
-    write_page(path, Page("diagnose", f"Diagnosis of {report.recording}", verdict, parts, verdict.next, links, view_scripts(parts)))
+    write_page(
+        path,
+        Page("diagnose", f"Diagnosis of {report.recording}", verdict, parts, verdict.next, links, view_scripts(parts)),
+    )
 
 
 def _finding(finding: FindingEntry, view: View) -> list[str]:
@@ -99,7 +122,11 @@ def _sketched(name: str) -> list[str]:
     if name not in BY_NAME:
         return []
     sketch, said = effect_sketch(BY_NAME[name]), f"What {BY_NAME[name].label()} does"
-    return [folding_section(said, paragraph(f"As the catalogue of effects shows it: {sketch.words}."), panel_row(*sketch.figures))]
+    return [
+        folding_section(
+            said, paragraph(f"As the catalogue of effects shows it: {sketch.words}."), panel_row(*sketch.figures)
+        )
+    ]
 
 
 def _slight(finding: FindingEntry) -> list[str]:
@@ -110,17 +137,32 @@ def _slight(finding: FindingEntry) -> list[str]:
 def _alternatives(finding: FindingEntry) -> list[str]:
     others = finding.cannot_be_told_from
     if others:
-        return [paragraph("What else it could be, for all that this recording says, and the experiment that would tell:"),
-                table(("effect", "place", "worse by", "experiment"),
-                      [(a.effect.replace("_", " "), a.place, f"{a.delta_bic:.1f}", a.experiment) for a in others])]
-    return [paragraph("Nothing else in the catalogue explains it as well.")] if finding.evidence.delta_bic is not None else []
+        return [
+            paragraph("What else it could be, for all that this recording says, and the experiment that would tell:"),
+            table(
+                ("effect", "place", "worse by", "experiment"),
+                [(a.effect.replace("_", " "), a.place, f"{a.delta_bic:.1f}", a.experiment) for a in others],
+            ),
+        ]
+    return (
+        [paragraph("Nothing else in the catalogue explains it as well.")]
+        if finding.evidence.delta_bic is not None
+        else []
+    )
 
 
 def _remaining(report: Report, view: View) -> list[str]:
     levels, *pictures = view.remaining(report.unknown)
     if not report.unknown:
-        return [levels, paragraph("What remains looks like noise: no dependence on pose, time, history, image position or a logged channel was "
-                                  "found."), *pictures]
+        return [
+            levels,
+            paragraph(
+                "What remains looks like noise: no dependence on pose, time, history, image position or a "
+                "logged channel was "
+                "found."
+            ),
+            *pictures,
+        ]
     rows = [
         (
             f.place,
@@ -130,8 +172,12 @@ def _remaining(report: Report, view: View) -> list[str]:
         )
         for f in report.unknown
     ]
-    return [levels, paragraph(report_sentences.unexplained_sentence(report.unknown)),
-            table(("place", "size (RMS)", "goes with", "chance"), rows), *pictures]
+    return [
+        levels,
+        paragraph(report_sentences.unexplained_sentence(report.unknown)),
+        table(("place", "size (RMS)", "goes with", "chance"), rows),
+        *pictures,
+    ]
 
 
 def _left_out(report: Report) -> list[str]:
@@ -139,12 +185,17 @@ def _left_out(report: Report) -> list[str]:
     if not report.left_out and report.crowd is None:
         return []
     parts = [heading("Left out before anything was searched")]
-    parts += [] if report.crowd is None else [paragraph(report_sentences.as_sentence(report_sentences.many_outliers_sentence(report.crowd)))]
+    parts += (
+        []
+        if report.crowd is None
+        else [paragraph(report_sentences.as_sentence(report_sentences.many_outliers_sentence(report.crowd)))]
+    )
     if report.left_out:
         rows = [report_sentences.excluded_row_texts(one) for one in report.left_out]
         parts += [
             paragraph(
-                f"{report_sentences.row_count_text(len(rows))} far off all that the rest of the recording allows, and no neighbour in time or "
+                f"{report_sentences.row_count_text(len(rows))} far off all that the rest of the recording "
+                "allows, and no neighbour in time or "
                 f"configuration "
                 "shows the same. The findings do not rest on these rows."
             ),
@@ -157,8 +208,11 @@ def _suggestions(report: Report) -> list[str]:
     """The formulas for what has no name."""
     parts = []
     for entry in report.suggestions:
-        parts += [heading(f"A formula for what is at {entry.place}", 3), paragraph(report_sentences.formula_suggestion_sentences(entry)),
-                  table(("parameter", "value", "95 % interval"), report_sentences.suggestion_rows(entry))]
+        parts += [
+            heading(f"A formula for what is at {entry.place}", 3),
+            paragraph(report_sentences.formula_suggestion_sentences(entry)),
+            table(("parameter", "value", "95 % interval"), report_sentences.suggestion_rows(entry)),
+        ]
     return parts
 
 
@@ -174,7 +228,14 @@ def _asked(report: Report, view: View) -> list[str]:
 
 
 def _measurement(report: Report, view: View) -> list[tuple[str, Any]]:
-    units = {"corner_px": ("corner, per axis", "px"), "pose_m": ("pose, position", "m"), "pose_rad": ("pose, rotation", "rad"),
-             "strut_m": ("strut", "m")}
-    return view.measurement() + [(f"noise of a {units[key][0]}", report_sentences.value_text(value, units[key][1]))
-                                 for key, value in report.noise.items() if value is not None and key in units]
+    units = {
+        "corner_px": ("corner, per axis", "px"),
+        "pose_m": ("pose, position", "m"),
+        "pose_rad": ("pose, rotation", "rad"),
+        "strut_m": ("strut", "m"),
+    }
+    return view.measurement() + [
+        (f"noise of a {units[key][0]}", report_sentences.value_text(value, units[key][1]))
+        for key, value in report.noise.items()
+        if value is not None and key in units
+    ]

@@ -1,4 +1,6 @@
-"""What a diagnosis of any machine says, as one Report: the tree of diagnosis.json, and what it comes to in a sentence."""
+"""What a diagnosis of any machine says, as one Report: the tree of diagnosis.json, and what it comes to in a
+sentence.
+"""
 
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -36,16 +38,20 @@ from rig.report.notebook_display import result_html
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Of one recording, or of several. start_s : s, the recording's start by the owner's clock; noise : {corner_px, pose_m, pose_rad, strut_m}
+    """Of one recording, or of several. start_s : s, the recording's start by the owner's clock; noise : {corner_px,
+    pose_m, pose_rad, strut_m}
     findings : biggest first; unexplained : the largest of what has no name; not_asked : what the recording cannot show
-    fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is nobody's fault
-    covariates : what is left goes with, the one that explained most before first; said : what the operator said beforehand, as options
+    fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is
+        nobody's fault
+    covariates : what is left goes with, the one that explained most before first; said : what the operator said
+        beforehand, as options
     recordings : where it is several, which; own_effects : files of effects that were asked for besides the catalogue
     suggestions : formulas for what has no name
     more : what one kind of machine has to say besides; confounds : of the recording, None where nothing was commanded
-    left_out : rows that agree with no others, left out before anything was searched; crowd : what is far off in too many to be left out, or None
-    noise_from : "stated"; "residuals" where nobody states a corner's noise and the residuals determine it; "assumed" where nobody states the
-    poses' noise
+    left_out : rows that agree with no others, left out before anything was searched; crowd : what is far off in too
+        many to be left out, or None
+    noise_from : "stated"; "residuals" where nobody states a corner's noise and the residuals determine it; "assumed"
+    where nobody states the poses' noise
     calibrations : OfCalibrations, of those made from the recording that are beside it"""
 
     recording: str
@@ -93,15 +99,24 @@ class Report:
         """The tree of diagnosis.json, without the verdict."""
         apart = ("more", "confounds", "calibrations", *(() if self.recordings else ("recordings",)))
         own = {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
-        return {"schema": SCHEMA, **own, "unexplained": plain(self.unexplained), **self.more,
-                "crowd": plain(self.crowd), "confounds": self.confounds and self.confounds.tree()}
+        return {
+            "schema": SCHEMA,
+            **own,
+            "unexplained": plain(self.unexplained),
+            **self.more,
+            "crowd": plain(self.crowd),
+            "confounds": self.confounds and self.confounds.tree(),
+        }
 
 
 def summary(report: Report) -> str:
     """What was found, the biggest first; what is only significant is counted, not named."""
     worst, left = report.unexplained, ""
     if worst is not None:
-        left = f"something at {worst.place} that nothing in the catalogue explains, {value_text(worst.magnitude, worst.unit)}"
+        left = (
+            f"something at {worst.place} that nothing in the catalogue explains, "
+            f"{value_text(worst.magnitude, worst.unit)}"
+        )
         left += f", going with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
     if not report.named:
         return f"There is {left}." if left else all_clear(report)
@@ -112,7 +127,11 @@ def summary(report: Report) -> str:
     said += [f"{slight} what was held out by next to nothing"] if fewer else []
     text = "; ".join([*said, *([f"besides, {left}"] if left else [])])
     doubtful = [f.effect.replace("_", " ") for f in main if f.cannot_be_told_from]
-    text += f". This recording alone cannot tell the {' and the '.join(doubtful)} from everything else: see there" if doubtful else ""
+    text += (
+        f". This recording alone cannot tell the {' and the '.join(doubtful)} from everything else: see there"
+        if doubtful
+        else ""
+    )
     return as_sentence(text)
 
 
@@ -121,7 +140,12 @@ def all_clear(report: Report) -> str:
     if report.crowd is not None:
         return f"Nothing in the catalogue was found, and {many_outliers_sentence(report.crowd)}."
     if report.noise_from == ASSUMED_NOISE:
-        return ("Nothing was found, which proves nothing: nobody states the noise of the poses, and what is left of them was taken for it. State it: "
-                "position_sigma and rotation_sigma in [instrument] of rig.toml.")
-    whence = ", which what is left of the corners determines: nobody states it" if report.noise_from == RESIDUALS else ""
+        return (
+            "Nothing was found, which proves nothing: nobody states the noise of the poses, and what is left "
+            "of them was taken for it. State it: "
+            "position_sigma and rotation_sigma in [instrument] of rig.toml."
+        )
+    whence = (
+        ", which what is left of the corners determines: nobody states it" if report.noise_from == RESIDUALS else ""
+    )
     return f"Nothing is left out: the recording and the model of the rig agree within the noise{whence}."

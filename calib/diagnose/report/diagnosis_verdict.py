@@ -16,19 +16,44 @@ TAKE_IN = "Let the calibration take it in: `rig calibrate REC --diagnosis DIR --
 
 
 def diagnosis_verdict(report: Report) -> Verdict:
-    """The verdict of a Report: check where something that matters is left out of the model or has no name, or where a calibration made from the
-    recording leaves something unexplained; bad where the recording refutes such a calibration."""
+    """The verdict of a Report: check where something that matters is left out of the model or has no name, or where a
+    calibration made from the recording leaves something unexplained; bad where the recording refutes such a
+    calibration."""
     left, rest, steps = unexplained(report), doubts(report), recommended_actions(report)
-    besides = tuple(Missing(text, TAKE_IN) for text in report.calibrations.unexplained if text not in (*left, *(one.text for one in rest)))
+    besides = tuple(
+        Missing(text, TAKE_IN)
+        for text in report.calibrations.unexplained
+        if text not in (*left, *(one.text for one in rest))
+    )
     said = summary(report).removesuffix(".")
-    return judge_evidence(Evidence(said[0].lower() + said[1:], tuple(steps), unexplained=left, confounds=confound_sentences(report.confounds),
-                          missing=(*rest, *besides), refuted=report.calibrations.refuted, look=TAKE_IN if report.mattering else steps[0], named=True))
+    return judge_evidence(
+        Evidence(
+            said[0].lower() + said[1:],
+            tuple(steps),
+            unexplained=left,
+            confounds=confound_sentences(report.confounds),
+            missing=(*rest, *besides),
+            refuted=report.calibrations.refuted,
+            look=TAKE_IN if report.mattering else steps[0],
+            named=True,
+        )
+    )
 
 
 def unexplained(report: Report, known: Collection[tuple[str, str]] = ()) -> tuple[str, ...]:
-    """What a Report says is left out of the model, a sentence each. known : (effect, place) of findings that are not left out"""
-    named = [f"the model leaves out {report_sentences.finding_title(f)}" for f in report.mattering if (f.effect, f.place) not in known]
-    unknown = [f"nothing in the catalogue explains what is at {f.place}" for f in report.unknown if (f.effect, f.place) not in known]
+    """What a Report says is left out of the model, a sentence each. known : (effect, place) of findings that are not
+    left out
+    """
+    named = [
+        f"the model leaves out {report_sentences.finding_title(f)}"
+        for f in report.mattering
+        if (f.effect, f.place) not in known
+    ]
+    unknown = [
+        f"nothing in the catalogue explains what is at {f.place}"
+        for f in report.unknown
+        if (f.effect, f.place) not in known
+    ]
     if not report.unknown and report.unexplained is not None and (UNKNOWN, report.unexplained.place) not in known:
         unknown = [f"nothing in the catalogue explains what is at {report.unexplained.place}"]
     if report.crowd is not None:
@@ -52,23 +77,31 @@ def write(folder: Path, report: Report) -> None:
     """Write diagnosis.json into a folder: the Report's tree, its verdict after its schema."""
     tree = report.tree()
     write_text(
-        folder / "diagnosis.json", json.dumps({"schema": tree["schema"], "verdict": diagnosis_verdict(report).tree(), **tree}, indent=1) + "\n"
+        folder / "diagnosis.json",
+        json.dumps({"schema": tree["schema"], "verdict": diagnosis_verdict(report).tree(), **tree}, indent=1) + "\n",
     )
 
 
 def recommended_actions(report: Report) -> list[str]:
     """What an owner does next with a Report."""
     actions = [
-        f"{report_sentences.finding_title(f)[0].upper()}{report_sentences.finding_title(f)[1:]}: {f.action}".removesuffix(".")
+        f"{report_sentences.finding_title(f)[0].upper()}{report_sentences.finding_title(f)[1:]}: "
+        f"{f.action}".removesuffix(".")
         for f in report.mattering or report.named
         if f.action
     ]
     if report.named:
         return [*actions, TAKE_IN]
     if report.suggestions:
-        return ["Have the formula for it asked for, and edit it: `rig effects --new NAME --from DIR`, then `rig diagnose --effects NAME.py`"]
+        return [
+            "Have the formula for it asked for, and edit it: `rig effects --new NAME --from DIR`, then `rig "
+            "diagnose --effects NAME.py`"
+        ]
     if report.findings or report.crowd is not None:
         return ["Look at what it goes with below, and record what may cause it: temperature, load, time"]
     if report.noise_from == ASSUMED_NOISE:
-        return ["State the noise of the poses, position_sigma and rotation_sigma in [instrument] of rig.toml, and diagnose again"]
+        return [
+            "State the noise of the poses, position_sigma and rotation_sigma in [instrument] of rig.toml, "
+            "and diagnose again"
+        ]
     return ["Nothing: calibrate from this recording, `rig calibrate REC --out calibration.json`"]

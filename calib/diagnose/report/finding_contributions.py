@@ -15,8 +15,8 @@ ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars 
 
 
 def finding_contributions(d: ArmDiagnosis) -> tuple[list[str], np.ndarray]:
-    """("effect place" .., "what remains"; (n, findings + 1) m) by how much each finding displaces the target in each pose, alone, and what
-    they leave; in the order of the diagnosis."""
+    """("effect place" .., "what remains"; (n, findings + 1) m) by how much each finding displaces the target in each
+    pose, alone, and what they leave; in the order of the diagnosis."""
     names, sizes = [], []
     for finding in d.findings:
         term = d.fit.terms[finding.number]
@@ -32,12 +32,20 @@ def write_contributions(path: Path, d: ArmDiagnosis) -> None:
     """Write a table with a row for each pose and a column, m, for each finding and for what remains."""
     names, sizes = finding_contributions(d)
     columns = [name.replace(" ", "_") for name in names]
-    columns = [f"{name}_{columns[:i].count(name) + 1}" if name in columns[:i] else name for i, name in enumerate(columns)]
-    write_table(path, ("frame", *columns), [",".join([str(frame), *(f"{v:.9f}" for v in row)]) for frame, row in zip(d.arms.frame, sizes)])
+    columns = [
+        f"{name}_{columns[:i].count(name) + 1}" if name in columns[:i] else name for i, name in enumerate(columns)
+    ]
+    write_table(
+        path,
+        ("frame", *columns),
+        [",".join([str(frame), *(f"{v:.9f}" for v in row)]) for frame, row in zip(d.arms.frame, sizes)],
+    )
 
 
 def contribution_figure(d: ArmDiagnosis) -> str:
-    """Figure of the poses that suffer most: for each a bar, made of one for each finding, the biggest first, and of what remains."""
+    """Figure of the poses that suffer most: for each a bar, made of one for each finding, the biggest first, and of
+    what remains.
+    """
     names, sizes = finding_contributions(d)
     worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]
     scale = (END - START) / float(sizes[worst].sum(axis=1).max())
@@ -48,13 +56,18 @@ def contribution_figure(d: ArmDiagnosis) -> str:
         for which in [*np.argsort(-sizes[pose, :-1]).tolist(), len(names) - 1]:
             wide = float(sizes[pose, which]) * scale
             said = f"{names[which].replace('_', ' ')}: {sizes[pose, which] * 1e6:.1f} µm"
-            parts.append(f'<rect class="fill {_colour(which, len(names))}" x="{at:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{ROW - 3:g}">'
-                         f"{tooltip(said)}</rect>")
+            parts.append(
+                f'<rect class="fill {_colour(which, len(names))}" x="{at:.1f}" y="{y:.1f}" '
+                f'width="{wide:.1f}" height="{ROW - 3:g}">'
+                f"{tooltip(said)}</rect>"
+            )
             at += wide
     for k, name in enumerate(names):
         y = 30 + ROW * (len(worst) + k)
-        parts += [f'<rect class="fill {_colour(k, len(names))}" x="{START:g}" y="{y:.1f}" width="10" height="10"/>',
-                  text(START + 16, y + 10, name.replace("_", " "))]
+        parts += [
+            f'<rect class="fill {_colour(k, len(names))}" x="{START:g}" y="{y:.1f}" width="10" height="10"/>',
+            text(START + 16, y + 10, name.replace("_", " ")),
+        ]
     return svg(int(40 + ROW * (len(worst) + len(names))), "what each finding does to the poses that suffer most", parts)
 
 

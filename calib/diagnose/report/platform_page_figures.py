@@ -1,4 +1,6 @@
-"""What a platform's page draws: the rig, each finding against what gives it away, what is left of struts and cameras."""
+"""What a platform's page draws: the rig, each finding against what gives it away, what is left of struts and
+cameras.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +11,12 @@ from calib.diagnose.problems.platform.linearised_residuals import LinearisedMode
 from calib.diagnose.problems.platform.platform_diagnosis import PlatformDiagnosis
 from calib.diagnose.report.diagnosis_json import FindingEntry
 from calib.diagnose.report.residual_figures import residuals_in_time_figure
-from calib.diagnose.report.residual_plots import diagnostic_plot, model_residuals, residual_map, residuals_without_effects
+from calib.diagnose.report.residual_plots import (
+    diagnostic_plot,
+    model_residuals,
+    residual_map,
+    residuals_without_effects,
+)
 from calib.diagnose.report.rig_outline import rig_outline_figure
 from calib.report.scene_3d import rig_stage
 from calib.samples.effect_playback import effect_displacements
@@ -55,7 +62,10 @@ class PlatformView:
         k = self.diagnosis.selection.fit.refined.point
         effects, values = tuple[Shown, ...](), None
         if k.commands is not None and not isinstance(k.design.mechanism, Free):
-            tried = [effect_displacements(k.design, k.commands, k.t, k.effects, which, k.sensors) for which in range(min(len(k.effects), PLAYED))]
+            tried = [
+                effect_displacements(k.design, k.commands, k.t, k.effects, which, k.sensors)
+                for which in range(min(len(k.effects), PLAYED))
+            ]
             effects, values = tuple(one for one in tried if one is not None), k.motion(()).lengths
         return view_3d_html(rig_stage(k.design, k.frames, k.T, values, effects=effects))
 
@@ -77,9 +87,13 @@ class PlatformView:
     def measurement(self) -> list[tuple[str, Any]]:
         """Where poses came from, and how much there is."""
         k, rec = self.diagnosis.selection.fit.refined.point, self.recording
-        return [("poses from", self.diagnosis.source), ("frames", f"{len(k.t)} of {len(rec.exposures.times()[0])}"),
-                ("time", f"{np.ptp(k.t) / 60:.1f} min"), ("corners", len(k.observed.observations) if k.seen is not None else "none"),
-                ("sensors", ", ".join(rec.sensors.channels) if rec.sensors is not None else "none")]
+        return [
+            ("poses from", self.diagnosis.source),
+            ("frames", f"{len(k.t)} of {len(rec.exposures.times()[0])}"),
+            ("time", f"{np.ptp(k.t) / 60:.1f} min"),
+            ("corners", len(k.observed.observations) if k.seen is not None else "none"),
+            ("sensors", ", ".join(rec.sensors.channels) if rec.sensors is not None else "none"),
+        ]
 
 
 def _same(finding: FindingEntry, effect: Effect, origin: Origin) -> bool:
@@ -90,8 +104,11 @@ def _same(finding: FindingEntry, effect: Effect, origin: Origin) -> bool:
     moments = [p.name for p in effect.parameters if p.role == "moment" and p.name in finding.parameters]
     if any(finding.parameters[name].value != origin.shown(values[name]) for name in moments):
         return False
-    return all(np.allclose(p.value, values[n]) for n, p in finding.parameters.items()
-               if n in values and n not in moments and np.size(p.value) == np.size(values[n]))
+    return all(
+        np.allclose(p.value, values[n])
+        for n, p in finding.parameters.items()
+        if n in values and n not in moments and np.size(p.value) == np.size(values[n])
+    )
 
 
 def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> str:
@@ -104,11 +121,26 @@ def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> str:
         rows.append(([f"strut {i + 1}" for i in range(k.axes)], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, "µm"))
     if k.seen is not None:
         rows.append(_camera_levels(refined.model, before.model))
-    return panel_row(*(bar_chart("what is left, RMS", labels, [("nothing admitted", first.tolist(), 3), ("as diagnosed", last.tolist(), 0),
-                                                       ("noise", noise.tolist(), -1)], unit) for labels, first, last, noise, unit in rows))
+    return panel_row(
+        *(
+            bar_chart(
+                "what is left, RMS",
+                labels,
+                [
+                    ("nothing admitted", first.tolist(), 3),
+                    ("as diagnosed", last.tolist(), 0),
+                    ("noise", noise.tolist(), -1),
+                ],
+                unit,
+            )
+            for labels, first, last, noise, unit in rows
+        )
+    )
 
 
-def _camera_levels(model: LinearisedModel, before: LinearisedModel) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray, str]:
+def _camera_levels(
+    model: LinearisedModel, before: LinearisedModel
+) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray, str]:
     k = model.point
     o, sigma = k.observed.observations, model.corner_noise()
     present = np.unique(o.camera)

@@ -82,13 +82,25 @@ def noise_source(d: PlatformDiagnosis) -> str:
 
 
 def remark_entries(d: PlatformDiagnosis) -> list[RemarkEntry]:
-    """What is there beyond chance and does not matter: what was fitted, what was left, what tolerances were seen to be."""
+    """What is there beyond chance and does not matter: what was fitted, what was left, what tolerances were seen to
+    be.
+    """
     refined, out = d.selection.fit.refined, []
     for f, reason in d.remarks.findings:
         effect = refined.point.effects[f.number]
-        out.append(RemarkEntry(effect.name, effect.place, _parameters(refined, f.number, effect, d.origin), tolerance_reason_sentence(reason),
-                               min(1.0, f.score.p_value * d.selection.asked)))
-    out += [RemarkEntry(UNKNOWN, u.place, _size_of(u), tolerance_reason_sentence(reason), u.p_value) for u, reason in d.remarks.left]
+        out.append(
+            RemarkEntry(
+                effect.name,
+                effect.place,
+                _parameters(refined, f.number, effect, d.origin),
+                tolerance_reason_sentence(reason),
+                min(1.0, f.score.p_value * d.selection.asked),
+            )
+        )
+    out += [
+        RemarkEntry(UNKNOWN, u.place, _size_of(u), tolerance_reason_sentence(reason), u.p_value)
+        for u, reason in d.remarks.left
+    ]
     return out + [_within(s) for s in d.remarks.sites]
 
 
@@ -105,7 +117,13 @@ def _within(slight: SignificantTolerance) -> RemarkEntry:
         low, value, high = ((slight.values + s * ends)[rows].tolist() for s in (-1, 0, 1))
         parameters[name] = Value(value, unit, [low, high]) if count > 1 else Value(value[0], unit, [low[0], high[0]])
         at += count
-    return RemarkEntry(slight.site.effect, slight.site.place, parameters, tolerance_reason_sentence(slight.site.tolerance.reason), slight.p_value)
+    return RemarkEntry(
+        slight.site.effect,
+        slight.site.place,
+        parameters,
+        tolerance_reason_sentence(slight.site.tolerance.reason),
+        slight.p_value,
+    )
 
 
 def noise_entry(figures: dict[str, float | None]) -> dict[str, float | None]:
@@ -120,7 +138,10 @@ def largest_unexplained(left: list[LackOfFit]) -> Unexplained | None:
 
 def unnamed_finding_entries(left: list[LackOfFit]) -> list[FindingEntry]:
     """What is left as findings without a name, one for each place."""
-    return [FindingEntry(UNKNOWN, u.place, _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2)) for u in first_of_each_place(left)]
+    return [
+        FindingEntry(UNKNOWN, u.place, _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2))
+        for u in first_of_each_place(left)
+    ]
 
 
 def _size_of(left: LackOfFit) -> dict[str, Value]:
@@ -150,29 +171,55 @@ def _swapped(effect: MarkerSwap) -> FindingEntry:
 
 def _moved(move: Move) -> FindingEntry:
     ends = np.stack([move.by, move.by - move.ci95, move.by + move.ci95])
-    parameters = {p.name: Value(part[0].tolist(), p.unit, part[1:].tolist())
-                  for p, part in zip(FaceMisplacement.parameters, (ends[:, :3], ends[:, 3:]))}
+    parameters = {
+        p.name: Value(part[0].tolist(), p.unit, part[1:].tolist())
+        for p, part in zip(FaceMisplacement.parameters, (ends[:, :3], ends[:, 3:]))
+    }
     return FindingEntry(FaceMisplacement.name, move.name, parameters, action=FaceMisplacement.action_at(move.name))
 
 
 def _finding(d: PlatformDiagnosis, finding: Finding, proof: CrossValidation) -> FindingEntry:
     refined, score = d.selection.fit.refined, finding.score
     effect = refined.point.effects[finding.number]
-    evidence = Evidence(score.delta_bic(refined.model.size), min(1.0, score.p_value * d.selection.asked), proof.before, proof.after, proof.unit,
-                        proof.gain)
-    others = tuple(AlternativeEntry(other.name, other.place, a.behind, a.cosine,
-                                    separating_experiment_text((type(effect), effect.place), (other.kind, other.place)))
-                   for a, other in ((a, a.score.candidate) for a in finding.alternatives))
+    evidence = Evidence(
+        score.delta_bic(refined.model.size),
+        min(1.0, score.p_value * d.selection.asked),
+        proof.before,
+        proof.after,
+        proof.unit,
+        proof.gain,
+    )
+    others = tuple(
+        AlternativeEntry(
+            other.name,
+            other.place,
+            a.behind,
+            a.cosine,
+            separating_experiment_text((type(effect), effect.place), (other.kind, other.place)),
+        )
+        for a, other in ((a, a.score.candidate) for a in finding.alternatives)
+    )
     parameters = _parameters(refined, finding.number, effect, d.origin)
-    return FindingEntry(effect.name, effect.place, parameters, evidence, others, effect.action_at(effect.place),
-                        stated_beforehand(d.given, effect.name, effect.place), unusual_size_reason(type(effect), effect.place, parameters))
+    return FindingEntry(
+        effect.name,
+        effect.place,
+        parameters,
+        evidence,
+        others,
+        effect.action_at(effect.place),
+        stated_beforehand(d.given, effect.name, effect.place),
+        unusual_size_reason(type(effect), effect.place, parameters),
+    )
 
 
 def _parameters(refined: Refined, number: int, effect: Effect, origin: Origin) -> dict[str, Value]:
     known, bound = {p.name: p for p in effect.parameters_at(effect.place)}, refined.at_bounds(number)
-    out = {name: Value(value, known[name].unit, [low, high]) if isinstance(value, list) else
-           bounded_value(value, known[name].unit, (low, high), known[name].bounds, bound.get(name))
-           for name, (value, low, high) in refined.intervals(number).items()}
+    out = {
+        name: Value(value, known[name].unit, [low, high])
+        if isinstance(value, list)
+        else bounded_value(value, known[name].unit, (low, high), known[name].bounds, bound.get(name))
+        for name, (value, low, high) in refined.intervals(number).items()
+    }
     for p in effect.parameters:
         if p.role in ("moment", "choice") and p.size == 1 and np.isfinite(getattr(effect, p.name)):
             value = getattr(effect, p.name)

@@ -5,7 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
-from calib.diagnose.report.diagnosis_json import ASSUMED, CovariateEntry, FindingEntry, FitEntry, RemarkEntry, SuggestionEntry, Value
+from calib.diagnose.report.diagnosis_json import (
+    ASSUMED,
+    CovariateEntry,
+    FindingEntry,
+    FitEntry,
+    RemarkEntry,
+    SuggestionEntry,
+    Value,
+)
 from rig.formats.number_rounding import UNITS, round_to_digits, separating_digits
 
 SCALES = {unit: UNITS[unit][0] for unit in ("m", "rad", "1/K", "N/m")}  # one unit for all sizes, so that they compare
@@ -31,7 +39,7 @@ def value_text(value: float, unit: str, with_unit: bool = True, digits: int = 3)
 
 
 def interval_text(low: float, high: float, unit: str, with_unit: bool = True) -> str:
-    """"39.1 to 41.2 µm", to as many digits as tell its ends apart."""
+    """Text such as "39.1 to 41.2 µm", to as many digits as tell its ends apart."""
     digits = separating_digits(low, high)
     return f"{value_text(low, unit, False, digits)} to {value_text(high, unit, with_unit, digits)}"
 
@@ -51,12 +59,14 @@ def _digits(p: Value) -> int:
 
 
 def finding_title(finding: FindingEntry | RemarkEntry) -> str:
-    """"backlash at strut 4"."""
+    """Text such as "backlash at strut 4"."""
     return f"{finding.effect.replace('_', ' ')} at {finding.place}"
 
 
 def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
-    """The first parameter in words; of a vector its length, of a profile its root mean square; empty where there is none."""
+    """The first parameter in words; of a vector its length, of a profile its root mean square; empty where there is
+    none.
+    """
     for name, p in finding.parameters.items():
         if isinstance(p.value, (int, float)) and p.ci95 is not None:
             at = "; at the bound of what makes sense" if p.at_bound is not None else ""
@@ -64,14 +74,16 @@ def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
             return f", {name.replace('_', ' ')} {value_text(p.value, p.unit, digits=_digits(p))} ({sure}{at})"
         if ", " in p.unit and len(p.value) % 3 == 0 and len(p.value):
             thirds = np.reshape(np.asarray(p.value, float), (-1, 3))
-            return ", by " + " and ".join(value_text(float(np.linalg.norm(v)), u) for v, u in zip(thirds, p.unit.split(", ")))
+            return ", by " + " and ".join(
+                value_text(float(np.linalg.norm(v)), u) for v, u in zip(thirds, p.unit.split(", "))
+            )
         if name == "profile" and len(p.value):
             return f", {value_text(np.sqrt(np.mean(np.square(p.value))), p.unit)} RMS"
     return ""
 
 
 def stated_beforehand_text(finding: FindingEntry) -> str:
-    """" (assumed)" of what the operator said beforehand."""
+    """Text " (assumed)" for what the operator stated beforehand, else nothing."""
     return f" ({finding.said})" if finding.said else ""
 
 
@@ -82,7 +94,12 @@ def as_sentence(text: str) -> str:
 
 def excluded_row_texts(one: LeftOut) -> tuple[str, str, str, str]:
     """(frame, where, how far off, why) of a row that was left out."""
-    return str(one.frame), one.place, f"{value_text(one.off, one.unit)}, {one.times:.0f} times the scatter of the others", one.reason
+    return (
+        str(one.frame),
+        one.place,
+        f"{value_text(one.off, one.unit)}, {one.times:.0f} times the scatter of the others",
+        one.reason,
+    )
 
 
 def row_count_text(count: int) -> str:
@@ -92,17 +109,25 @@ def row_count_text(count: int) -> str:
 
 def many_outliers_sentence(found: Crowd) -> str:
     """Why rows that are far off were not left out."""
-    return (f"{found.count} of {found.of} {found.what} are far off all others: too many to be mistakes of their own, so they were not left out, and "
-            "something is left out of the model")
+    return (
+        f"{found.count} of {found.of} {found.what} are far off all others: too many to be mistakes of their "
+        "own, so they were not left out, and "
+        "something is left out of the model"
+    )
 
 
 def held_out_sentence(fit: FitEntry, named: bool) -> str:
     """What is left over on stretches that the fit had not seen."""
-    before, after, floor = (value_text(value, fit.unit) for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))
+    before, after, floor = (
+        value_text(value, fit.unit) for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor)
+    )
     ratio = f", {fit.heldout_after / fit.noise_floor:.2f} times the noise" if fit.noise_floor else ""
     if not named:
         return f"On stretches of the recording that the fit had not seen, {after} are left over{ratio} ({floor})."
-    return f"On stretches of the recording that the fit had not seen, the misfit falls from {before} to {after}{ratio} ({floor})."
+    return (
+        f"On stretches of the recording that the fit had not seen, the misfit falls from {before} to "
+        f"{after}{ratio} ({floor})."
+    )
 
 
 def probability_text(p: float | None) -> str:
@@ -115,15 +140,27 @@ def probability_text(p: float | None) -> str:
 def evidence_sentence(finding: FindingEntry) -> str:
     """The evidence of a finding in a sentence, empty where there is none."""
     e = finding.evidence
-    if e.delta_bic is None or e.p_value is None or e.heldout_before is None or e.heldout_after is None or e.unit is None:
+    if (
+        e.delta_bic is None
+        or e.p_value is None
+        or e.heldout_before is None
+        or e.heldout_after is None
+        or e.unit is None
+    ):
         return ""
     errors = f" ({e.gain_sigma:.1f} standard errors)" if e.gain_sigma is not None and np.isfinite(e.gain_sigma) else ""
-    said = [f"held out, {value_text(e.heldout_before, e.unit)} without it and {value_text(e.heldout_after, e.unit)} with it{errors}",
-            f"chance of such a finding where there is nothing: {probability_text(e.p_value)}",
-            f"information criterion better by {e.delta_bic:.0f} ({CONVINCING} is convincing)"]
+    said = [
+        f"held out, {value_text(e.heldout_before, e.unit)} without it and "
+        f"{value_text(e.heldout_after, e.unit)} with it{errors}",
+        f"chance of such a finding where there is nothing: {probability_text(e.p_value)}",
+        f"information criterion better by {e.delta_bic:.0f} ({CONVINCING} is convincing)",
+    ]
     if finding.said == ASSUMED:
         shown = e.p_value is not None and e.p_value <= SELDOM and e.delta_bic >= CONVINCING
-        said.append("it was assumed, and this recording " + ("shows it by itself as well" if shown else "would not have shown it by itself"))
+        said.append(
+            "it was assumed, and this recording "
+            + ("shows it by itself as well" if shown else "would not have shown it by itself")
+        )
     return f"How sure: {'; '.join(said)}."
 
 
@@ -132,27 +169,45 @@ def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
     fitted = [f for f in unknown if f.parameters["depends_on"].value]
     said = ["Something remains that nothing in the catalogue explains."]
     said += ["A smooth function fits it; it is given no name."] if fitted else []
-    said += ["What scatters more than its noise is as likely left out of the model as the noise is stated too small: this recording does not tell "
-             "which."] if len(fitted) < len(unknown) else []
+    said += (
+        [
+            "What scatters more than its noise is as likely left out of the model as the noise is stated too "
+            "small: this recording does not tell "
+            "which."
+        ]
+        if len(fitted) < len(unknown)
+        else []
+    )
     return " ".join(said)
 
 
 def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
     """What is suggested in place of a name, and how it did where it was not chosen, in sentences."""
-    before, after, floor = (value_text(value, entry.unit) for value in (entry.heldout_before, entry.heldout_after, entry.noise))
+    before, after, floor = (
+        value_text(value, entry.unit) for value in (entry.heldout_before, entry.heldout_after, entry.noise)
+    )
     alike = sum(set(part) == set(entry.covariates) for part in entry.parts)
-    return (f"Deviation {entry.formula}, where {entry.where}. Held out on whole stretches, by formulas chosen and fitted without them: {before} "
-            f"before, {after} after, {entry.heldout_after / entry.noise:.2f} times the noise ({floor}); {alike} of {len(entry.parts)} times the same "
-            "covariates were chosen. It is a suggestion, and no name.")
+    return (
+        f"Deviation {entry.formula}, where {entry.where}. Held out on whole stretches, by formulas chosen "
+        f"and fitted without them: {before} "
+        f"before, {after} after, {entry.heldout_after / entry.noise:.2f} times the noise ({floor}); {alike} "
+        f"of {len(entry.parts)} times the same "
+        "covariates were chosen. It is a suggestion, and no name."
+    )
 
 
 def suggestion_rows(entry: SuggestionEntry) -> list[tuple[str, str, str]]:
     """[(parameter, value, 95 % interval)] of what is suggested, with units."""
-    return [(name, f"{p.value:.4g} {p.unit}", f"{p.ci95[0]:.4g} to {p.ci95[1]:.4g}" if p.ci95 else "") for name, p in entry.parameters.items()]
+    return [
+        (name, f"{p.value:.4g} {p.unit}", f"{p.ci95[0]:.4g} to {p.ci95[1]:.4g}" if p.ci95 else "")
+        for name, p in entry.parameters.items()
+    ]
 
 
 def covariate_table(found: Sequence[CovariateEntry]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """(heads, rows) of what is left against covariates: shares of the squares before and after, and the smallest chance after."""
+    """(heads, rows) of what is left against covariates: shares of the squares before and after, and the smallest chance
+    after.
+    """
     looked_at = list(dict.fromkeys(what for c in found for what in c.explains))
     heads = ("goes with", *(f"{what}, {when}" for what in looked_at for when in ("before", "after")), "chance, after")
     rows = []
@@ -185,7 +240,13 @@ def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
             if isinstance(p.value[i], str):
                 rows.append((f"{name} {i + 1}", p.value[i], ""))
                 continue
-            rows.append((f"{name} {i + 1}", value_text(p.value[i], own), interval_text(p.ci95[0][i], p.ci95[1][i], own) if p.ci95 else ""))
+            rows.append(
+                (
+                    f"{name} {i + 1}",
+                    value_text(p.value[i], own),
+                    interval_text(p.ci95[0][i], p.ci95[1][i], own) if p.ci95 else "",
+                )
+            )
     return rows
 
 
@@ -197,8 +258,12 @@ def _interval(p: Value) -> str:
 
 
 def finding_line(finding: FindingEntry, few: int = 6) -> str:
-    """A finding in a line for a terminal, in SI units. few : numbers of a parameter that are printed; of more, how many there are"""
-    return f"{finding.effect} at {finding.place}: " + ", ".join(_printed(name, p, few) for name, p in finding.parameters.items())
+    """A finding in a line for a terminal, in SI units. few : numbers of a parameter that are printed; of more, how many
+    there are
+    """
+    return f"{finding.effect} at {finding.place}: " + ", ".join(
+        _printed(name, p, few) for name, p in finding.parameters.items()
+    )
 
 
 def _printed(name: str, p: Value, few: int) -> str:
@@ -206,7 +271,16 @@ def _printed(name: str, p: Value, few: int) -> str:
     if isinstance(value, (int, float)):
         digits = ".1f" if unit == "s" and abs(value) >= LONG_TIME else ".4g"
         ends = [f"{end:{digits}}" for end in p.ci95] if p.ci95 else []
-        said = {None: " to ".join(ends), "above": f"{ends[0]} or more", "below": f"{ends[1]} or less", "both": NOT_DETERMINED}[p.open] if ends else ""
+        said = (
+            {
+                None: " to ".join(ends),
+                "above": f"{ends[0]} or more",
+                "below": f"{ends[1]} or less",
+                "both": NOT_DETERMINED,
+            }[p.open]
+            if ends
+            else ""
+        )
         interval = f" ({said})" if said else ""
         bound = ", at its bound" if p.at_bound is not None else ""
         return f"{name} {value:{digits}} {unit}{interval}{bound}"

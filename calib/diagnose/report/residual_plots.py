@@ -16,16 +16,21 @@ CELLS = 14  # of a residual map, across the image
 
 
 def residuals_without_effects(refined: Refined, without: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray]:
-    """(closures (F, axes) m, corners (n, 2) px in the observations' order) that are left where some admitted effects (numbers) are taken
-    away and cameras, geometry and poses make up for it as far as they can."""
+    """(closures (F, axes) m, corners (n, 2) px in the observations' order) that are left where some admitted effects
+    (numbers) are taken away and cameras, geometry and poses make up for it as far as they can."""
     model, k = refined.model, refined.point
     kept = [e for i, e in enumerate(k.effects) if i not in set(without)]
     if len(kept) == len(k.effects):
         return model_residuals(model)
     done = change(model, kept)
     taken = model.linear.project(done).onto
-    grown = [(0 if part is None else part[:, 0]) - (basis @ taken)[:, 0] for part, basis in zip(done.parts, model.linear.columns.parts)]
-    return _in_metres(model, model.closure_residual + grown[CLOSURES]), _in_pixels(model, model.corner_residual + grown[CORNERS])
+    grown = [
+        (0 if part is None else part[:, 0]) - (basis @ taken)[:, 0]
+        for part, basis in zip(done.parts, model.linear.columns.parts)
+    ]
+    return _in_metres(model, model.closure_residual + grown[CLOSURES]), _in_pixels(
+        model, model.corner_residual + grown[CORNERS]
+    )
 
 
 def model_residuals(model: LinearisedModel) -> tuple[np.ndarray, np.ndarray]:
@@ -35,7 +40,11 @@ def model_residuals(model: LinearisedModel) -> tuple[np.ndarray, np.ndarray]:
 
 def _in_metres(model: LinearisedModel, closures: np.ndarray) -> np.ndarray:
     F, axes = model.frames, model.point.axes
-    return np.linalg.solve(model.closures.W, closures[: F * axes].reshape(F, axes, 1))[..., 0] if axes else np.zeros((F, 0))
+    return (
+        np.linalg.solve(model.closures.W, closures[: F * axes].reshape(F, axes, 1))[..., 0]
+        if axes
+        else np.zeros((F, 0))
+    )
 
 
 def _in_pixels(model: LinearisedModel, image: np.ndarray) -> np.ndarray:
@@ -49,14 +58,22 @@ def _in_pixels(model: LinearisedModel, image: np.ndarray) -> np.ndarray:
 def diagnostic_plot(refined: Refined, number: int) -> str:
     """Figures of admitted effect number `number`: left without it, right with it, all else as admitted."""
     k, effect = refined.point, refined.point.effects[number]
-    (struts_before, image_before), (struts_after, image_after) = residuals_without_effects(refined, (number,)), residuals_without_effects(refined)
+    (struts_before, image_before), (struts_after, image_after) = (
+        residuals_without_effects(refined, (number,)),
+        residuals_without_effects(refined),
+    )
     if not seen_alone(effect):
         x, label, y = _strut_view(effect, k, struts_before, struts_after)
         return residual_scatter_figure(x, label, [v * 1e6 for v in y], "strut, µm")
     own = _own(effect, k)
-    draw = {"map": lambda: residual_map(k, own, (image_before, image_after)), "time": lambda: _along_time(k, own, image_before, image_after),
-            "scale": lambda: _focal(k, own, image_before, image_after), "outward": lambda: _outward(k, own, image_before, image_after),
-            "markers": lambda: _bars(effect, k, image_before, image_after), "targets": lambda: _bars(effect, k, image_before, image_after)}
+    draw = {
+        "map": lambda: residual_map(k, own, (image_before, image_after)),
+        "time": lambda: _along_time(k, own, image_before, image_after),
+        "scale": lambda: _focal(k, own, image_before, image_after),
+        "outward": lambda: _outward(k, own, image_before, image_after),
+        "markers": lambda: _bars(effect, k, image_before, image_after),
+        "targets": lambda: _bars(effect, k, image_before, image_after),
+    }
     if effect.view in draw:
         return draw[effect.view]()
     way = image_before[own] - image_after[own]
@@ -76,18 +93,27 @@ def _along_time(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: n
     way = along[np.argmax(np.linalg.norm(along, axis=1))]
     way = way / max(np.linalg.norm(way), 1e-12)
     return residual_scatter_figure(
-        k.t[np.unique(frame)] / 60, "time, min", [_mean(frame, v[own] @ way) for v in (before, after)], "mean of a picture's corners, px"
+        k.t[np.unique(frame)] / 60,
+        "time, min",
+        [_mean(frame, v[own] @ way) for v in (before, after)],
+        "mean of a picture's corners, px",
     )
 
 
-def _strut_view(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, str, list[np.ndarray]]:
+def _strut_view(
+    effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray
+) -> tuple[np.ndarray, str, list[np.ndarray]]:
     """(covariate (m,), its label, [residuals (m,) before, after]) of an effect of the struts."""
     motion = k.motion(tuple(e for e in k.effects if e is not effect))
     covariate, direction = effect.covariate(motion), effect.direction(motion)
     if direction is not None:
         mode = k.swayed(direction)
         size = np.maximum((mode**2).sum(axis=1), 1e-300)
-        return covariate.values, covariate.label, [(mode * v).sum(axis=1) / size * np.sqrt(size.max()) for v in (before, after)]
+        return (
+            covariate.values,
+            covariate.label,
+            [(mode * v).sum(axis=1) / size * np.sqrt(size.max()) for v in (before, after)],
+        )
     at = np.arange(k.axes) if effect.place == "clock" else np.flatnonzero(effect.axes(motion.places) > 0)
     x = covariate.values
     x = np.broadcast_to(x if x.ndim == 2 else x[:, None], before.shape)
@@ -121,11 +147,16 @@ def _focal(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.nda
     away = o.uv[own] - matrix[o.camera[own]]
     key = o.frame[own] * len(matrix) + o.camera[own]
     keys, first = np.unique(key, return_index=True)
-    scale = [_mean(key, np.einsum("ni,ni->n", v[own], away)) / np.maximum(_mean(key, (away**2).sum(axis=1)), 1e-12) * 1e6 for v in (before, after)]
+    scale = [
+        _mean(key, np.einsum("ni,ni->n", v[own], away)) / np.maximum(_mean(key, (away**2).sum(axis=1)), 1e-12) * 1e6
+        for v in (before, after)
+    ]
     camera = [c.name for c in k.design.cameras]
     warmth = np.stack([k.logged(f"camera_{name}_temperature_C", "ambient_temperature_C") for name in camera])
     x = warmth[o.camera[own][first], o.frame[own][first]]
-    return residual_scatter_figure(x, f"temperature, C (dimensions hold at {REFERENCE_TEMPERATURE:g})", scale, "scale of a picture, 1e-6")
+    return residual_scatter_figure(
+        x, f"temperature, C (dimensions hold at {REFERENCE_TEMPERATURE:g})", scale, "scale of a picture, 1e-6"
+    )
 
 
 def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
@@ -137,7 +168,9 @@ def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.n
     away = o.uv[own] - middle[index]
     size = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
     values = [_mean(row, np.einsum("ni,ni->n", v[own], away) / size) for v in (before, after)]
-    return residual_scatter_figure(np.sqrt(2) * _mean(row, size), "side of the marker in the image, px", values, "corners lie outward by, px")
+    return residual_scatter_figure(
+        np.sqrt(2) * _mean(row, size), "side of the marker in the image, px", values, "corners lie outward by, px"
+    )
 
 
 def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray) -> str:
@@ -146,18 +179,39 @@ def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarr
     by_target = effect.view == "targets"
     names = np.array(k.observed.markers.target if by_target else [str(i) for i in k.observed.markers.id])[o.marker]
     labels = sorted(set(names.tolist()), key=lambda n: (len(n), n))
-    groups = [(text, [float(np.sqrt(np.mean(values[names == n] ** 2))) for n in labels], colour)
-              for values, colour, text in ((before, BEFORE, "without it"), (after, AFTER, "with it"))]
-    return bar_chart(f"residuals of every {'cube' if by_target else 'marker'}, RMS", labels, groups, "px", [effect.place.split(" ")[1]])
+    groups = [
+        (text, [float(np.sqrt(np.mean(values[names == n] ** 2))) for n in labels], colour)
+        for values, colour, text in ((before, BEFORE, "without it"), (after, AFTER, "with it"))
+    ]
+    return bar_chart(
+        f"residuals of every {'cube' if by_target else 'marker'}, RMS",
+        labels,
+        groups,
+        "px",
+        [effect.place.split(" ")[1]],
+    )
 
 
-def residual_map(k: OperatingPoint, own: np.ndarray, both: tuple[np.ndarray, ...], titles: tuple[str, ...] = ("without it", "with it")) -> str:
+def residual_map(
+    k: OperatingPoint,
+    own: np.ndarray,
+    both: tuple[np.ndarray, ...],
+    titles: tuple[str, ...] = ("without it", "with it"),
+) -> str:
     """Mean residuals over patches of one camera's image, one figure for each of `both` (n, 2) px."""
     o = k.observed.observations
     camera = k.design.cameras[o.camera[own[0]]]
     cell = camera.width / CELLS
     drawn = [patch_means(o.uv[own], values[own], cell) for values in both]
     longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
-    return panel_row(*(image_plane(f"{camera.name}, {title}", f"longest arrow of both {longest:.3g} px", (camera.width, camera.height),
-                                (Arrows(centre, mean, 1.2 * cell / longest, "px", colour),))
-                    for (centre, mean), title, colour in zip(drawn, titles, (BEFORE, AFTER))))
+    return panel_row(
+        *(
+            image_plane(
+                f"{camera.name}, {title}",
+                f"longest arrow of both {longest:.3g} px",
+                (camera.width, camera.height),
+                (Arrows(centre, mean, 1.2 * cell / longest, "px", colour),),
+            )
+            for (centre, mean), title, colour in zip(drawn, titles, (BEFORE, AFTER))
+        )
+    )

@@ -54,7 +54,11 @@ class Outline:
 
         parts = []
         for points, style, colour, said in sorted(self._shapes, key=lambda s: (s[1] != "plate", s[2] != PLAIN)):
-            d = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(points).tolist()) + ("Z" if style != "outline" else "")
+            d = (
+                "M"
+                + "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(points).tolist())
+                + ("Z" if style != "outline" else "")
+            )
             marked = f" marked c{colour}" if colour != PLAIN else ""
             parts.append(f'<path class="{style}{marked}" d="{d}">{tooltip(said) if said else ""}</path>')
         for point, words, colour in self._words:
@@ -77,12 +81,17 @@ def rig_outline_figure(point: OperatingPoint, places: list[str]) -> str:
         _targets(drawn, k, T, colour)
     for camera in k.design.cameras if k.seen is not None else ():
         _camera(drawn, camera, colour(f"camera {camera.name}", "cameras"), T.translation)
-    whole = [(place, MARKS[n % len(MARKS)]) for n, place in enumerate(places) if place.split(" ")[0] in ("rig", "clock", "cameras", "markers")]
+    whole = [
+        (place, MARKS[n % len(MARKS)])
+        for n, place in enumerate(places)
+        if place.split(" ")[0] in ("rig", "clock", "cameras", "markers")
+    ]
     return drawn.figure(f"the rig in outline, marked: {', '.join(places) or 'nothing'}", whole)
 
 
 def part_colours(places: list[str]) -> Colour:
     """A function from a part's place (and what takes it in) to its colour, PLAIN where nothing is the matter."""
+
     def colour(*names: str) -> int:
         return next((MARKS[n % len(MARKS)] for n, place in enumerate(places) if place in names), PLAIN)
 
@@ -118,7 +127,11 @@ def _targets(drawn: Outline, k: OperatingPoint, T: RigidTransform, colour: Colou
     markers = marker_map(k.stated)
     base = np.where(markers.on_platform[:, None, None], transform_points(T, markers.corners), markers.corners)
     for n, quad in enumerate(base):
-        drawn.line(quad[[0, 1, 2, 3, 0]], colour(f"marker {markers.id[n]}", f"target {markers.target[n]}", "markers"), f"marker {markers.id[n]}")
+        drawn.line(
+            quad[[0, 1, 2, 3, 0]],
+            colour(f"marker {markers.id[n]}", f"target {markers.target[n]}", "markers"),
+            f"marker {markers.id[n]}",
+        )
         own = colour(f"marker {markers.id[n]}")
         if own != PLAIN:
             drawn.patch(quad, "patch", own)
@@ -132,7 +145,11 @@ def _targets(drawn: Outline, k: OperatingPoint, T: RigidTransform, colour: Colou
 def _camera(drawn: Outline, camera: Camera, colour: int, middle: np.ndarray) -> None:
     half = np.array([camera.width / 2 / camera.matrix[0, 0], camera.height / 2 / camera.matrix[1, 1]])
     away = CAMERA_DISTANCE * (camera.pose.translation - middle)
-    ends = 0.12 * np.linalg.norm(away) * np.array([[x * half[0], y * half[1], 1] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    ends = (
+        0.12
+        * np.linalg.norm(away)
+        * np.array([[x * half[0], y * half[1], 1] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    )
     tip, ends = middle + away, middle + away + ends @ camera.pose.rotation.as_matrix().T
     drawn.line(ends[[0, 1, 2, 3, 0]], colour, camera.name)
     for end in ends:

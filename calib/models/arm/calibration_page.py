@@ -23,8 +23,14 @@ from rig.report.pages.plots import Series, panel_row, plot_panel
 from rig.report.pages.view_3d import view_scripts
 
 
-def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified,
-                     links: Sequence[Link] = ()) -> None:
+def calibration_page(
+    path: Path | str,
+    recording: Recording,
+    calibration: Calibration,
+    samples: Samples,
+    done: Certified,
+    links: Sequence[Link] = (),
+) -> None:
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
     went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
     parts = [
@@ -47,7 +53,10 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
         folding_section("Recording, versions, arguments", provenance_html(calibration)),
     ]
     judged = calibration_verdict(calibration)
-    write_page(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)))
+    write_page(
+        path,
+        Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)),
+    )
 
 
 def _held(done: Certified) -> list[str]:
@@ -55,20 +64,34 @@ def _held(done: Certified) -> list[str]:
     if held is None or done.geometry is None:
         return []
     floor = " and ".join(f"{size * 1e3:.4f} {unit}" for size, unit in zip(held.floor, ("mm", "mrad")) if size < 1)
-    floor += "".join(f"; {what} were not measured" for size, what in zip(held.floor, ("positions", "rotations")) if not size < 1)
+    floor += "".join(
+        f"; {what} were not measured" for size, what in zip(held.floor, ("positions", "rotations")) if not size < 1
+    )
     k, unit = (0, "mm") if held.floor[0] < 1 else (1, "mrad")
     each = [("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after)]
     each += [("corrected, random rows", done.scattered.after)] if done.scattered is not None else []
     rows = [(name, *_figures(f)) for name, f in each]
-    return [paragraph(f"Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, {held.configurations} distinct "
-                      f"configurations): the mean error falls from {held.before.mean[k] * 1e3:.3f} {unit} to {held.after.mean[k] * 1e3:.4f} {unit}. "
-                      f"The measured poses themselves are uncertain by {floor}."
-                      + (" Rows drawn at random flatter: their neighbours in time were fitted." if done.scattered is not None else "")),
-            table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows)]
+    return [
+        paragraph(
+            f"Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, "
+            f"{held.configurations} distinct "
+            f"configurations): the mean error falls from {held.before.mean[k] * 1e3:.3f} {unit} to "
+            f"{held.after.mean[k] * 1e3:.4f} {unit}. "
+            f"The measured poses themselves are uncertain by {floor}."
+            + (
+                " Rows drawn at random flatter: their neighbours in time were fitted."
+                if done.scattered is not None
+                else ""
+            )
+        ),
+        table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows),
+    ]
 
 
 def _figures(f: Figures) -> list[str]:
-    return [f"{value * 1e3:.4f}" if value == value else "-" for value in (f.mean[0], *f.position, f.mean[1], *f.rotation)]
+    return [
+        f"{value * 1e3:.4f}" if value == value else "-" for value in (f.mean[0], *f.position, f.mean[1], *f.rotation)
+    ]
 
 
 def _profiles(calibration: Calibration, samples: Samples) -> str:
@@ -76,7 +99,11 @@ def _profiles(calibration: Calibration, samples: Samples) -> str:
     rho, places, units = calibration.correction.rho(q), mechanisms.axis_places(nominal), mechanisms.axis_units(nominal)
     return panel_row(
         *(
-            plot_panel(places[i], (f"commanded, {DRAWN[unit][1]}", f"correction, m{unit}"), [Series(q[:, i] * DRAWN[unit][0], rho[:, i] * 1e3)])
+            plot_panel(
+                places[i],
+                (f"commanded, {DRAWN[unit][1]}", f"correction, m{unit}"),
+                [Series(q[:, i] * DRAWN[unit][0], rho[:, i] * 1e3)],
+            )
             for i, unit in enumerate(units)
         )
     )
@@ -86,7 +113,10 @@ def _parameters(calibration: Calibration) -> str:
     fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
     sigma = np.sqrt(np.diag(calibration.covariance))[6:-6].reshape(-1, 5)
     change = fitted.rows - nominal.rows
-    rows = [(f"row {i + 1}", *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" if s else "held" for c, s in zip(change[i], sigma[i])))
-            for i in range(len(change))]
-    units = [f"{name}, {'mm' if unit == 'm' else 'mrad'}" for name, unit in zip(error_model.ROW, error_model.units(fitted)[6:11])]
+    cell = lambda c, s: f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" if s else "held"  # noqa: E731
+    rows = [(f"row {i + 1}", *(cell(c, s) for c, s in zip(change[i], sigma[i]))) for i in range(len(change))]
+    units = [
+        f"{name}, {'mm' if unit == 'm' else 'mrad'}"
+        for name, unit in zip(error_model.ROW, error_model.units(fitted)[6:11])
+    ]
     return table(("change from nominal (k = 2)", *units), rows)

@@ -1,4 +1,6 @@
-"""What an arm's calibration promises: fitted on all samples, its figures from whole stretches that were held out in turn."""
+"""What an arm's calibration promises: fitted on all samples, its figures from whole stretches that were held out in
+turn.
+"""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -6,7 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.distinct_configurations import LEAST, axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
+from calib.certify.distinct_configurations import (
+    LEAST,
+    axis_ranges,
+    configuration_folds,
+    configuration_numbers,
+    mean_sample_per_configuration,
+)
 from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics
 from calib.certify.held_out_errors import HeldOut, compare_errors, errors_before_and_after, is_significant_gain
 from calib.certify.platform_certification import Progress, silent_progress
@@ -39,16 +47,20 @@ STRETCHES = 30  # in time; every third is held out at once, so a third of the sa
 PARTS = 3
 FEW = 30  # configurations below which one at a time is held out, or a tenth of them
 ROUNDS = 2  # of fitting the geometry and the profiles in turn
-UNPLACED = {"orientation": "orientations alone were measured, which tell nothing of lengths and places",
-            "distance": "a wire's length alone was measured, which does not tell how the arm's base is turned"}
+UNPLACED = {
+    "orientation": "orientations alone were measured, which tell nothing of lengths and places",
+    "distance": "a wire's length alone was measured, which does not tell how the arm's base is turned",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certified:
-    """correction : ArmCorrection of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
-    held_out : HeldOut on whole stretches, physics refitted without them; scattered : the same on single rows drawn at random, which flatter, since
-    neighbours in time share their errors; geometry : on whole stretches, by the geometry alone, without physics; left : HeldErrors of held_out; all
-    None where there are too few configurations to hold any out"""
+    """correction : ArmCorrection of all samples; found : Identified, its geometry; label : (n,) configuration of each
+    sample
+    held_out : HeldOut on whole stretches, physics refitted without them; scattered : the same on single rows drawn at
+    random, which flatter, since neighbours in time share their errors; geometry : on whole stretches, by the geometry
+    alone, without physics; left : HeldErrors of held_out; all None where there are too few configurations to hold any
+    out"""
 
     correction: ArmCorrection
     found: Identified
@@ -66,11 +78,18 @@ class _Way(NamedTuple):
     profiles: bool
 
 
-def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: np.random.Generator,
-            progress: Progress | None = None, physics: JointFit | None = None) -> Certified:
+def certify(
+    samples: Samples,
+    nominal: Arm,
+    instrument: Instrument | None,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+    physics: JointFit | None = None,
+) -> Certified:
     """Certified : geometry and joint profiles of an arm, the profiles only where they pay on held-out stretches.
 
-    samples : Samples as measured; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the rig's own frames)
+    samples : Samples as measured; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the
+        rig's own frames)
     rng : numpy Generator, for the random rows and the bootstrap; progress : called with (label, done, of), or None
     physics : JointFit of what was found, which then is part of the model, or None
     Raises NotEnoughData, RigError as `calibrate`
@@ -87,33 +106,50 @@ def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: 
     if not _enough(samples, found, label, parts):
         return Certified(correction, found, label, None, None, None)
     in_part, asked = samples.measured in UNPLACED, physics is not None
-    ways = [_Way(asked, profiles) for profiles in ((False,) if in_part else (False, True))] + [_Way(False, False)] * asked
+    ways = [_Way(asked, profiles) for profiles in ((False,) if in_part else (False, True))] + [
+        _Way(False, False)
+    ] * asked
     good = _counted(found, samples)
     kept, of_kept = samples.take(good), label[good]
-    errors = {way: (before[good], after[good]) for way, (before, after) in
-              zip(ways, _held_out((samples, physics), nominal, instrument, (parts, start), ways, said))}
+    errors = {
+        way: (before[good], after[good])
+        for way, (before, after) in zip(
+            ways, _held_out((samples, physics), nominal, instrument, (parts, start), ways, said)
+        )
+    }
     plain = errors[ways[0]]
     full = plain if in_part else errors[ways[1]]
     scale = 1.0 if in_part else _spread(plain[1])
     loss = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
     profiled = not in_part and is_significant_gain(loss[0] - loss[1])
     rows = rng.permutation(np.arange(len(samples)) % (parts.max() + 1))
-    ((before, after),) = _held_out((samples, physics), nominal, instrument, (rows, start), [_Way(asked, profiled)], said)
+    ((before, after),) = _held_out(
+        (samples, physics), nominal, instrument, (rows, start), [_Way(asked, profiled)], said
+    )
     if profiled:
         correction, found = _profiled(known, correction, found)
     covariance, best = kept.total_covariance(), full if profiled else plain
-    held, drawn, bare = (compare_errors(*each, covariance, rng, of_kept) for each in (best, (before[good], after[good]), errors[_Way(False, False)]))
+    held, drawn, bare = (
+        compare_errors(*each, covariance, rng, of_kept)
+        for each in (best, (before[good], after[good]), errors[_Way(False, False)])
+    )
     agreed, whole = samples.take(found.inliers), len(found.scatter) == 6
-    if whole and not profiled and physics is None:  # few numbers, fitted to all: what they took into themselves is known
+    if (
+        whole and not profiled and physics is None
+    ):  # few numbers, fitted to all: what they took into themselves is known
         left = beyond_geometry(found, correction, agreed, label[found.inliers])
     else:
         own = by_parameters(found, correction, agreed, parts[found.inliers]) if whole else np.zeros(2)
         left = held_out_error_statistics(best[1] - shared_errors(kept, found.shared), kept, of_kept, 0.0, own)
-    return Certified(correction, _as_stated(as_held_out(found, left, rng), samples.measured), label, held, drawn, bare, left)
+    return Certified(
+        correction, _as_stated(as_held_out(found, left, rng), samples.measured), label, held, drawn, bare, left
+    )
 
 
 def _counted(found: Identified, samples: Samples) -> np.ndarray:
-    """(n,) bool, samples that count where they are held out: all but those that agree with no geometry and no neighbour, where these are few."""
+    """(n,) bool, samples that count where they are held out: all but those that agree with no geometry and no
+    neighbour, where these are few.
+    """
     sigma = np.sqrt(np.einsum("mkk->mk", of_samples(samples).covariance) + found.scatter**2)
     relative = found.residuals / sigma
     relative = relative / np.maximum(1.0, CONSISTENT * np.median(np.abs(relative), axis=0))
@@ -123,21 +159,31 @@ def _counted(found: Identified, samples: Samples) -> np.ndarray:
 
 def shared_errors(samples: Samples, shared: np.ndarray) -> np.ndarray:
     """(n, 6) m and rad by which what all poses share moves each. shared : (j,) draw of it, as a fit has it"""
-    return np.einsum("nik,k->ni", samples.common, shared) if len(shared) == samples.common.shape[2] else np.zeros((len(samples), 6))
+    return (
+        np.einsum("nik,k->ni", samples.common, shared)
+        if len(shared) == samples.common.shape[2]
+        else np.zeros((len(samples), 6))
+    )
 
 
 def _as_stated(found: Identified, measured: str) -> Identified:
-    """What was found of an arm of which not all was measured: what nothing tells is as uncertain as a maker's figures are."""
+    """What was found of an arm of which not all was measured: what nothing tells is as uncertain as a maker's figures
+    are.
+    """
     if measured not in UNPLACED:
         return found
     untold = parameters(found.arm, "pose") & ~found.rank.free
-    covariance = found.covariance + np.diag(np.where(untold, [PLAUSIBLE[unit] ** 2 for unit in error_model.units(found.arm)], 0.0))
+    covariance = found.covariance + np.diag(
+        np.where(untold, [PLAUSIBLE[unit] ** 2 for unit in error_model.units(found.arm)], 0.0)
+    )
     scatter = np.r_[np.zeros(3), found.scatter] if measured == "orientation" else np.repeat(found.scatter, 3)
     return replace(found, covariance=covariance, scatter=scatter)
 
 
 def _parts(label: np.ndarray) -> np.ndarray:
-    """(n,) part of each sample: every third stretch of the configurations (n,) at once; of few configurations, one by one or a tenth."""
+    """(n,) part of each sample: every third stretch of the configurations (n,) at once; of few configurations, one by
+    one or a tenth.
+    """
     count = label.max() + 1
     return configuration_folds(label, min(STRETCHES, count)) % (PARTS if count >= FEW else min(count, 10))
 
@@ -154,8 +200,9 @@ def _enough(samples: Samples, found: Identified, label: np.ndarray, parts: np.nd
     return label.max() + 1 >= LEAST and left * found.residuals.shape[1] > found.rank.asked
 
 
-def calibrate(samples: Samples, nominal: Arm, instrument: Instrument | None, profiles: bool,
-              start: Arm | None = None) -> tuple[ArmCorrection, Identified]:
+def calibrate(
+    samples: Samples, nominal: Arm, instrument: Instrument | None, profiles: bool, start: Arm | None = None
+) -> tuple[ArmCorrection, Identified]:
     """(ArmCorrection, Identified) of samples; profiles : whether joint profiles are fitted on top of the geometry.
 
     start : Arm, as `start_of` has it where None. Raises what `identify` raises
@@ -164,12 +211,16 @@ def calibrate(samples: Samples, nominal: Arm, instrument: Instrument | None, pro
     return _profiled(samples, *plain) if profiles else plain
 
 
-def _geometry(samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm | None) -> tuple[ArmCorrection, Identified]:
+def _geometry(
+    samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm | None
+) -> tuple[ArmCorrection, Identified]:
     """The same by the geometry alone."""
     observations = of_samples(samples)
     start = start_of(observations, nominal, instrument) if start is None else start
     found = identify(observations, start)
-    owners = owners_model(of_samples(replace(samples, known=None)), nominal, instrument, start)  # it knows of no physics
+    owners = owners_model(
+        of_samples(replace(samples, known=None)), nominal, instrument, start
+    )  # it knows of no physics
     return ArmCorrection(owners, found.arm, (None,) * len(nominal.joints), samples.commanded), found
 
 
@@ -182,19 +233,24 @@ def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) ->
         if not any(parts):
             break
         effective = observations.q - replace(correction, remainder=parts).rho(observations.q)
-        found = identify(replace(observations, q=effective), found.arm, parameters(correction.nominal, observations.kind))
+        found = identify(
+            replace(observations, q=effective), found.arm, parameters(correction.nominal, observations.kind)
+        )
     return replace(correction, fitted=found.arm, remainder=parts), found
 
 
 def start_of(observations: Observations, nominal: Arm, instrument: Instrument | None) -> Arm:
-    """The Arm from which a fit starts: nominal, with the instrument's free places as the observations have them, and zeros moved along."""
+    """The Arm from which a fit starts: nominal, with the instrument's free places as the observations have them, and
+    zeros moved along.
+    """
     if instrument is None:
         return nominal
     return place_arm(observations, nominal, instrument.base == "free", instrument.tool == "free")
 
 
 def owners_model(observations: Observations, nominal: Arm, instrument: Instrument | None, start: Arm) -> Arm:
-    """The nominal Arm, standing and holding its target where the instrument's free places put it; nothing else is fitted.
+    """The nominal Arm, standing and holding its target where the instrument's free places put it; nothing else is
+    fitted.
 
     start : Arm of `start_of`"""
     if instrument is None or "free" not in (instrument.base, instrument.tool):
@@ -205,36 +261,53 @@ def owners_model(observations: Observations, nominal: Arm, instrument: Instrumen
 
 
 def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
-    """(m, 6, 6) covariance of the corrected arm's pose at commands (m, joints) rad: the parameters', what the model leaves and what an extension
-    may be off.
+    """(m, 6, 6) covariance of the corrected arm's pose at commands (m, joints) rad: the parameters', what the model
+    leaves and what an extension may be off.
 
     docs/mathematics.md (21)
     """
     correction = calibration.correction
     J = error_model.parameter_jacobian(commands, correction.fitted)
-    known = np.arange(6) < len(calibration.scatter)  # of rotations that were never measured, nothing is known beyond the parameters
-    covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(np.resize(calibration.scatter, 6) ** 2 * known)
+    known = np.arange(6) < len(
+        calibration.scatter
+    )  # of rotations that were never measured, nothing is known beyond the parameters
+    covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(
+        np.resize(calibration.scatter, 6) ** 2 * known
+    )
     if correction.extension is None:
         return covariance
     joints = error_model.joint_jacobian(commands, correction.fitted)
     return covariance + (joints * correction.extension.error(commands)[:, None] ** 2) @ np.swapaxes(joints, 1, 2)
 
 
-def _held_out(known: tuple[Samples, JointFit | None], nominal: Arm, instrument: Instrument | None, plan: tuple[np.ndarray, Arm], ways: list[_Way],
-              said: Progress) -> list[tuple[np.ndarray, np.ndarray]]:
+def _held_out(
+    known: tuple[Samples, JointFit | None],
+    nominal: Arm,
+    instrument: Instrument | None,
+    plan: tuple[np.ndarray, Arm],
+    ways: list[_Way],
+    said: Progress,
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """(before, after), (n, 6) each, of parts held out in turn, in each of the ways asked for."""
     (samples, physics), (part, start) = known, plan
     out = [(np.empty((len(samples), 6)), np.empty((len(samples), 6))) for _ in ways]
     for k in np.unique(part):
         told = {False: samples} if physics is None else {False: samples, True: physics.without(part == k)}
-        plain = {asked: _geometry(told[asked].take(part != k), nominal, instrument, start) for asked in {way.physics for way in ways}}
+        plain = {
+            asked: _geometry(told[asked].take(part != k), nominal, instrument, start)
+            for asked in {way.physics for way in ways}
+        }
         for (before, after), (asked, profiled) in zip(out, ways):
             correction, found = plain[asked]
             if profiled:
                 correction, _ = _profiled(told[asked].take(part != k), correction, found)
             before[part == k], _ = errors_before_and_after(correction, samples.take(part == k))
             _, after[part == k] = errors_before_and_after(correction, told[asked].take(part == k))
-        said("holding configurations out" + (", joints corrected" if any(way.profiles for way in ways) else ""), int(k) + 1, part.max() + 1)
+        said(
+            "holding configurations out" + (", joints corrected" if any(way.profiles for way in ways) else ""),
+            int(k) + 1,
+            part.max() + 1,
+        )
     return out
 
 
@@ -244,19 +317,34 @@ def _spread(errors: np.ndarray) -> np.ndarray:
 
 
 def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a certified arm for its joints' angles between the least and the greatest recorded, each configuration once."""
+    """Claim of a certified arm for its joints' angles between the least and the greatest recorded, each configuration
+    once.
+    """
     found, correction = done.found, done.correction
     good = found.inliers
     if samples.measured in UNPLACED:
         fitted = int(found.rank.free.sum())
-        return Claim(int(done.label.max()) + 1, fitted, fitted, found.rank.asked, "what is told at all is fitted without one",
-                     "none", None, None, None, None, UNPLACED[samples.measured])
+        return Claim(
+            int(done.label.max()) + 1,
+            fitted,
+            fitted,
+            found.rank.asked,
+            "what is told at all is fitted without one",
+            "none",
+            None,
+            None,
+            None,
+            None,
+            UNPLACED[samples.measured],
+        )
     label = np.unique(done.label[good], return_inverse=True)[1]
     kept = samples.take(good)
     each = mean_sample_per_configuration(kept, label, error_model.joint_jacobian(kept.commanded, found.arm))
     words = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
     fitted = int(found.rank.free.sum())
-    told = ConfigurationInformation(len(each), fitted, fitted, found.rank.asked, "what is told at all is fitted without one")
+    told = ConfigurationInformation(
+        len(each), fitted, fitted, found.rank.asked, "what is told at all is fitted without one"
+    )
     if done.held_out is None:
         return claim_of_too_few_configurations(told, words)
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
@@ -265,13 +353,23 @@ def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generat
     stated = extension_scatter(correction, q, error_model.joint_jacobian(q, found.arm))
     own = done.left.own_draws(float(stated[0]), DRAWS, rng) if done.left is not None else stated
     workspace = Workspace(
-        error_model.parameter_jacobian(q, correction.fitted), pose_difference(error_model.predicted(q, correction.nominal), T), own, words
+        error_model.parameter_jacobian(q, correction.fitted),
+        pose_difference(error_model.predicted(q, correction.nominal), T),
+        own,
+        words,
     )
     observed = of_samples(each)
-    free = parameters(correction.nominal, observed.kind)  # of the figures stated: axes found a little off parallel tell no more
+    free = parameters(
+        correction.nominal, observed.kind
+    )  # of the figures stated: axes found a little off parallel tell no more
     again = identify(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted, free)
-    whitened = np.linalg.solve(np.linalg.cholesky(observed.covariance + np.diag(again.scatter**2)), again.residuals[..., None])[again.inliers]
+    whitened = np.linalg.solve(
+        np.linalg.cholesky(observed.covariance + np.diag(again.scatter**2)), again.residuals[..., None]
+    )[again.inliers]
     freedom = max(whitened.size - int(again.rank.free.sum()), 1)
     draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")
     draws *= np.sqrt(draw_variance_ratio(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
-    return replace(claim_of_drawn_machines(workspace, draws, each, told, rng), unexplained=unexplained(again.scatter, observed.covariance))
+    return replace(
+        claim_of_drawn_machines(workspace, draws, each, told, rng),
+        unexplained=unexplained(again.scatter, observed.covariance),
+    )

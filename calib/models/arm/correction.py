@@ -1,8 +1,8 @@
 """The corrected arm: what a command will really give, and what to command for a wanted pose.
 
-Source: lecture on the manipulator Jacobian, compensation by the differential error transform (steps (1), (2) and on), and the
-configuration-space patent for the summands on top. To make up for any error takes six joints: with fewer the hand is brought as near
-as it comes, see rig.model.mechanisms.deficient_arm, and what is left is for `rest` to say.
+Source: lecture on the manipulator Jacobian, compensation by the differential error transform (steps (1), (2) and on),
+and the configuration-space patent for the summands on top. To make up for any error takes six joints: with fewer the
+hand is brought as near as it comes, see rig.model.mechanisms.deficient_arm, and what is left is for `rest` to say.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,11 @@ ITERATIONS = 40
 TOLERANCE = 1e-11  # m and rad; of the pose that a command is predicted to give
 NEAR = 0.05  # m and rad; what the fitted arm may leave of a pose for its joint solution to be a start
 STEP = 0.3  # rad; longest single correction
-FAR, LIKE, MET = 0.05, 1e-6, 1e-10  # m and rad; of an arm of few joints: out of reach, as near as any, a position that is met
+FAR, LIKE, MET = (
+    0.05,
+    1e-6,
+    1e-10,
+)  # m and rad; of an arm of few joints: out of reach, as near as any, a position that is met
 NEAR_SINGULAR = 1e-6  # of the greatest singular value of a Jacobian; less is a direction that no joint moves in
 RADIUS = 0.3  # m; a radian weighs like so much when the nearest visited pose is looked for
 
@@ -34,7 +38,8 @@ RADIUS = 0.3  # m; a radian weighs like so much when the nearest visited pose is
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmCorrection(Correction[Arm, Profile]):
     """nominal, fitted : Arm, bases and tools in the instrument's frames; remainder : per joint a Profile or None
-    visited : (n, joints) rad, configurations it was fitted to: a wanted pose is taken as they took it, elbow and wrist alike."""
+    visited : (n, joints) rad, configurations it was fitted to: a wanted pose is taken as they took it, elbow and wrist
+        alike."""
 
     visited: np.ndarray
 
@@ -44,69 +49,93 @@ class ArmCorrection(Correction[Arm, Profile]):
         return len(self.nominal.joints) < deficient.WHOLE
 
     def summand(self, commands: np.ndarray) -> np.ndarray:
-        """KSF (..., joints) rad or m at commands: commanded less what the owner's model says for the pose that it gives.
+        """KSF (..., joints) rad or m at commands: commanded less what the owner's model says for the pose that it
+        gives.
 
         Raises Unreachable with the index of commands near which the owner's model does not take that pose
         """
         if self.deficient:
             return (
                 commands
-                - deficient.nearest_configuration(self.predict(commands), self.nominal, commands, deficient.reachable_directions(self.nominal))[0]
+                - deficient.nearest_configuration(
+                    self.predict(commands), self.nominal, commands, deficient.reachable_directions(self.nominal)
+                )[0]
             )
         flat = commands.reshape(-1, commands.shape[-1])
         found, left = mechanism.solve(self.predict(flat), self.nominal, flat, starts=0)
         far = np.flatnonzero(left > mechanism.GOOD)
         if len(far):
-            raise Unreachable(f"the owner's model does not take {len(far)} of {len(flat)} corrected poses in their own posture:", far,
-                              [f"pose {i}: it comes no nearer than {left[i]:.3g} m or rad" for i in far.tolist()])
+            raise Unreachable(
+                f"the owner's model does not take {len(far)} of {len(flat)} corrected poses in their own posture:",
+                far,
+                [f"pose {i}: it comes no nearer than {left[i]:.3g} m or rad" for i in far.tolist()],
+            )
         return mechanism.joint_difference(flat, found, self.nominal).reshape(commands.shape)
 
     def missed(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
-        """(n, joints) rad or m by which commands (n, joints) differ from those nearest to them that give wanted poses (n,), whole turns aside; NaN
-        where none is found."""
+        """(n, joints) rad or m by which commands (n, joints) differ from those nearest to them that give wanted poses
+        (n,), whole turns aside; NaN where none is found."""
         return mechanism.joint_difference(commands, self.near(T_base_platform, commands), self.nominal)
 
     def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
-        """Commands (..., joints) rad or m that the owner's model gives for wanted poses (m,), as the nearest visited ones took them."""
+        """Commands (..., joints) rad or m that the owner's model gives for wanted poses (m,), as the nearest visited
+        ones took them.
+        """
         if self.deficient:
             return self._nearest(T_base_platform, self._near(T_base_platform), self.nominal, None)
-        return mechanism.inverse(T_base_platform, self.nominal, self._found_from(T_base_platform, self._near(T_base_platform))[0])
+        return mechanism.inverse(
+            T_base_platform, self.nominal, self._found_from(T_base_platform, self._near(T_base_platform))[0]
+        )
 
     def reached_poses(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
-        """The poses (n,) that commands (n, joints) found for wanted poses (n,) give: with too few joints those nearest to them."""
+        """The poses (n,) that commands (n, joints) found for wanted poses (n,) give: with too few joints those nearest
+        to them.
+        """
         return self.predict(commands) if self.deficient else T_base_platform
 
     def goal(self, T_base_platform: RigidTransform, near: np.ndarray) -> np.ndarray:
-        """(n, joints) rad or m that the fitted arm has to get for poses (n,), nearest to commands (n, joints). Raises Unreachable as `inverse`"""
+        """(n, joints) rad or m that the fitted arm has to get for poses (n,), nearest to commands (n, joints). Raises
+        Unreachable as `inverse`
+        """
         commands = self.inverse_without_physics(T_base_platform, near)
         return commands - self.rho(commands)
 
     def responses(self, T_base_platform: RigidTransform, effective: np.ndarray) -> Responses:
         """Responses of the arm at what its joints get, effective (n, joints) rad or m."""
         axes = error_model.joint_jacobian(effective, self.fitted)
-        return Responses(axes, np.linalg.pinv(axes, rcond=NEAR_SINGULAR), error_model.parameter_jacobian(effective, self.fitted))
+        return Responses(
+            axes, np.linalg.pinv(axes, rcond=NEAR_SINGULAR), error_model.parameter_jacobian(effective, self.fitted)
+        )
 
     def scattering(self, scatter: np.ndarray, responses: Responses) -> np.ndarray:
-        """(n, 6, 6) m and rad, factor of the covariance by which poses scatter. scatter : (6,) of poses, (3,) of positions alone"""
+        """(n, 6, 6) m and rad, factor of the covariance by which poses scatter. scatter : (6,) of poses, (3,) of
+        positions alone
+        """
         return np.broadcast_to(np.diag(np.r_[scatter, np.zeros(6 - len(scatter))]), (len(responses.axes), 6, 6))
 
     def rest(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
-        """(..., 6) m and rad that commands (..., joints) leave to wanted poses (...), in the hand: what too few joints cannot make up for."""
+        """(..., 6) m and rad that commands (..., joints) leave to wanted poses (...), in the hand: what too few joints
+        cannot make up for.
+        """
         return pose_difference(self.predict(commands), T_base_platform)
 
     def inverse(self, T_base_platform: RigidTransform, guess: np.ndarray | None = None) -> np.ndarray:
-        """Commands (..., joints) rad or m that give wanted poses (...), or come nearest to them; limits are for `reachable` to check.
+        """Commands (..., joints) rad or m that give wanted poses (...), or come nearest to them; limits are for
+        `reachable` to check.
 
         guess : (..., joints) rad or m, what is near; by default the nearest visited configurations
-        The start is where these lead when the hand goes straight to the pose; what the profiles of the joints add there is made up for by J^+ dPOS,
-        iterated.
-        Raises RigError where a calibration knows physics besides, Unreachable with the index of poses that no start leads to
+        The start is where these lead when the hand goes straight to the pose; what the profiles of the joints add there
+        is made up for by J^+ dPOS, iterated.
+        Raises RigError where a calibration knows physics besides, Unreachable with the index of poses that no start
+            leads to
         """
         self._refuse_physics()
         return self.inverse_without_physics(T_base_platform, guess)
 
     def inverse_without_physics(self, T_base_platform: RigidTransform, guess: np.ndarray | None = None) -> np.ndarray:
-        """The commands (..., joints) of `inverse` by the configuration alone, whatever else a calibration knows. Raises Unreachable as `inverse`"""
+        """The commands (..., joints) of `inverse` by the configuration alone, whatever else a calibration knows. Raises
+        Unreachable as `inverse`
+        """
         shape = T_base_platform.shape
         T = RigidTransform.from_matrix(T_base_platform.as_matrix().reshape(-1, 4, 4))
         n = len(self.nominal.joints)
@@ -116,26 +145,37 @@ class ArmCorrection(Correction[Arm, Profile]):
         commands, left = self._found_from(T, starts)
         failed = np.flatnonzero(left > TOLERANCE)
         if len(failed):
-            raise Unreachable(f"{len(failed)} of {len(T)} wanted poses are out of the arm's reach:", failed,
-                              [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed])
+            raise Unreachable(
+                f"{len(failed)} of {len(T)} wanted poses are out of the arm's reach:",
+                failed,
+                [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed],
+            )
         return commands.reshape(*shape, n)
 
     def _found_from(self, T: RigidTransform, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(commands (m, joints), left (m,) m or rad) for poses T (m,), from starts (m, k, joints) in turn, then from anywhere."""
+        """(commands (m, joints), left (m,) m or rad) for poses T (m,), from starts (m, k, joints) in turn, then from
+        anywhere.
+        """
         commands, left = np.full((len(T), starts.shape[2]), np.nan), np.full(len(T), np.inf)
         for k in range(starts.shape[1] + 1):
             todo = np.flatnonzero((left > TOLERANCE) | (mechanism.limits(commands, self.nominal) != 0).any(axis=1))
             if not len(todo):
                 break
             start = starts[todo, min(k, starts.shape[1] - 1)]
-            q, reached = solution_from_start(T[todo], self.fitted, start) if k < starts.shape[1] else mechanism.solve(T[todo], self.fitted, start)
+            q, reached = (
+                solution_from_start(T[todo], self.fitted, start)
+                if k < starts.shape[1]
+                else mechanism.solve(T[todo], self.fitted, start)
+            )
             q, reached = self._compensate(T[todo], np.where((reached < NEAR)[:, None], q, start))
             better = (reached <= TOLERANCE) | (reached < left[todo])
             commands[todo[better]], left[todo[better]] = q[better], reached[better]
         return commands, left
 
     def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
-        """Commands (n, joints) rad or m that give poses (n,), sought from the guess (n, joints) alone; NaN where it leads to none."""
+        """Commands (n, joints) rad or m that give poses (n,), sought from the guess (n, joints) alone; NaN where it
+        leads to none.
+        """
         if self.deficient:
             q, good, _ = self._led(T_base_platform, guess, self.fitted, self.rho)
             return np.where(good[:, None], q, np.nan)
@@ -143,13 +183,18 @@ class ArmCorrection(Correction[Arm, Profile]):
         commands, left = self._compensate(T_base_platform, np.where((reached < NEAR)[:, None], q, guess))
         return np.where((left <= TOLERANCE)[:, None], commands, np.nan)
 
-    def _nearest(self, T: RigidTransform, starts: np.ndarray, arm: Arm, rho: Callable[[np.ndarray], np.ndarray] | None) -> np.ndarray:
-        """Commands (m, joints) of an arm of few joints, nearest to poses T (m,): of starts (m, k, joints) the first that leads about as near as any.
+    def _nearest(
+        self, T: RigidTransform, starts: np.ndarray, arm: Arm, rho: Callable[[np.ndarray], np.ndarray] | None
+    ) -> np.ndarray:
+        """Commands (m, joints) of an arm of few joints, nearest to poses T (m,): of starts (m, k, joints) the first
+        that leads about as near as any.
 
-        rho : what a joint falls short of its command, or None. Raises Unreachable with what is left, for positions that are not met where the arm
-        moves in all directions, and for poses FAR from any that can be taken
+        rho : what a joint falls short of its command, or None. Raises Unreachable with what is left, for positions that
+        are not met where the arm moves in all directions, and for poses FAR from any that can be taken
         """
-        q, good, rest = (np.stack(parts) for parts in zip(*(self._led(T, starts[:, k], arm, rho) for k in range(starts.shape[1]))))
+        q, good, rest = (
+            np.stack(parts) for parts in zip(*(self._led(T, starts[:, k], arm, rho) for k in range(starts.shape[1])))
+        )
         place, turn = (np.linalg.norm(rest[..., part], axis=2) for part in (slice(0, 3), slice(3, 6)))
         inside = good & (mechanism.limits(q, self.nominal) == 0).all(axis=2)
         size = np.maximum(place, turn)
@@ -157,16 +202,26 @@ class ArmCorrection(Correction[Arm, Profile]):
         pick = np.argmax(size <= 2 * size.min(axis=0) + LIKE, axis=0)
         far = np.flatnonzero(~good.any(axis=0))
         if len(far):
-            raise Unreachable(f"{len(far)} of {len(T)} wanted poses are out of the reach of the arm, which has {q.shape[2]} joints:", far,
-                              [f"pose {i}: no command comes nearer than {place[:, i].min():.3g} m and {turn[:, i].min():.3g} rad"
-                               for i in far.tolist()])
+            raise Unreachable(
+                f"{len(far)} of {len(T)} wanted poses are out of the reach of the arm, which has {q.shape[2]} joints:",
+                far,
+                [
+                    f"pose {i}: no command comes nearer than {place[:, i].min():.3g} m and {turn[:, i].min():.3g} rad"
+                    for i in far.tolist()
+                ],
+            )
         return np.take_along_axis(q, pick[None, :, None], axis=0)[0]
 
-    def _led(self, T: RigidTransform, start: np.ndarray, arm: Arm,
-             rho: Callable[[np.ndarray], np.ndarray] | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(commands (m, joints), good (m,) bool, rest (m, 6)) of an arm of few joints led to poses T (m,) from starts (m, joints), as `_nearest`."""
+    def _led(
+        self, T: RigidTransform, start: np.ndarray, arm: Arm, rho: Callable[[np.ndarray], np.ndarray] | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(commands (m, joints), good (m,) bool, rest (m, 6)) of an arm of few joints led to poses T (m,) from starts
+        (m, joints), as `_nearest`.
+        """
         count = deficient.reachable_directions(self.nominal)
-        q, rest, settled = deficient.nearest_configuration(T, arm, start, count, None if rho is None else lambda values: values - rho(values))
+        q, rest, settled = deficient.nearest_configuration(
+            T, arm, start, count, None if rho is None else lambda values: values - rho(values)
+        )
         place, turn = np.linalg.norm(rest[:, :3], axis=1), np.linalg.norm(rest[:, 3:], axis=1)
         good = settled & (place <= (MET if count.position == 3 else FAR)) & (turn <= FAR)
         return mechanism.nearest_turn(q, self.nominal, q), good, rest
@@ -186,7 +241,9 @@ class ArmCorrection(Correction[Arm, Profile]):
             going, q, error, size = going[on], q[on], error[on], size[on]
             J = mechanism.jacobian(q, self.fitted)
             damping = (size**2 + 1e-14)[:, None, None] * np.eye(6)
-            step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping, error[..., None]))[..., 0]
+            step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping, error[..., None]))[
+                ..., 0
+            ]
             q = q + step / np.maximum(1, np.abs(step).max(axis=1, keepdims=True) / STEP)
         return mechanism.nearest_turn(best, self.nominal, best), left
 

@@ -1,8 +1,9 @@
 """The error model of an arm: what every geometric parameter and every joint does to the measured pose, in closed form.
 
-Parameters stand in one vector of 12 + 5 n: the base (where the arm stands in the instrument's frame; tangent x y z rx ry rz on
-the right, m and rad), then theta, d, a, alpha, beta of every row (rad, m, m, rad, rad), then the tool (where the target sits
-on the last link; tangent on the right). To first order the target's pose moves by tangent = J_parameters dp + J_joints dq.
+Parameters stand in one vector of 12 + 5 n: the base (where the arm stands in the instrument's frame; tangent x y z rx
+ry rz on the right, m and rad), then theta, d, a, alpha, beta of every row (rad, m, m, rad, rad), then the tool (where
+the target sits on the last link; tangent on the right). To first order the target's pose moves by tangent =
+J_parameters dp + J_joints dq.
 Source: lecture on the manipulator Jacobian, eqs 4.63 and 4.64 (d = M_theta dtheta + M_d dd + M_a da + M_alpha dalpha +
 M_beta dbeta and the rotational rows); Hayati, CDC 1983.
 """
@@ -31,7 +32,9 @@ def zero_columns(arm: Arm) -> np.ndarray:
 
 
 def names(arm: Arm) -> tuple[str, ...]:
-    """Names of the parameters, in order: base x .. base rz, theta 1, d 1, a 1, alpha 1, beta 1, theta 2 .., tool x .. tool rz."""
+    """Names of the parameters, in order: base x .. base rz, theta 1, d 1, a 1, alpha 1, beta 1, theta 2 .., tool x ..
+    tool rz.
+    """
     rows = [f"{name} {i + 1}" for i in range(len(arm.joints)) for name in ROW]
     return tuple([f"base {name}" for name in TANGENT] + rows + [f"tool {name}" for name in TANGENT])
 
@@ -49,24 +52,31 @@ def moved(arm: Arm, step: np.ndarray) -> Arm:
 
 
 def predicted(q: np.ndarray, arm: Arm) -> RigidTransform:
-    """T_base_platform (...) of the instrument's target in the instrument's frame, at joint values q (..., n) rad or m."""
+    """T_base_platform (...) of the instrument's target in the instrument's frame, at joint values q (..., n) rad or
+    m.
+    """
     return mechanism.forward(q, arm)
 
 
 def residuals(q: np.ndarray, T_measured: RigidTransform, arm: Arm) -> np.ndarray:
-    """(..., 6) m, rad: measured against predicted pose, position and rotation vector apart, in the predicted target frame."""
+    """(..., 6) m, rad: measured against predicted pose, position and rotation vector apart, in the predicted target
+    frame.
+    """
     return pose_difference(predicted(q, arm), T_measured)
 
 
 def joint_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
-    """(..., 6, n) change of the target's pose (tangent on the right, m and rad) with the joint values q (..., n) rad or m."""
+    """(..., 6, n) change of the target's pose (tangent on the right, m and rad) with the joint values q (..., n) rad or
+    m.
+    """
     return mechanism.jacobian(q, arm)
 
 
 def parameter_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
     """(..., 6, 12 + 5 n) change of the target's pose (tangent on the right, m and rad) with the parameters.
 
-    q : (..., n) rad or m. At the tool the columns are the identity; all others are axis x lever over axis, seen in the target.
+    q : (..., n) rad or m. At the tool the columns are the identity; all others are axis x lever over axis, seen in the
+        target.
     """
     chain = mechanism.frames(q, arm)
     n = len(arm.joints)
@@ -74,7 +84,9 @@ def parameter_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
     before, after = chain[..., :n, :, :], chain[..., 1 : n + 1, :, :]
     rows = arm.rows
     turn = (mechanism.joint_rotations(q, arm) + rows[:, 0])[..., None]
-    along = np.cos(turn) * before[..., :3, 0] + np.sin(turn) * before[..., :3, 1]  # the common normal, x of the turned frame
+    along = (
+        np.cos(turn) * before[..., :3, 0] + np.sin(turn) * before[..., :3, 1]
+    )  # the common normal, x of the turned frame
     across, origin = after[..., :3, 1], after[..., :3, 3]
     z = before[..., :3, 2]
     lever = p[..., None, :] - origin
@@ -93,7 +105,9 @@ def parameter_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
 
 
 def _at_base(R: np.ndarray, lever: np.ndarray) -> np.ndarray:
-    """(..., 6, 6), one parameter a row: the base's tangent on its right, seen in the frame of poses; lever (..., 3) m."""
+    """(..., 6, 6), one parameter a row: the base's tangent on its right, seen in the frame of poses; lever (..., 3)
+    m.
+    """
     out = np.zeros((*lever.shape[:-1], 6, 6))
     out[..., :3, :3] = np.swapaxes(R, -1, -2)
     out[..., 3:, :3] = np.swapaxes(R, -1, -2) @ skew(lever)

@@ -1,7 +1,9 @@
-"""The method in its own terms for arms: what a model leaves of each sample's joint values, extended over the joint space, and what that promises.
+"""The method in its own terms for arms: what a model leaves of each sample's joint values, extended over the joint
+space, and what that promises.
 
-KSF_PM(x) = x - IK(GDK(x)), IK of the owner's model or of the fitted geometry, as near x as may be; KSF_KR is its Field over the joint space, by
-the same ways as of machines on struts. Source: configuration-space patent, [0026] to [0030], [0130]
+KSF_PM(x) = x - IK(GDK(x)), IK of the owner's model or of the fitted geometry, as near x as may be; KSF_KR is its Field
+over the joint space, by the same ways as of machines on struts. Source: configuration-space patent, [0026] to [0030],
+[0130]
 """
 
 from collections.abc import Callable
@@ -9,8 +11,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certify.distinct_configurations import axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
-from calib.certify.extension_certification import NONE, Asked, Stand, Tried, certify_extension_of, claim_without_held_out_data
+from calib.certify.distinct_configurations import (
+    axis_ranges,
+    configuration_folds,
+    configuration_numbers,
+    mean_sample_per_configuration,
+)
+from calib.certify.extension_certification import (
+    NONE,
+    Asked,
+    Stand,
+    Tried,
+    certify_extension_of,
+    claim_without_held_out_data,
+)
 from calib.certify.held_out_error_statistics import draw_common_error_squares
 from calib.certify.platform_certification import FOLDS, Progress, silent_progress
 from calib.certify.workspace_claim import (
@@ -39,7 +53,9 @@ from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
 from rig.planning.configuration_sets import FILL, low_discrepancy
 
-LOOSE = 10.0  # times the typical; a direction of the joints that a pose tells worse than that, as of a wrist near its singularity, keeps none
+# times the typical; a direction of the joints that a pose tells worse than that, as of a wrist near its singularity,
+# keeps none
+LOOSE = 10.0
 STEPS, SETTLED = 20, 1e-13  # of joint values that meet a pose, rad or m
 PLACES = 256  # at which a single step is held against the fixed point, and what is promised is worked out
 
@@ -47,24 +63,28 @@ Geometry = Callable[[Samples], tuple[ArmCorrection, Identified]]  # what an exte
 
 
 def left(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
-    """`summands` of samples over the joint space, rad or m. shared : (j,) draw of the poses' common errors, taken out. Raises RigError as they do"""
+    """`summands` of samples over the joint space, rad or m. shared : (j,) draw of the poses' common errors, taken out.
+    Raises RigError as they do
+    """
     found = summands(samples, arm, shared)
     return Known(samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel(arm))
 
 
 def stated_model_summands(samples: Samples, placed: Arm) -> Summands:
-    """Summands by the owner's model, placed where the instrument sees it stand; covariance : what all poses share included. Raises RigError as
-    `summands`"""
+    """Summands by the owner's model, placed where the instrument sees it stand; covariance : what all poses share
+    included. Raises RigError as `summands`"""
     whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
     return summands(whole, placed, np.zeros(0))
 
 
 def summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Summands:
-    """KSF_PM of samples: their joint values less those nearest to them at which a model takes the measured pose, rad or m.
+    """KSF_PM of samples: their joint values less those nearest to them at which a model takes the measured pose, rad or
+    m.
 
     arm : the model; shared : (j,) draw of the poses' common errors, taken out
-    A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or positions alone, leave open takes
-    the least values, by the poses' covariance. Variances of what is not told are those of the worst that is.
+    A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or
+    positions alone, leave open takes the least values, by the poses' covariance. Variances of what is not told are
+    those of the worst that is.
     Raises RigError naming a frame whose pose the model does not come to
     """
     o = of_samples(samples)
@@ -79,34 +99,56 @@ def summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Summands:
     across, along, untold = across * told[..., None], along * told[:, None], np.eye(s.shape[1]) * ~told[:, None]
     for _ in range(STEPS):  # Newton along the directions that are told
         now = replace(o, q=q)
-        rest = across @ W @ np.concatenate([now.joint_jacobian(arm) @ along, (now.residuals(arm) - away)[..., None]], axis=2)
+        rest = (
+            across
+            @ W
+            @ np.concatenate([now.joint_jacobian(arm) @ along, (now.residuals(arm) - away)[..., None]], axis=2)
+        )
         step = (along @ np.linalg.solve(rest[..., :-1] + untold, rest[..., -1:]))[..., 0]
         q += step
         if np.abs(step).max() < SETTLED:
             break
     else:
         worst_of = int(np.abs(step).max(axis=1).argmax())
-        raise RigError(f"frame {samples.frame[worst_of]}: the model takes the measured pose nowhere near its joint values; is it that machine's?")
+        raise RigError(
+            f"frame {samples.frame[worst_of]}: the model takes the measured pose nowhere near its joint "
+            "values; is it that machine's?"
+        )
     variances = np.full((len(q), Vt.shape[1]), limit**2)
     variances[:, : s.shape[1]] = np.where(told, 1 / np.maximum(s, 1 / limit) ** 2, limit**2)
     return Summands(o.q - q, (V * variances[:, None]) @ np.swapaxes(V, 1, 2))
 
 
-def certify_extended(samples: Samples, nominal: Arm, instrument: Instrument | None, asked: Asked, rng: np.random.Generator,
-                     progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...]]:
-    """(Certified, what was tried): an arm calibrated on all samples, and what was left at configurations held out, as for struts.
+def certify_extended(
+    samples: Samples,
+    nominal: Arm,
+    instrument: Instrument | None,
+    asked: Asked,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+) -> tuple[Certified, tuple[Tried, ...]]:
+    """(Certified, what was tried): an arm calibrated on all samples, and what was left at configurations held out, as
+    for struts.
 
-    Raises RigError where the way asked for does not take these samples, or where too little of their poses was measured; NotEnoughData
+    Raises RigError where the way asked for does not take these samples, or where too little of their poses was
+        measured; NotEnoughData
     """
     if samples.measured in UNPLACED:
-        raise RigError(f"--extend takes an arm's poses, or its positions, as joint values are found from them; here {UNPLACED[samples.measured]}")
+        raise RigError(
+            "--extend takes an arm's poses, or its positions, as joint values are found from them; here "
+            f"{UNPLACED[samples.measured]}"
+        )
     said = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_ranges(nominal))
     said("fitting the geometry", 0, 1)
     start = start_of(of_samples(samples), nominal, instrument)
 
     def geometry(some: Samples) -> tuple[ArmCorrection, Identified]:
-        return owners(some, nominal, instrument, start) if asked.alone else calibrate(some, nominal, instrument, False, start)
+        return (
+            owners(some, nominal, instrument, start)
+            if asked.alone
+            else calibrate(some, nominal, instrument, False, start)
+        )
 
     whole = geometry(samples)
     correction, found = whole
@@ -114,8 +156,11 @@ def certify_extended(samples: Samples, nominal: Arm, instrument: Instrument | No
 
     def stand(some: Samples) -> Stand:
         plain, by = whole if some is samples else geometry(some)
-        return Stand(left(some, plain.fitted, by.shared), lambda field: replace(plain, extension=field),
-                     lambda field, at: _said(field, at, plain.fitted))
+        return Stand(
+            left(some, plain.fitted, by.shared),
+            lambda field: replace(plain, extension=field),
+            lambda field, at: _said(field, at, plain.fitted),
+        )
 
     done, tried = certify_extension_of(samples, (correction.nominal, label, found), stand, asked.kind, rng, said)
     corrected = replace(correction, extension=done.correction.extension)
@@ -126,18 +171,37 @@ def certify_extended(samples: Samples, nominal: Arm, instrument: Instrument | No
         if corrected.extension is None:  # the geometry as it is, of which more is known
             held = beyond_geometry(found, corrected, agreed, of_agreed)
         else:
-            held = replace(held, parameters=by_parameters(found, corrected, agreed, configuration_folds(of_agreed, min(FOLDS, len(agreed)))))
+            held = replace(
+                held,
+                parameters=by_parameters(
+                    found, corrected, agreed, configuration_folds(of_agreed, min(FOLDS, len(agreed)))
+                ),
+            )
         found = as_held_out(found, held, rng)
     return Certified(corrected, found, label, done.held_out, None, bare, held), tried
 
 
-def owners(samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm) -> tuple[ArmCorrection, Identified]:
-    """(ArmCorrection, Identified) of the owner's model alone: nothing sought but where the instrument stands, where that is not known."""
+def owners(
+    samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm
+) -> tuple[ArmCorrection, Identified]:
+    """(ArmCorrection, Identified) of the owner's model alone: nothing sought but where the instrument stands, where
+    that is not known.
+    """
     o = of_samples(samples)
     arm = owners_model(o, nominal, instrument, start)
     p, k = 12 + 5 * len(arm.joints), o.common.shape[1]
     rank = Rank(np.zeros(p, bool), (), 1.0, 0)
-    found = Identified(arm, np.zeros((p, p)), rank.free, rank, np.zeros(o.common.shape[2]), o.residuals(arm), np.zeros(k), np.ones(len(o), bool), 0)
+    found = Identified(
+        arm,
+        np.zeros((p, p)),
+        rank.free,
+        rank,
+        np.zeros(o.common.shape[2]),
+        o.residuals(arm),
+        np.zeros(k),
+        np.ones(len(o), bool),
+        0,
+    )
     return ArmCorrection(arm, arm, (None,) * len(arm.joints), o.q), found
 
 
@@ -152,17 +216,25 @@ def _without(samples: Samples, correction: ArmCorrection, found: Identified, alo
     o = of_samples(samples)
     effective = replace(o, q=o.q - correction.rho(o.q))
     if alone or correction.extension is None:
-        return replace(found, residuals=effective.residuals(correction.fitted) - np.einsum("mkj,j->mk", o.common, found.shared))
+        return replace(
+            found, residuals=effective.residuals(correction.fitted) - np.einsum("mkj,j->mk", o.common, found.shared)
+        )
     again = identify(effective, correction.fitted, parameters(correction.nominal, effective.kind))
     return replace(again, arm=found.arm, rank=found.rank)
 
 
 def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a correction that stands on the owner's model alone, for the middle of the angles recorded: by its field's error estimate."""
+    """Claim of a correction that stands on the owner's model alone, for the middle of the angles recorded: by its
+    field's error estimate.
+    """
     correction = done.correction
-    each = mean_sample_per_configuration(samples, done.label, error_model.joint_jacobian(samples.commanded, correction.fitted))
+    each = mean_sample_per_configuration(
+        samples, done.label, error_model.joint_jacobian(samples.commanded, correction.fitted)
+    )
     way = "nothing at all" if correction.extension is None else correction.extension.kind
-    told = ConfigurationInformation(len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}")
+    told = ConfigurationInformation(
+        len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}"
+    )
     middle = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
     if len(each) < LEAST:
         return claim_of_too_few_configurations(told, middle)
@@ -175,12 +247,17 @@ def claim_without_geometry(samples: Samples, done: Certified, rng: np.random.Gen
     offset = pose_difference(error_model.predicted(q, correction.nominal), T)
     known = done.found.covariance
     return claim_of_drawn_machines(
-        Workspace(error_model.parameter_jacobian(q, correction.fitted), offset, own, middle), np.zeros((DRAWS, len(known))), each, told, rng
+        Workspace(error_model.parameter_jacobian(q, correction.fitted), offset, own, middle),
+        np.zeros((DRAWS, len(known))),
+        each,
+        told,
+        rng,
     )
 
 
 def single_step_errors(correction: ArmCorrection) -> tuple[float, float]:
-    """(RMS, greatest) rad or m by which X + KSF(X) misses the fixed point's commands, over the middle of the values visited.
+    """(RMS, greatest) rad or m by which X + KSF(X) misses the fixed point's commands, over the middle of the values
+    visited.
 
     Source: configuration-space patent, [0030], [0091]
     """
@@ -192,8 +269,8 @@ def single_step_errors(correction: ArmCorrection) -> tuple[float, float]:
 
 
 def _summand(correction: ArmCorrection, q: np.ndarray) -> np.ndarray:
-    """KSF (m, joints) of the correction at commands q (m, joints); NaN where no way from them leads to the pose by the owner's model: of a stretched
-    arm it lies beyond its reach by micrometres, or on another branch."""
+    """KSF (m, joints) of the correction at commands q (m, joints); NaN where no way from them leads to the pose by the
+    owner's model: of a stretched arm it lies beyond its reach by micrometres, or on another branch."""
     if correction.deficient:
         return correction.summand(q)
     found, rest = mechanism.solve(correction.predict(q), correction.nominal, q, starts=0)

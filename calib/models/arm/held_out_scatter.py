@@ -1,10 +1,17 @@
-"""How far an arm's poses scatter beyond its geometry and beyond what is stated for them, judged on configurations that were held out."""
+"""How far an arm's poses scatter beyond its geometry and beyond what is stated for them, judged on configurations that
+were held out.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 
-from calib.certify.held_out_error_statistics import HeldErrors, held_out_error_statistics, parameter_squares_without, standardised_residuals
+from calib.certify.held_out_error_statistics import (
+    HeldErrors,
+    held_out_error_statistics,
+    parameter_squares_without,
+    standardised_residuals,
+)
 from calib.models.arm import error_model
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification import Identified
@@ -15,13 +22,17 @@ UNSTATED = 1.2  # times what is stated, from which a scatter is unexplained
 
 
 def beyond_geometry(found: Identified, correction: ArmCorrection, agreed: Samples, label: np.ndarray) -> HeldErrors:
-    """HeldErrors of an arm's geometry at each configuration. agreed : Samples that it was fitted to; label : (m,) configuration of each"""
+    """HeldErrors of an arm's geometry at each configuration. agreed : Samples that it was fitted to; label : (m,)
+    configuration of each
+    """
     freed = standardised_residuals(found.residuals[found.inliers], *_fitted(found, correction, agreed), label)
     return held_out_error_statistics(freed, agreed, label)
 
 
 def by_parameters(found: Identified, correction: ArmCorrection, agreed: Samples, parts: np.ndarray) -> np.ndarray:
-    """(2,) m^2 and rad^2, mean square of errors at samples held out that comes of the parameters. parts : (m,) which are held out together"""
+    """(2,) m^2 and rad^2, mean square of errors at samples held out that comes of the parameters. parts : (m,) which
+    are held out together
+    """
     return parameter_squares_without(*_fitted(found, correction, agreed), parts)
 
 
@@ -32,14 +43,17 @@ def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tu
 
 
 def as_held_out(found: Identified, left: HeldErrors, rng: np.random.Generator) -> Identified:
-    """The Identified, its scatter no less than poses held out show beyond the parameters' errors: what a model lacks a fit takes into itself."""
+    """The Identified, its scatter no less than poses held out show beyond the parameters' errors: what a model lacks a
+    fit takes into itself.
+    """
     if len(found.scatter) != 6:
         return found
     return replace(found, scatter=np.maximum(found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3))))
 
 
 def unexplained(scatter: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:
-    """A sentence for positions, and one for rotations, that scatter beyond what their instrument states by more than a fifth of that.
+    """A sentence for positions, and one for rotations, that scatter beyond what their instrument states by more than a
+    fifth of that.
 
     scatter : (k,) m and rad beyond; covariance : (n, k, k) as stated
     """
@@ -48,6 +62,9 @@ def unexplained(scatter: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:
         beyond = float(np.sqrt((scatter[part] ** 2).sum()))
         stated = float(np.sqrt(np.einsum("nkk->nk", covariance)[:, part].sum(axis=1).mean())) if beyond else 0.0
         if np.hypot(beyond, stated) > UNSTATED * stated:
-            out.append(f"{name} of the hand scatter by {beyond * 1e3:.3g} {unit} beyond the {stated * 1e3:.3g} {unit} that is stated for them, which "
-                       "nothing in this calibration explains")
+            out.append(
+                f"{name} of the hand scatter by {beyond * 1e3:.3g} {unit} beyond the {stated * 1e3:.3g} "
+                f"{unit} that is stated for them, which "
+                "nothing in this calibration explains"
+            )
     return tuple(out)

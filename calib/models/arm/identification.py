@@ -1,7 +1,8 @@
-"""An arm's parameters from what an instrument saw: Hayati's model by iterated, robust least squares, with a rank report.
+"""An arm's parameters from what an instrument saw: Hayati's model by iterated, robust least squares, with a rank
+report.
 
-The six steps of the source: start from the nominal figures; linearise (rows B x = b, eq. 4.65); least squares; correct the
-figures; repeat until the step is small; the errors are what was changed. Around that, weights: scatter beyond the
+The six steps of the source: start from the nominal figures; linearise (rows B x = b, eq. 4.65); least squares; correct
+the figures; repeat until the step is small; the errors are what was changed. Around that, weights: scatter beyond the
 instrument's own is found from the residuals, observations that do not agree are left out.
 Source: lecture on the manipulator Jacobian, eqs 4.63-4.65 and steps (1)-(6); counts 4 n + 3 and 4 n + 6 there.
 """
@@ -34,8 +35,8 @@ class Identified:
 
     arm : Arm with the fitted geometry, base and tool; covariance : (p, p), 0 where held; free : (p,) bool
     rank : Rank, which columns depend and were held; shared : (j,) draw of the common errors
-    residuals : (m, k) what is left, common errors taken out; scatter : (k,) m and rad beyond the instrument's own, per component
-    (one figure for positions, one for rotations); inliers : (m,) bool; iterations : steps taken in all
+    residuals : (m, k) what is left, common errors taken out; scatter : (k,) m and rad beyond the instrument's own, per
+    component (one figure for positions, one for rotations); inliers : (m,) bool; iterations : steps taken in all
     """
 
     arm: Arm
@@ -50,11 +51,13 @@ class Identified:
 
 
 def parameters(arm: Arm, kind: str) -> np.ndarray:
-    """(p,) bool: the independent parameters of an arm's structure, 4 n + 6 for poses, 4 n + 3 for positions, 4 n for distances, 2 n + 3 for
-    orientations; a slide, of which the direction counts and not the place, has two fewer (see calib.models.arm.independent_parameters).
+    """(p,) bool: the independent parameters of an arm's structure, 4 n + 6 for poses, 4 n + 3 for positions, 4 n for
+    distances, 2 n + 3 for orientations; a slide, of which the direction counts and not the place, has two fewer (see
+    calib.models.arm.independent_parameters).
 
-    Axis 1 stands in the base, so theta 1 and d 1 add nothing to it; the last row adds nothing to the tool. Where a row's two
-    axes are near parallel, beta takes the place of d (Hayati), for which the common normal's place along them is undefined.
+    Axis 1 stands in the base, so theta 1 and d 1 add nothing to it; the last row adds nothing to the tool. Where a
+    row's two axes are near parallel, beta takes the place of d (Hayati), for which the common normal's place along them
+    is undefined.
     """
     if arm.slides.any() or kind == "orientation":
         return independent_parameters.independent(arm, kind)
@@ -74,12 +77,17 @@ def parameters(arm: Arm, kind: str) -> np.ndarray:
     return np.concatenate([base, free.ravel(), tool])
 
 
-def identify(observations: Observations, nominal: Arm, free: np.ndarray | None = None, farthest: float = FARTHEST) -> Identified:
+def identify(
+    observations: Observations, nominal: Arm, free: np.ndarray | None = None, farthest: float = FARTHEST
+) -> Identified:
     """Identified : the parameters that explain the observations.
 
-    observations : Observations; nominal : Arm, where the fit starts, its base and tool included (see calib.models.arm.instrument_placement)
-    free : (p,) bool, the parameters to fit, those of `parameters` by default; farthest : m (orientations: rad), median by which nominal may miss
-    Raises NotEnoughData for fewer equations than parameters, RigError where nominal is far off or the fit does not settle
+    observations : Observations; nominal : Arm, where the fit starts, its base and tool included (see
+        calib.models.arm.instrument_placement)
+    free : (p,) bool, the parameters to fit, those of `parameters` by default; farthest : m (orientations: rad), median
+        by which nominal may miss
+    Raises NotEnoughData for fewer equations than parameters, RigError where nominal is far off or the fit does not
+        settle
     """
     free = parameters(nominal, observations.kind) if free is None else np.asarray(free, bool)
     k = observations.residuals(nominal).shape[1]
@@ -87,10 +95,15 @@ def identify(observations: Observations, nominal: Arm, free: np.ndarray | None =
     far = np.median(np.linalg.norm(observations.residuals(nominal)[:, :3], axis=1))
     if far > farthest:
         unit = "mrad" if observations.kind == "orientation" else "mm"
-        raise RigError(f"what was measured is {far * 1e3:.0f} {unit} (median) from where the owner's model has it: are these the joint angles of "
-                       "these poses, with these senses and zeros, and is [instrument] base or tool unknown (\"free\")?")
+        raise RigError(
+            f"what was measured is {far * 1e3:.0f} {unit} (median) from where the owner's model has it: are "
+            "these the joint angles of "
+            'these poses, with these senses and zeros, and is [instrument] base or tool unknown ("free")?'
+        )
     inliers, arm, total = np.ones(len(observations), bool), nominal, 0
-    scatter = _scatter(observations.residuals(nominal), observations, inliers, 0)  # cautious weights first, the instrument's when earned
+    scatter = _scatter(
+        observations.residuals(nominal), observations, inliers, 0
+    )  # cautious weights first, the instrument's when earned
     for _ in range(ROUNDS):
         arm, rank, fit, iterations = _settle(observations, arm, free, inliers, scatter)
         total += iterations
@@ -107,10 +120,15 @@ def identify(observations: Observations, nominal: Arm, free: np.ndarray | None =
 
 
 def needed(count: int, k: int, free: int) -> None:
-    """Raises NotEnoughData, with how many it takes, where `count` observations of k numbers each are too few for `free` parameters."""
+    """Raises NotEnoughData, with how many it takes, where `count` observations of k numbers each are too few for `free`
+    parameters.
+    """
     if k * count <= free:
-        raise NotEnoughData(f"{count} observations give {k * count} equations, too few for {free} parameters; it takes {free // k + 1} different "
-                            f"poses at the least, better {3 * (free // k + 1)}")
+        raise NotEnoughData(
+            f"{count} observations give {k * count} equations, too few for {free} parameters; it takes "
+            f"{free // k + 1} different "
+            f"poses at the least, better {3 * (free // k + 1)}"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +148,9 @@ class _Settled(NamedTuple):
     iterations: int
 
 
-def _settle(observations: Observations, arm: Arm, free: np.ndarray, inliers: np.ndarray, scatter: np.ndarray) -> _Settled:
+def _settle(
+    observations: Observations, arm: Arm, free: np.ndarray, inliers: np.ndarray, scatter: np.ndarray
+) -> _Settled:
     """Gauss-Newton for given weights."""
     W = np.linalg.inv(np.linalg.cholesky(observations.covariance + np.diag(scatter**2)))[inliers]
     J = observations.jacobian(arm)
@@ -144,8 +164,10 @@ def _settle(observations: Observations, arm: Arm, free: np.ndarray, inliers: np.
         arm = error_model.moved(arm, step)
         if np.abs(step).max() < CONVERGED:
             return _Settled(arm, rank, fit, iteration + 1)
-    raise RigError(f"the arm's parameters did not settle in {MAX_ITERATIONS} steps (last step {np.abs(step).max():.3g} m or rad): "
-                   "are the joint angles those of these poses, and is [mechanism] joints near the truth?")
+    raise RigError(
+        f"the arm's parameters did not settle in {MAX_ITERATIONS} steps (last step {np.abs(step).max():.3g} m or rad): "
+        "are the joint angles those of these poses, and is [mechanism] joints near the truth?"
+    )
 
 
 def _solve(r: np.ndarray, J: np.ndarray, common: np.ndarray, W: np.ndarray, inliers: np.ndarray) -> _Fit:

@@ -1,8 +1,11 @@
-"""Which parameters of an arm with slides, or of one whose hand's orientation alone is seen, are independent: by the rank of its own model.
+"""Which parameters of an arm with slides, or of one whose hand's orientation alone is seen, are independent: by the
+rank of its own model.
 
-A complete model of R joints that turn and P that slide has 4 R + 2 P + 6 parameters, of which an instrument of whole poses tells all: of a slide
-only the direction counts. Which ones stand for the others is chosen in an order: the places of base and tool, zeros, angles, then lengths.
-Sources: Mooring, Roth and Driels, Fundamentals of manipulator calibration, 1991 (the count); Hayati, CDC 1983 (beta for d where axes are parallel)
+A complete model of R joints that turn and P that slide has 4 R + 2 P + 6 parameters, of which an instrument of whole
+poses tells all: of a slide only the direction counts. Which ones stand for the others is chosen in an order: the places
+of base and tool, zeros, angles, then lengths.
+Sources: Mooring, Roth and Driels, Fundamentals of manipulator calibration, 1991 (the count); Hayati, CDC 1983 (beta for
+d where axes are parallel)
 """
 
 from dataclasses import replace
@@ -21,13 +24,17 @@ PARALLEL = float(np.cos(np.radians(5)))  # neighbouring axes nearer to parallel 
 
 
 def independent(arm: Arm, kind: str) -> np.ndarray:
-    """(p,) bool: parameters of an Arm, in the order of calib.models.arm.error_model, that a kind of observation tells apart in general.
+    """(p,) bool: parameters of an Arm, in the order of calib.models.arm.error_model, that a kind of observation tells
+    apart in general.
 
-    kind : as of Observations. "In general": at configurations all over the limits, with the arm's own rows, and instrument and target standing
-    anywhere: where they really stand, what cannot be told there is for calib.models.arm.parameter_rank
+    kind : as of Observations. "In general": at configurations all over the limits, with the arm's own rows, and
+    instrument and target standing anywhere: where they really stand, what cannot be told there is for
+    calib.models.arm.parameter_rank
     """
     rng, (low, high) = np.random.default_rng(SEED), arm.limits.T
-    arm = replace(arm, base=pose(rng.normal(size=3), rng.normal(size=3)), tool=pose(0.1 * rng.normal(size=3), rng.normal(size=3)))
+    arm = replace(
+        arm, base=pose(rng.normal(size=3), rng.normal(size=3)), tool=pose(0.1 * rng.normal(size=3), rng.normal(size=3))
+    )
     q = rng.uniform(low, high, (CONFIGURATIONS, len(low)))
     J = rows(kind, error_model.parameter_jacobian(q, arm), q, arm)
     columns = J.reshape(-1, J.shape[-1])
@@ -48,7 +55,9 @@ def parallel_rows(arm: Arm) -> np.ndarray:
 
 
 def _order(arm: Arm) -> list[int]:
-    """Indices of the parameters, the preferred first; d of near parallel axes that turn, and beta of others, come last."""
+    """Indices of the parameters, the preferred first; d of near parallel axes that turn, and beta of others, come
+    last.
+    """
     n = len(arm.joints)
     index = 6 + np.arange(5 * n).reshape(n, 5)
     parallel = parallel_rows(arm)

@@ -1,11 +1,13 @@
 """Where an arm stands in an instrument's frame, and where the target sits on its hand, before anything else is known.
 
-For given rotation X of the base, what positions say of the target z on the hand and of the base's place t is linear, and what is then
-left is a quadratic function of X alone: p = X (F z + f) + t, so X'p - f = F z + X't, docs/mathematics.md (8), free of X on the right. It is looked
-at over rotations that cover all of SO(3); measured rotations add how well X F Z = M holds with the best Z. The best few are refined
-with base, tool and the joints' zeros, these held near the maker's; the best of them is the answer. So a hand that turns about one axis
-alone, whose rotations leave a whole family of answers, is placed by its positions, and zeros that are off mislead nobody.
-Source: Shah, J. Mechanisms Robotics 5, 2013 (robot-world and hand-eye); Alexa, Super-Fibonacci spirals, CVPR 2022 (rotations that cover)
+For given rotation X of the base, what positions say of the target z on the hand and of the base's place t is linear,
+and what is then left is a quadratic function of X alone: p = X (F z + f) + t, so X'p - f = F z + X't,
+docs/mathematics.md (8), free of X on the right. It is looked at over rotations that cover all of SO(3); measured
+rotations add how well X F Z = M holds with the best Z. The best few are refined with base, tool and the joints' zeros,
+these held near the maker's; the best of them is the answer. So a hand that turns about one axis alone, whose rotations
+leave a whole family of answers, is placed by its positions, and zeros that are off mislead nobody.
+Source: Shah, J. Mechanisms Robotics 5, 2013 (robot-world and hand-eye); Alexa, Super-Fibonacci spirals, CVPR 2022
+    (rotations that cover)
 """
 
 from dataclasses import dataclass, replace
@@ -25,10 +27,16 @@ TELLS = 1e-6  # of the greatest eigenvalue; orientations whose second least is s
 ROTATIONS = 4000  # looked at; none of SO(3) lies farther than some 12 degrees from one
 STARTS, LEADING = 12, 3  # refined roughly on few observations; and of these to the end on more
 APART = np.radians(25)  # between two of them
-LOOKED_AT, ROUGHLY = 150, (40, 8)  # observations that the search uses; and observations and steps of the rough refinement
+LOOKED_AT, ROUGHLY = (
+    150,
+    (40, 8),
+)  # observations that the search uses; and observations and steps of the rough refinement
 HUBER = 3.0  # times the median; an observation farther off counts less
 ZERO = 0.1  # rad, of a slide m; what a joint's zero may be off by
-COARSE = (0.03, 0.05)  # m, rad; what an arm with such zeros leaves, for weighing rotations against positions in the search
+COARSE = (
+    0.03,
+    0.05,
+)  # m, rad; what an arm with such zeros leaves, for weighing rotations against positions in the search
 FINE = (1e-3, 2e-3)  # m, rad; the same once zeros are free
 AWAY, REACH = 3.0, 0.3  # m, what bases stand away by and targets on hands reach: what poses leave open goes no farther
 TURN = 3.0  # rad, the same of rotations from where the refinement begins
@@ -47,16 +55,20 @@ class Placement:
 
 
 def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
-    """The Arm with base and tool as the observations place them, and zeros moved along; base, tool : whether they are unknown.
+    """The Arm with base and tool as the observations place them, and zeros moved along; base, tool : whether they are
+    unknown.
 
-    Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in closed form stays
-    as stated. Raises NotEnoughData for too few observations, RigError where no placement fits or two different ones fit alike
+    Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in
+    closed form stays as stated. Raises NotEnoughData for too few observations, RigError where no placement fits or two
+    different ones fit alike
     """
     if not (base or tool):
         return arm
     if len(observations) < LEAST[observations.kind]:
-        raise NotEnoughData(f"{len(observations)} observations of a {observations.kind} cannot place the instrument; "
-                            f"it takes {LEAST[observations.kind]}")
+        raise NotEnoughData(
+            f"{len(observations)} observations of a {observations.kind} cannot place the instrument; "
+            f"it takes {LEAST[observations.kind]}"
+        )
     if observations.kind == "distance":
         links = mechanism.forward(observations.q, replace(arm, base=RigidTransform.identity(), tool=arm.tool))
         return _from_distances(observations.value, links, arm) if base else arm
@@ -64,18 +76,29 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
         return _from_orientations(observations, arm, base, tool)
     some, few = _spread(observations, LOOKED_AT), _spread(observations, ROUGHLY[0])
     rows = arm.rows
-    rough = sorted((_refined(few, start, rows, (base, tool), ROUGHLY[1]) for start in _starts(some, arm, base, tool)), key=lambda p: p.left)
-    found = sorted((_refined(some, one.arm, rows, (base, tool), STEPS) for one in rough[:LEADING]), key=lambda p: p.left)
+    rough = sorted(
+        (_refined(few, start, rows, (base, tool), ROUGHLY[1]) for start in _starts(some, arm, base, tool)),
+        key=lambda p: p.left,
+    )
+    found = sorted(
+        (_refined(some, one.arm, rows, (base, tool), STEPS) for one in rough[:LEADING]), key=lambda p: p.left
+    )
     best = found[0]
     if not best.left < FITS:
         hint = "" if base and tool else f' Or is [instrument] {"tool" if base else "base"} unknown as well ("free")?'
-        raise RigError(f"no place of {_unknown(base, tool)} fits: the best of {len(rough)} starts still leaves {best.left * 1e3:.0f} mm "
-                       "(median). Are these the joint angles of these poses, in this order, with these senses and zeros (within "
-                       f"{ZERO} rad), and are [mechanism] joints the maker's figures, in metres and radians?{hint}")
+        raise RigError(
+            f"no place of {_unknown(base, tool)} fits: the best of {len(rough)} starts still leaves "
+            f"{best.left * 1e3:.0f} mm "
+            "(median). Are these the joint angles of these poses, in this order, with these senses and zeros (within "
+            f"{ZERO} rad), and are [mechanism] joints the maker's figures, in metres and radians?{hint}"
+        )
     for other in found[1:]:
         if other.left < TWOFOLD * best.left + 1e-6 and not _same(other.arm, best.arm):
-            raise RigError(f"{_unknown(base, tool)} can be placed in two ways that fit alike ({best.left * 1e3:.2f} and {other.left * 1e3:.2f} mm, "
-                           "median): the poses differ too little; move every joint, or state one of the two places")
+            raise RigError(
+                f"{_unknown(base, tool)} can be placed in two ways that fit alike ({best.left * 1e3:.2f} and "
+                f"{other.left * 1e3:.2f} mm, "
+                "median): the poses differ too little; move every joint, or state one of the two places"
+            )
     return best.arm
 
 
@@ -85,7 +108,9 @@ def _unknown(base: bool, tool: bool) -> str:
 
 def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> list[Arm]:
     """Arms with different bases, the likeliest first."""
-    links = mechanism.forward(observations.q, replace(arm, base=RigidTransform.identity(), tool=RigidTransform.identity()))
+    links = mechanism.forward(
+        observations.q, replace(arm, base=RigidTransform.identity(), tool=RigidTransform.identity())
+    )
     F, f = links.rotation.as_matrix(), links.translation
     value = observations.value
     p, M = (value.translation, value.rotation.as_matrix()) if isinstance(value, RigidTransform) else (value, None)
@@ -109,7 +134,9 @@ def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> lis
     square = np.einsum("ri,ij,rj->r", x, P.T @ P, x) - 2 * x @ (P.T @ right)[:, 0] + (right**2).sum()
     cost = np.maximum(square, 0) / COARSE[0] ** 2
     if M is not None:
-        K = np.einsum("rkj,jikl->ril", X, np.einsum("mji,mkl->jikl", F, M), optimize=True)  # sum of F'X'M, whose nearest rotation is Z
+        K = np.einsum(
+            "rkj,jikl->ril", X, np.einsum("mji,mkl->jikl", F, M), optimize=True
+        )  # sum of F'X'M, whose nearest rotation is Z
         best = np.linalg.svd(K, compute_uv=False)
         best[:, 2] *= np.sign(np.linalg.det(K))
         known = np.einsum("ril,il->r", K, arm.tool.rotation.as_matrix())
@@ -117,8 +144,16 @@ def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> lis
     return [_placed_about(X[i], F, f, p, M, A, arm, (base, tool)) for i in _apart(X, cost)]
 
 
-def _placed_about(X: np.ndarray, F: np.ndarray, f: np.ndarray, p: np.ndarray, M: np.ndarray | None, A: np.ndarray, arm: Arm,
-                  unknown: tuple[bool, bool]) -> Arm:
+def _placed_about(
+    X: np.ndarray,
+    F: np.ndarray,
+    f: np.ndarray,
+    p: np.ndarray,
+    M: np.ndarray | None,
+    A: np.ndarray,
+    arm: Arm,
+    unknown: tuple[bool, bool],
+) -> Arm:
     """Arm with a rotation of the base (3, 3), and what then follows for the rest."""
     base, tool = unknown
     sizes = np.repeat([size for size, free in ((REACH, tool), (AWAY, base)) if free], 3)
@@ -148,8 +183,12 @@ def _spread(observations: Observations, count: int) -> Observations:
     return observations.take(np.unique(np.linspace(0, len(observations) - 1, count).astype(int)))
 
 
-def _refined(observations: Observations, arm: Arm, rows: np.ndarray, unknown: tuple[bool, bool], steps: int) -> Placement:
-    """Placement by damped, robust least squares over base, tool and the joints' zeros, which a prior holds near the maker's rows (n, 5)."""
+def _refined(
+    observations: Observations, arm: Arm, rows: np.ndarray, unknown: tuple[bool, bool], steps: int
+) -> Placement:
+    """Placement by damped, robust least squares over base, tool and the joints' zeros, which a prior holds near the
+    maker's rows (n, 5).
+    """
     n, posed = len(arm.joints), observations.kind == "pose"
     free, prior = np.zeros(12 + 5 * n, bool), np.zeros(12 + 5 * n)
     free[:6], free[-6:] = unknown
@@ -161,7 +200,9 @@ def _refined(observations: Observations, arm: Arm, rows: np.ndarray, unknown: tu
     at = _Misfit.of(observations, arm, start, rows, prior, posed)
     damping = 1e-4
     for _ in range(steps):
-        J = (observations.jacobian(arm)[..., free] * at.weight[:, None, None] / _sigma(posed)[:, None]).reshape(-1, free.sum())
+        J = (observations.jacobian(arm)[..., free] * at.weight[:, None, None] / _sigma(posed)[:, None]).reshape(
+            -1, free.sum()
+        )
         H = J.T @ J + np.diag(prior[free] ** 2)
         g = J.T @ (at.residual * at.weight[:, None]).ravel() - (prior * at.moved)[free]
         step = np.zeros(len(free))
@@ -187,7 +228,8 @@ def _sigma(posed: bool) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Misfit:
-    """residual : (m, k) in FINE; moved : (p,) times prior, zeros from the maker's and base and tool from where they began
+    """residual : (m, k) in FINE; moved : (p,) times prior, zeros from the maker's and base and tool from where they
+    began
     scale : of the residuals, at least 1; weight : (m,) of each observation."""
 
     residual: np.ndarray
@@ -196,11 +238,15 @@ class _Misfit:
     weight: np.ndarray
 
     @classmethod
-    def of(cls, observations: Observations, arm: Arm, start: Arm, rows: np.ndarray, prior: np.ndarray, posed: bool) -> "_Misfit":
+    def of(
+        cls, observations: Observations, arm: Arm, start: Arm, rows: np.ndarray, prior: np.ndarray, posed: bool
+    ) -> "_Misfit":
         r = observations.residuals(arm) / _sigma(posed)
         size = np.linalg.norm(r, axis=1)
         scale = max(1.0, float(np.median(size)))  # what is far off at first weighs less against the prior
-        moved = np.concatenate([log(start.base.inv() * arm.base), np.zeros(len(prior) - 12), log(start.tool.inv() * arm.tool)])
+        moved = np.concatenate(
+            [log(start.base.inv() * arm.base), np.zeros(len(prior) - 12), log(start.tool.inv() * arm.tool)]
+        )
         moved[6:-6] = (arm.rows - rows).ravel()
         return cls(r, prior * moved, scale, np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12))) / scale)
 
@@ -211,7 +257,9 @@ class _Misfit:
 
 
 def _same(a: Arm, b: Arm) -> bool:
-    """Whether two placements that fit are one: the base's rotation given, all else is linear, and what may differ is what poses leave open."""
+    """Whether two placements that fit are one: the base's rotation given, all else is linear, and what may differ is
+    what poses leave open.
+    """
     return bool((a.base.inv() * b.base).rotation.magnitude() < SAME)
 
 
@@ -221,7 +269,9 @@ def _covering(count: int) -> np.ndarray:
     s = np.arange(count) + 0.5
     r, R = np.sqrt(s / count), np.sqrt(1 - s / count)
     a, b = 2 * np.pi * s / phi, 2 * np.pi * s / psi
-    return Rotation.from_quat(np.stack([r * np.sin(a), r * np.cos(a), R * np.sin(b), R * np.cos(b)], axis=1)).as_matrix()
+    return Rotation.from_quat(
+        np.stack([r * np.sin(a), r * np.cos(a), R * np.sin(b), R * np.cos(b)], axis=1)
+    ).as_matrix()
 
 
 def _span(A: np.ndarray) -> np.ndarray:
@@ -233,7 +283,8 @@ def _span(A: np.ndarray) -> np.ndarray:
 
 
 def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
-    """X F Z = M in rotations alone, linear in X' and Z; where base and target stand they do not tell, and that stays as stated.
+    """X F Z = M in rotations alone, linear in X' and Z; where base and target stand they do not tell, and that stays as
+    stated.
 
     Raises RigError where the hand's rotations leave a family of answers
     """
@@ -245,9 +296,14 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
     if base and tool:
         X, Z, told = solve_rotation_placement(M, F)
         if told < TELLS:
-            raise RigError("orientations of a hand that turns about one axis alone leave a family of places of base and target; move more joints, or "
-                           "state one of the two places")
-        return replace(arm, base=rigid_transform(X, arm.base.translation), tool=rigid_transform(Z, arm.tool.translation))
+            raise RigError(
+                "orientations of a hand that turns about one axis alone leave a family of places of base and "
+                "target; move more joints, or "
+                "state one of the two places"
+            )
+        return replace(
+            arm, base=rigid_transform(X, arm.base.translation), tool=rigid_transform(Z, arm.tool.translation)
+        )
     X = nearest_rotation(np.einsum("mij,mkj->ik", M, F @ Z)) if base else X
     Z = nearest_rotation(np.einsum("mji,mjk->ik", X @ F, M)) if tool else Z
     return replace(arm, base=rigid_transform(X, arm.base.translation), tool=rigid_transform(Z, arm.tool.translation))
@@ -256,18 +312,30 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
 def solve_rotation_placement(M: np.ndarray, F: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """(X, Z, how well they are told) of M = X F Z, rotations M and F (m, 3, 3): the null vector of M Z' = X F.
 
-    The third is the second least eigenvalue over the greatest, 0 where a family of answers fits. Source: Shah, J. Mechanisms Robotics 5, 2013
+    The third is the second least eigenvalue over the greatest, 0 where a family of answers fits. Source: Shah, J.
+    Mechanisms Robotics 5, 2013
     """
     one = np.eye(3)
-    rows = np.concatenate([np.einsum("mij,kl->mikjl", M, one).reshape(len(M), 9, 9), -np.einsum("ij,mlk->mikjl", one, F).reshape(len(M), 9, 9)],
-                          axis=2).reshape(-1, 18)
+    rows = np.concatenate(
+        [
+            np.einsum("mij,kl->mikjl", M, one).reshape(len(M), 9, 9),
+            -np.einsum("ij,mlk->mikjl", one, F).reshape(len(M), 9, 9),
+        ],
+        axis=2,
+    ).reshape(-1, 18)
     values, vectors = np.linalg.eigh(rows.T @ rows)
     null = vectors[:, 0] * np.sign(np.linalg.det(vectors[9:, 0].reshape(3, 3)))
-    return nearest_rotation(null[9:].reshape(3, 3)), nearest_rotation(null[:9].reshape(3, 3).T), float(values[1] / values[-1])
+    return (
+        nearest_rotation(null[9:].reshape(3, 3)),
+        nearest_rotation(null[:9].reshape(3, 3).T),
+        float(values[1] / values[-1]),
+    )
 
 
 def _from_distances(lengths: np.ndarray, target: RigidTransform, arm: Arm) -> Arm:
-    """length^2 = |p|^2 - 2 p.w + |w|^2 is linear in the anchor w and its square; the base's rotation cannot be told and stays."""
+    """length^2 = |p|^2 - 2 p.w + |w|^2 is linear in the anchor w and its square; the base's rotation cannot be told and
+    stays.
+    """
     p = target.translation
     A = np.concatenate([-2 * p, np.ones((len(p), 1))], axis=1)
     w = np.linalg.lstsq(A, lengths**2 - (p**2).sum(axis=1))[0][:3]

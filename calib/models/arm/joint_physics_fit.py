@@ -1,7 +1,7 @@
 """An arm's geometry and the effects at its joints, fitted together to what was measured, and how sure both then are.
 
-Gauss-Newton on the effects' coordinates, all that the geometry can make up for taken out of them: what a joint's own effect and a length
-explain alike goes to the length. A held-out figure is of effects refitted without what is held out.
+Gauss-Newton on the effects' coordinates, all that the geometry can make up for taken out of them: what a joint's own
+effect and a length explain alike goes to the length. A held-out figure is of effects refitted without what is held out.
 """
 
 from dataclasses import dataclass, field, replace
@@ -31,7 +31,8 @@ STRAIGHT = ("linear", "inverse")  # roles of parameters that what joints do is l
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """What an arm was told besides its samples. design : Design, whose mechanism is the nominal Arm; commands : Commands, the whole path
+    """What an arm was told besides its samples. design : Design, whose mechanism is the nominal Arm;
+    commands : Commands, the whole path
     sensors : Sensors or None."""
 
     design: Design
@@ -50,7 +51,12 @@ class History:
     def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[np.ndarray, np.ndarray]:
         """(joints (n, joints), hand (n, 6)) that commands become under effects, as `machine.reached`."""
         return motion_simulation.effective_commands_and_sway(
-            replace(self.design, mechanism=arm), self.commands, samples.t, samples.T_base_platform, effects, self.sensors
+            replace(self.design, mechanism=arm),
+            self.commands,
+            samples.t,
+            samples.T_base_platform,
+            effects,
+            self.sensors,
         )
 
 
@@ -64,7 +70,9 @@ class Prior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """What effects' c coordinates do at n samples: joints (n, joints, c) rad or m, hand (n, 6, c) m and rad beyond these."""
+    """What effects' c coordinates do at n samples: joints (n, joints, c) rad or m, hand (n, 6, c) m and rad beyond
+    these.
+    """
 
     joints: np.ndarray
     hand: np.ndarray
@@ -77,8 +85,8 @@ class Columns:
 @dataclass(frozen=True, slots=True, eq=False)
 class JointFit:
     """Effects fitted with an arm's geometry. measured : Samples; history : History
-    effects : fitted; arm : its geometry beside them; own : (c, c) covariance of their coordinates; columns : Columns there; before : Prior or
-    None; samples : Samples with what the effects do to their commands."""
+    effects : fitted; arm : its geometry beside them; own : (c, c) covariance of their coordinates; columns : Columns
+    there; before : Prior or None; samples : Samples with what the effects do to their commands."""
 
     measured: Samples
     history: History
@@ -93,20 +101,32 @@ class JointFit:
         object.__setattr__(self, "samples", self.history.told(self.measured, self.effects, self.arm))
 
     def without(self, held: np.ndarray) -> Samples:
-        """All samples, with what effects of this structure do to their commands, fitted to those alone that are not held (n,) bool."""
-        rest = _refined(self.measured.take(~held), self.history, self.arm, self.effects, self.before, self.columns.take(~held))
+        """All samples, with what effects of this structure do to their commands, fitted to those alone that are not
+        held (n,) bool.
+        """
+        rest = _refined(
+            self.measured.take(~held), self.history, self.arm, self.effects, self.before, self.columns.take(~held)
+        )
         return self.history.told(self.measured, rest.effects, rest.arm)
 
     def response(self, found: Identified) -> np.ndarray:
-        """(p, c) by which the geometry's parameters follow the effects' coordinates, of an arm identified on these samples."""
+        """(p, c) by which the geometry's parameters follow the effects' coordinates, of an arm identified on these
+        samples.
+        """
         seen = _Seen.of(self.samples, found)
         out = np.zeros((len(found.free), len(self.own)))
-        out[found.free] = -np.linalg.lstsq(seen.nuisances, seen.whitened(self.columns), rcond=None)[0][: int(found.free.sum())]
+        out[found.free] = -np.linalg.lstsq(seen.nuisances, seen.whitened(self.columns), rcond=None)[0][
+            : int(found.free.sum())
+        ]
         return out
 
 
-def fit_geometry_and_effects(measured: Samples, history: History, start: Arm, effects: tuple[Effect, ...], before: Prior | None = None) -> JointFit:
-    """JointFit of effects, from where their parameters stand, and of the geometry from an Arm on. Raises as `identify`"""
+def fit_geometry_and_effects(
+    measured: Samples, history: History, start: Arm, effects: tuple[Effect, ...], before: Prior | None = None
+) -> JointFit:
+    """JointFit of effects, from where their parameters stand, and of the geometry from an Arm on. Raises as
+    `identify`
+    """
     arm, columns = start, None
     for _ in range(ROUNDS):
         arm = history.identified(history.told(measured, effects, arm), arm).arm
@@ -118,8 +138,10 @@ def fit_geometry_and_effects(measured: Samples, history: History, start: Arm, ef
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """How samples see an arm. W : (m, k, k) weights of those that agree; inliers : (n,) bool; q : (n, joints); kind : of Observations; arm : Arm
-    nuisances : (m k + j, p + j) whitened columns of the free parameters and of the j shared draws; basis : orthonormal, of the same span."""
+    """How samples see an arm. W : (m, k, k) weights of those that agree; inliers : (n,) bool; q : (n, joints);
+    kind : of Observations; arm : Arm
+    nuisances : (m k + j, p + j) whitened columns of the free parameters and of the j shared draws; basis : orthonormal,
+        of the same span."""
 
     W: np.ndarray
     inliers: np.ndarray
@@ -135,7 +157,15 @@ class _Seen:
         W = np.linalg.inv(np.linalg.cholesky(o.covariance + np.diag(found.scatter**2)))[found.inliers]
         J = np.concatenate([o.jacobian(found.arm)[..., found.free], o.common], axis=2)[found.inliers]
         stacked = np.concatenate([(W @ J).reshape(-1, J.shape[2]), np.eye(J.shape[2])[J.shape[2] - shared :]])
-        return _Seen(W, found.inliers, o.q, o.kind, found.arm, stacked, np.linalg.qr(stacked / np.linalg.norm(stacked, axis=0))[0])
+        return _Seen(
+            W,
+            found.inliers,
+            o.q,
+            o.kind,
+            found.arm,
+            stacked,
+            np.linalg.qr(stacked / np.linalg.norm(stacked, axis=0))[0],
+        )
 
     def whitened(self, columns: Columns) -> np.ndarray:
         """(m k + j, c) of Columns (n, ..)."""
@@ -145,7 +175,9 @@ class _Seen:
 
     def left(self, samples: Samples) -> np.ndarray:
         """(m k + j,) whitened residuals of samples, all that the nuisances explain taken out."""
-        r = self._padded((self.W @ of_samples(samples).residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1))[:, 0]
+        r = self._padded((self.W @ of_samples(samples).residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1))[
+            :, 0
+        ]
         return r - self.basis @ (self.basis.T @ r)
 
     def _padded(self, seen: np.ndarray) -> np.ndarray:
@@ -154,7 +186,9 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Prior:
-    """What is known of c coordinates. values, weight : (c,) of each, 0 where nothing is; ends : (c, 2) bounds; kept : (k, c) sums that stay."""
+    """What is known of c coordinates. values, weight : (c,) of each, 0 where nothing is; ends : (c, 2) bounds;
+    kept : (k, c) sums that stay.
+    """
 
     values: np.ndarray
     weight: np.ndarray
@@ -166,13 +200,20 @@ class _Prior:
         loose = np.array([c.loose for c in coordinates]) ** 2
         told = np.zeros(len(loose)) if before is None else np.maximum(before.sigma, 1e-300) ** -2.0
         values = np.zeros(len(loose)) if before is None else told * before.values / np.maximum(loose + told, 1e-300)
-        return _Prior(values, loose + told, np.array([c.ends for c in coordinates], float).reshape(-1, 2), constrained_sums(coordinates, effects))
+        return _Prior(
+            values,
+            loose + told,
+            np.array([c.ends for c in coordinates], float).reshape(-1, 2),
+            constrained_sums(coordinates, effects),
+        )
 
     def cost(self, values: np.ndarray) -> float:
         return float((self.weight * (values - self.values) ** 2).sum())
 
 
-def _refined(measured: Samples, history: History, arm: Arm, effects: tuple[Effect, ...], before: Prior | None, columns: Columns) -> JointFit:
+def _refined(
+    measured: Samples, history: History, arm: Arm, effects: tuple[Effect, ...], before: Prior | None, columns: Columns
+) -> JointFit:
     """Together from where effects and an Arm stand, with the geometry that is left in the end."""
     coordinates = coordinates_of(effects)
     samples = history.told(measured, effects, arm)
@@ -182,7 +223,13 @@ def _refined(measured: Samples, history: History, arm: Arm, effects: tuple[Effec
     for _ in range(ITERATIONS if coordinates else 0):
         C = seen.whitened(columns)
         C -= seen.basis @ (seen.basis.T @ C)
-        step, own = bounded_step(C.T @ left + prior.weight * (prior.values - values), C.T @ C + np.diag(prior.weight), values, prior.ends, prior.kept)
+        step, own = bounded_step(
+            C.T @ left + prior.weight * (prior.values - values),
+            C.T @ C + np.diag(prior.weight),
+            values,
+            prior.ends,
+            prior.kept,
+        )
         cost = left @ left + prior.cost(values)
         for halving in range(HALVINGS):
             tried = _written(coordinates, effects, values + 0.5**halving * step)
@@ -209,8 +256,12 @@ def _written(coordinates: list[Coordinate], effects: tuple[Effect, ...], values:
     return tuple(check_effect(effect) for effect in out)
 
 
-def _columns(samples: Samples, history: History, effects: tuple[Effect, ...], arm: Arm, before: Columns | None) -> Columns:
-    """Columns of effects' coordinates at samples, by differences. before : near by, of which what is linear holds still; None to work out all"""
+def _columns(
+    samples: Samples, history: History, effects: tuple[Effect, ...], arm: Arm, before: Columns | None
+) -> Columns:
+    """Columns of effects' coordinates at samples, by differences. before : near by, of which what is linear holds
+    still; None to work out all
+    """
     coordinates = coordinates_of(effects)
     joints = np.zeros((*samples.commanded.shape, len(coordinates))) if before is None else before.joints.copy()
     hand = np.zeros((len(samples), 6, len(coordinates))) if before is None else before.hand.copy()

@@ -1,10 +1,11 @@
-"""What the geometry leaves, as a correction over the configuration space: every joint's own profile, as a Fourier series.
+"""What the geometry leaves, as a correction over the configuration space: every joint's own profile, as a Fourier
+series.
 
 Of a slide a metre stands for a radian, and 2 pi metres for a turn.
 A joint's real angle differs from its command by gears, encoder and the load that its posture brings. The summand
-rho_j(q) = commanded - effective is a series in the joint's own angle, as fine as the poses can tell (an encoder's error has tens of
-waves a turn), and, more weakly, in its neighbours'. How large each octave of waves is, is found by the evidence, and one that does
-not stand out is left out.
+rho_j(q) = commanded - effective is a series in the joint's own angle, as fine as the poses can tell (an encoder's error
+has tens of waves a turn), and, more weakly, in its neighbours'. How large each octave of waves is, is found by the
+evidence, and one that does not stand out is left out.
 Sources: configuration-space patent [0024]-[0031] (the summand); MacKay, Bayesian interpolation, Neural Computation 1992
 (sizes by the evidence).
 """
@@ -30,7 +31,8 @@ SETTLED = 3e-2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile:
-    """rho of one joint. axis : its index; orders : (k,) waves per turn of its own angle; own : (2 k,) rad, their sines, then cosines
+    """rho of one joint. axis : its index; orders : (k,) waves per turn of its own angle; own : (2 k,) rad, their sines,
+    then cosines
     others : (n, 2) rad, sine and cosine of every joint's angle (its own row is 0)."""
 
     axis: int
@@ -41,13 +43,18 @@ class Profile:
     def __call__(self, q: np.ndarray) -> np.ndarray:
         """(...,) rad at joint angles q (..., n) rad."""
         q = np.asarray(q, float)
-        return _waves(q[..., self.axis], self.orders) @ self.own + np.sin(q) @ self.others[:, 0] + np.cos(q) @ self.others[:, 1]
+        return (
+            _waves(q[..., self.axis], self.orders) @ self.own
+            + np.sin(q) @ self.others[:, 0]
+            + np.cos(q) @ self.others[:, 1]
+        )
 
 
 def fit_joint_profiles(observations: Observations, found: Identified) -> tuple[Profile | None, ...]:
     """A Profile or None per joint, of what an Identified arm leaves in observations of whole poses.
 
-    The geometry's own freedoms are solved for beside the profiles and thrown away, so that neither takes the other's part.
+    The geometry's own freedoms are solved for beside the profiles and thrown away, so that neither takes the other's
+    part.
     """
     good = found.inliers
     q, n = observations.q[good], observations.q.shape[1]
@@ -58,7 +65,9 @@ def fit_joint_profiles(observations: Observations, found: Identified) -> tuple[P
     J = W @ observations.joint_jacobian(found.arm)[good]
     A = np.concatenate([(J[..., j : j + 1] * features[j][:, None, :]).reshape(len(y), -1) for j in range(n)], axis=1)
     kinds = len(OCTAVES) + 1
-    group = np.concatenate([j * kinds + np.r_[np.tile(np.digitize(orders[j], OCTAVES), 2), np.zeros(2 * (n - 1), int)] for j in range(n)])
+    group = np.concatenate(
+        [j * kinds + np.r_[np.tile(np.digitize(orders[j], OCTAVES), 2), np.zeros(2 * (n - 1), int)] for j in range(n)]
+    )
     B = (W @ observations.jacobian(found.arm)[good][..., found.free]).reshape(len(y), -1)
     Q = np.linalg.qr(B)[0]
     A, y = A - Q @ (Q.T @ A), y - Q @ (Q.T @ y)
@@ -86,11 +95,15 @@ def _waves(angle: np.ndarray, orders: np.ndarray) -> np.ndarray:
 def _features(q: np.ndarray, axis: int, orders: np.ndarray) -> np.ndarray:
     """(m, 2 k + 2 (n - 1)) waves of the own angle, then sine and cosine of the other angles."""
     rest = np.delete(q, axis, axis=1)
-    return np.concatenate([_waves(q[:, axis], orders), np.stack([np.sin(rest), np.cos(rest)], axis=-1).reshape(len(q), -1)], axis=1)
+    return np.concatenate(
+        [_waves(q[:, axis], orders), np.stack([np.sin(rest), np.cos(rest)], axis=-1).reshape(len(q), -1)], axis=1
+    )
 
 
 def _solved(M: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(M^-1 right, diagonal of M^-1), both (k,), of a positive definite M (k, k). Raises LinAlgError where it is none."""
+    """(M^-1 right, diagonal of M^-1), both (k,), of a positive definite M (k, k). Raises LinAlgError where it is
+    none.
+    """
     half, failed = dpotrf(M)  # upper; its lower triangle is zero
     if failed:
         raise np.linalg.LinAlgError(f"the matrix of {len(M)} weights is not positive definite")
@@ -100,7 +113,9 @@ def _solved(M: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _evidence(A: np.ndarray, y: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """(features,) weights of greatest evidence: each group's size set by the fixed point of its well-determined share."""
+    """(features,) weights of greatest evidence: each group's size set by the fixed point of its well-determined
+    share.
+    """
     H, right = A.T @ A, A.T @ y
     size = np.full(group.max() + 1, START)
     for _ in range(ROUNDS):

@@ -5,7 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import qr
 
-PLAUSIBLE = {"m": 5e-3, "rad": 2e-2}  # what a maker's figure may be wrong by; data that tell less than this tell nothing
+PLAUSIBLE = {
+    "m": 5e-3,
+    "rad": 2e-2,
+}  # what a maker's figure may be wrong by; data that tell less than this tell nothing
 NAMED = 0.1  # share of the greatest coefficient from which a parameter is named as a partner
 
 
@@ -24,16 +27,20 @@ class Rank:
         if not self.asked:
             return ["no parameters were sought"]
         lines = [f"{self.free.sum()} of {self.asked} parameters fitted; condition number {self.condition:.0f}"]
-        lines += [f"{name} cannot be told from {', '.join(others)} and stays as stated" if others else
-                  f"{name} has no effect on what was measured and stays as stated" for name, others in self.dependent]
+        lines += [
+            f"{name} cannot be told from {', '.join(others)} and stays as stated"
+            if others
+            else f"{name} has no effect on what was measured and stays as stated"
+            for name, others in self.dependent
+        ]
         return lines
 
 
 def independent_parameters(B: np.ndarray, free: np.ndarray, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
     """Rank of the columns of B (rows, p), rows whitened, of the parameters asked for: free (p,) bool.
 
-    A column is dependent where, those before it given, the data leave its parameter less certain than PLAUSIBLE: a plain zero
-    of the pivoted QR, but also a direction in which only rounding or noise would be fitted.
+    A column is dependent where, those before it given, the data leave its parameter less certain than PLAUSIBLE: a
+    plain zero of the pivoted QR, but also a direction in which only rounding or noise would be fitted.
     """
     asked = np.flatnonzero(free)
     scaled = B[:, asked] * np.array([PLAUSIBLE[unit] for unit in units])[asked]

@@ -1,7 +1,8 @@
-"""Which of an arm's joint solutions a pose takes: that to which a visited configuration leads when its hand goes there straight.
+"""Which of an arm's joint solutions a pose takes: that to which a visited configuration leads when its hand goes there
+straight.
 
-A solver that starts far away comes down on one solution or another by how its first steps are rounded; along short steps, each damped, the joints
-follow the hand, and the same joints come out in whatever frame poses are given.
+A solver that starts far away comes down on one solution or another by how its first steps are rounded; along short
+steps, each damped, the joints follow the hand, and the same joints come out in whatever frame poses are given.
 Source: Nakamura and Hanafusa, Inverse kinematic solutions with singularity robustness, ASME JDSMC 1986 (the damping)
 """
 
@@ -19,11 +20,15 @@ DAMPING = 0.03  # m or rad, against singular values of a Jacobian
 
 
 def solution_from_start(T_base_platform: RigidTransform, arm: Arm, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(q (m, n) rad or m, left (m,) m or rad): joint values of poses (m,) to which the joints come from starts (m, n); left as `arm.solve`."""
+    """(q (m, n) rad or m, left (m,) m or rad): joint values of poses (m,) to which the joints come from starts (m, n);
+    left as `arm.solve`.
+    """
     q = np.array(start, float)
     begin = mechanism.forward(q, arm)
     way = pose_difference(begin, T_base_platform)
-    length = np.stack([np.linalg.norm(way[:, part], axis=1) / size for part, size in zip((slice(0, 3), slice(3, 6)), STEP)])
+    length = np.stack(
+        [np.linalg.norm(way[:, part], axis=1) / size for part, size in zip((slice(0, 3), slice(3, 6)), STEP)]
+    )
     steps = np.clip(np.ceil(length.max(axis=0)), 1, MOST)
     for k in range(1, int(steps.max(initial=0)) + 1):
         going = np.flatnonzero(steps >= k)

@@ -1,1 +1,3 @@
-"""What only chains of mechanisms have: parameters stage by stage, calibrated together, and what cannot be told apart among them."""
+"""What only chains of mechanisms have: parameters stage by stage, calibrated together, and what cannot be told apart
+among them.
+"""

@@ -1,4 +1,6 @@
-"""The page of a chain's calibration: what it is worth, before and after, stage by stage, and what cannot be told apart."""
+"""The page of a chain's calibration: what it is worth, before and after, stage by stage, and what cannot be told
+apart.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,8 +22,14 @@ from rig.report.pages.page_template import Link, Page, write_page
 from rig.report.pages.view_3d import view_scripts
 
 
-def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified,
-                     links: Sequence[Link] = ()) -> None:
+def calibration_page(
+    path: Path | str,
+    recording: Recording,
+    calibration: Calibration,
+    samples: Samples,
+    done: Certified,
+    links: Sequence[Link] = (),
+) -> None:
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
     parts = [
         *evidence_html(calibration),
@@ -38,12 +46,18 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
         folding_section("Recording, versions, arguments", provenance_html(calibration)),
     ]
     judged = calibration_verdict(calibration)
-    write_page(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)))
+    write_page(
+        path,
+        Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, view_scripts(parts)),
+    )
 
 
 def _parameters(done: Certified) -> str:
     found, nominal = done.found, done.correction.nominal
     sigma = np.sqrt(np.diag(found.covariance))
-    rows = [(name, f"{1e3 * step:+.4f}", f"{2e3 * s:.4f}", "mm" if unit == "m" else "mrad")
-            for name, unit, step, s in zip(error_model.names(nominal), error_model.units(nominal), found.step, sigma) if s > 0]
+    rows = [
+        (name, f"{1e3 * step:+.4f}", f"{2e3 * s:.4f}", "mm" if unit == "m" else "mrad")
+        for name, unit, step, s in zip(error_model.names(nominal), error_model.units(nominal), found.step, sigma)
+        if s > 0
+    ]
     return folding_section("Every parameter", table(("change from nominal", "", "± (k = 2)", ""), rows))

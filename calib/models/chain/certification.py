@@ -1,4 +1,6 @@
-"""What a chain's calibration promises: fitted on all samples, its figures from whole stretches that were held out in turn."""
+"""What a chain's calibration promises: fitted on all samples, its figures from whole stretches that were held out in
+turn.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -31,8 +33,10 @@ from rig.planning.configuration_sets import FILL, low_discrepancy
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certified:
-    """correction : Correction of all samples, every stage's; found : Identified; label : (n,) configuration of each sample
-    held_out : HeldOut, whole stretches of configurations in turn, and left : HeldErrors of it, or None for too few of them"""
+    """correction : Correction of all samples, every stage's; found : Identified; label : (n,) configuration of each
+    sample
+    held_out : HeldOut, whole stretches of configurations in turn, and left : HeldErrors of it, or None for too few of
+        them"""
 
     correction: Correction
     found: Identified
@@ -42,7 +46,8 @@ class Certified:
 
 
 def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress: Progress | None = None) -> Certified:
-    """Certified : all stages of a chain together. rng : numpy Generator, for the bootstrap; progress : called with (label, done, of)
+    """Certified : all stages of a chain together. rng : numpy Generator, for the bootstrap; progress : called with
+    (label, done, of)
 
     Raises what `identify` raises
     """
@@ -54,15 +59,27 @@ def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress
     said("fitting the geometry", 1, 1)
     if label.max() + 1 < LEAST:
         return Certified(correction, found, label, None)
-    before, after = held_out_errors_by_fold(samples, label, lambda some: [_corrected(nominal, identify(some, nominal))], said)
+    before, after = held_out_errors_by_fold(
+        samples, label, lambda some: [_corrected(nominal, identify(some, nominal))], said
+    )
     good = found.inliers
     agreed = samples.take(good)
     J = error_model.parameter_jacobian(agreed.commanded, found.chain)
     noise = agreed.covariance + np.diag(found.scatter**2)
-    freed = standardised_residuals(errors_before_and_after(correction, agreed)[1], J, found.covariance, noise, label[good])
+    freed = standardised_residuals(
+        errors_before_and_after(correction, agreed)[1], J, found.covariance, noise, label[good]
+    )
     left = held_out_error_statistics(freed, agreed, label[good])
-    scatter = np.maximum(found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3)))  # what a model lacks a fit takes into itself
-    return Certified(correction, replace(found, scatter=scatter), label, compare_errors(before, after, samples.total_covariance(), rng, label), left)
+    scatter = np.maximum(
+        found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3))
+    )  # what a model lacks a fit takes into itself
+    return Certified(
+        correction,
+        replace(found, scatter=scatter),
+        label,
+        compare_errors(before, after, samples.total_covariance(), rng, label),
+        left,
+    )
 
 
 def _corrected(nominal: Chain, found: Identified) -> Correction:
@@ -71,7 +88,9 @@ def _corrected(nominal: Chain, found: Identified) -> Correction:
 
 
 def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
-    """(n, 6, 6) covariance of the corrected chain's pose at commands (n, axes) m or rad: the parameters' and what the model leaves."""
+    """(n, 6, 6) covariance of the corrected chain's pose at commands (n, axes) m or rad: the parameters' and what the
+    model leaves.
+    """
     J = error_model.parameter_jacobian(commands, calibration.correction.fitted)
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
 
@@ -85,12 +104,24 @@ def workspace_claim_of(samples: Samples, done: Certified, rng: np.random.Generat
     words = f"the middle {FILL * 100:.0f} % of every travel, all axes free of each other"
     asked = int((error_model.prior(nominal) > 0).sum())
     told = ConfigurationInformation(
-        len(each), asked - len(found.undetermined), asked - len(found.undetermined), asked, "what no pose tells stays as stated"
+        len(each),
+        asked - len(found.undetermined),
+        asked - len(found.undetermined),
+        asked,
+        "what no pose tells stays as stated",
     )
     if len(each) < LEAST:
         return claim_of_too_few_configurations(told, words)
     values, T = commands_with_pose(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), done.correction)
     own = (found.scatter**2).reshape(2, 3).sum(axis=1) if done.left is None else done.left.own_draws(0.0, DRAWS, rng)
-    workspace = Workspace(error_model.parameter_jacobian(values, found.chain), pose_difference(mechanism.forward(values, nominal), T), own, words)
+    workspace = Workspace(
+        error_model.parameter_jacobian(values, found.chain),
+        pose_difference(mechanism.forward(values, nominal), T),
+        own,
+        words,
+    )
     draws = rng.multivariate_normal(np.zeros(len(found.covariance)), found.covariance, DRAWS, method="eigh")
-    return replace(claim_of_drawn_machines(workspace, draws, each, told, rng), unexplained=unexplained(found.scatter, each.covariance))
+    return replace(
+        claim_of_drawn_machines(workspace, draws, each, told, rng),
+        unexplained=unexplained(found.scatter, each.covariance),
+    )

@@ -1,9 +1,9 @@
-"""A chain's parameters, all stages together, from the poses of its last platform and of stages below it that were measured; and which of
-their combinations no pose tells apart.
+"""A chain's parameters, all stages together, from the poses of its last platform and of stages below it that were
+measured; and which of their combinations no pose tells apart.
 
-What one stage does the next may undo: where a gantry's carriage holds the hexapod and where the hexapod's base joints stand on it are one and the
-same to the last platform, until the carriage itself is measured. Combinations without information in the poses stay as the owner's figures have
-them and are named.
+What one stage does the next may undo: where a gantry's carriage holds the hexapod and where the hexapod's base joints
+stand on it are one and the same to the last platform, until the carriage itself is measured. Combinations without
+information in the poses stay as the owner's figures have them and are named.
 """
 
 from dataclasses import dataclass
@@ -31,9 +31,11 @@ GATE = 8.0  # standard deviations, of poses that a robust start leaves out
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UndeterminedParameters:
-    """A combination that poses leave as stated. parameters : ((name, weight), ..) in plausible sizes, the largest first; stages : it spans
-    left : of what is plausible, that remains uncertain (1: all); base_stages : (upper, lower) stage where it is the upper one's base that moves as a
-    whole on the lower, so that the lower's own parameters do the same; None for anything else."""
+    """A combination that poses leave as stated. parameters : ((name, weight), ..) in plausible sizes, the largest
+    first; stages : it spans
+    left : of what is plausible, that remains uncertain (1: all); base_stages : (upper, lower) stage where it is the
+    upper one's base that moves as a whole on the lower, so that the lower's own parameters do the same; None for
+    anything else."""
 
     parameters: tuple[tuple[str, float], ...]
     stages: tuple[int, ...]
@@ -42,16 +44,19 @@ class UndeterminedParameters:
 
     def __str__(self) -> str:
         parts = ", ".join(f"{weight:+.2f} {name}" for name, weight in self.parameters)
-        return f"{parts} ({'between stages ' + ' and '.join(map(str, self.stages)) if len(self.stages) > 1 else f'within stage {self.stages[0]}'})"
+        if len(self.stages) > 1:
+            return f"{parts} (between stages {' and '.join(map(str, self.stages))})"
+        return f"{parts} (within stage {self.stages[0]})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified:
     """What a fit of a chain found, p parameters in the order of calib.models.chain.error_model.
 
-    chain : with the fitted geometry; step : (p,) m and rad from the owner's figures; covariance : (p, p), 0 for what is no freedom
-    determined_by_stage : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; undetermined :
-    (UndeterminedParameters, ..)
+    chain : with the fitted geometry; step : (p,) m and rad from the owner's figures; covariance : (p, p), 0 for what is
+        no freedom
+    determined_by_stage : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as
+    well; undetermined : (UndeterminedParameters, ..)
     scatter : (6,) m and rad of the last platform beyond the instrument's own; inliers : (n,) bool, its poses that agree
     below : ((stage, poses that agree, of), ..) of the stages that were measured beside it
     """
@@ -67,13 +72,18 @@ class Identified:
 
     def report(self) -> list[str]:
         """Lines for a reader, stage by stage, then what cannot be told apart."""
-        lines = [f"stage {k + 1} ({stage.kind}): {told} of {asked} combinations of its parameters are told"
-                 for k, (stage, (told, asked)) in enumerate(zip(self.chain.stages, self.determined_by_stage))]
+        lines = [
+            f"stage {k + 1} ({stage.kind}): {told} of {asked} combinations of its parameters are told"
+            for k, (stage, (told, asked)) in enumerate(zip(self.chain.stages, self.determined_by_stage))
+        ]
         lines += [f"stage {k}: {agree} of {of} poses of its own take part" for k, agree, of in self.below]
         for upper, lower in sorted({one.base_stages for one in self.undetermined if one.base_stages is not None}):
             count = sum(one.base_stages == (upper, lower) for one in self.undetermined)
-            lines.append(f"{count} of 6 figures of where stage {upper} stands on stage {lower} cannot be told from stage {lower}'s own: its "
-                         f"base moved as a whole, the last platform stays; they stay as stated")
+            lines.append(
+                f"{count} of 6 figures of where stage {upper} stands on stage {lower} cannot be told from "
+                f"stage {lower}'s own: its "
+                f"base moved as a whole, the last platform stays; they stay as stated"
+            )
         rest = [one for one in self.undetermined if one.base_stages is None]
         if rest:
             lines.append(f"{len(rest)} more combinations that no pose tells stay as stated:")
@@ -90,12 +100,18 @@ def identify(samples: Samples, nominal: Chain) -> Identified:
     sigma = error_model.prior(nominal)
     free = sigma > 0
     if len(samples) < 3:
-        raise NotEnoughData(f"{len(samples)} poses say nothing of a chain; it takes 3 at the least, better {int(free.sum())}")
+        raise NotEnoughData(
+            f"{len(samples)} poses say nothing of a chain; it takes 3 at the least, better {int(free.sum())}"
+        )
     measured = bodies(samples)
-    rows = np.split(np.arange(sum(len(one.values) for one in measured)), np.cumsum([len(one.values) for one in measured])[:-1])
+    rows = np.split(
+        np.arange(sum(len(one.values) for one in measured)), np.cumsum([len(one.values) for one in measured])[:-1]
+    )
     scatter = np.zeros((len(measured), 6))
     for _ in range(ROUNDS):
-        white = [np.linalg.inv(np.linalg.cholesky(one.covariance + np.diag(own**2))) for one, own in zip(measured, scatter)]
+        white = [
+            np.linalg.inv(np.linalg.cholesky(one.covariance + np.diag(own**2))) for one, own in zip(measured, scatter)
+        ]
 
         def linearise(p: np.ndarray, white: list[np.ndarray] = white) -> Linear:
             step = np.zeros(len(sigma))
@@ -112,20 +128,37 @@ def identify(samples: Samples, nominal: Chain) -> Identified:
                 raise
             found = fit(linearise, start, start, sigma[free], inliers=inliers, robust=True)
         hat = leverage(linearise(found.parameters), found.inliers, sigma[free])
-        again = np.array([one.scatter(W, found.residual[own], found.inliers[own], hat[own]) for one, W, own in zip(measured, white, rows)])
+        again = np.array(
+            [
+                one.scatter(W, found.residual[own], found.inliers[own], hat[own])
+                for one, W, own in zip(measured, white, rows)
+            ]
+        )
         if np.allclose(again, scatter, rtol=SETTLED, atol=1e-12):
             break
         scatter = again
     step, covariance = np.zeros(len(sigma)), np.zeros((len(sigma), len(sigma)))
     step[free], covariance[np.ix_(free, free)] = found.parameters, found.covariance
-    below = tuple((one.stage, int(found.inliers[own].sum()), len(own)) for one, own in zip(measured, rows) if one.stage is not None)
-    return Identified(error_model.moved(nominal, step), step, covariance, _told(covariance, sigma, nominal), _untold(covariance, sigma, nominal),
-                      scatter[0], found.inliers[rows[0]], below)
+    below = tuple(
+        (one.stage, int(found.inliers[own].sum()), len(own))
+        for one, own in zip(measured, rows)
+        if one.stage is not None
+    )
+    return Identified(
+        error_model.moved(nominal, step),
+        step,
+        covariance,
+        _told(covariance, sigma, nominal),
+        _untold(covariance, sigma, nominal),
+        scatter[0],
+        found.inliers[rows[0]],
+        below,
+    )
 
 
 def _agreeing(linear: Linear, rows: list[np.ndarray]) -> np.ndarray:
-    """(n,) bool, poses that a robust fit of all parameters, linear about the owner's figures, does not find far off, from which a fit may start; all
-    where poses are too few for that, or too many are far off. rows : of each body"""
+    """(n,) bool, poses that a robust fit of all parameters, linear about the owner's figures, does not find far off,
+    from which a fit may start; all where poses are too few for that, or too many are far off. rows : of each body"""
     near = np.ones(len(linear.residual), bool)
     for own in rows:
         columns = np.concatenate([linear.common[own], linear.jacobian[own]], axis=2)
@@ -152,7 +185,9 @@ def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[Un
     free = np.flatnonzero(sigma > 0)
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free]))
     names, out = error_model.names(chain), []
-    stage = np.concatenate([np.full(part.stop - part.start, k + 1) for k, part in enumerate(error_model.parts(chain))])[free]
+    stage = np.concatenate([np.full(part.stop - part.start, k + 1) for k, part in enumerate(error_model.parts(chain))])[
+        free
+    ]
     for i in np.argsort(-values):
         if values[i] <= TOLD:
             break
@@ -163,16 +198,22 @@ def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[Un
         whole = np.zeros(len(sigma))
         whole[free] = v
         parameters = tuple((names[free[j]], float(v[j])) for j in strong)
-        out.append(UndeterminedParameters(parameters, spans, float(np.sqrt(values[i])), _stands(whole, sigma, chain, spans)))
+        out.append(
+            UndeterminedParameters(parameters, spans, float(np.sqrt(values[i])), _stands(whole, sigma, chain, spans))
+        )
     return tuple(out)
 
 
 def _stands(direction: np.ndarray, sigma: np.ndarray, chain: Chain, spans: tuple[int, ...]) -> tuple[int, int] | None:
-    """(upper, lower) where a direction (p,) in plausible sizes moves the upper stage's base as a whole, and something below it; None elsewhere."""
+    """(upper, lower) where a direction (p,) in plausible sizes moves the upper stage's base as a whole, and something
+    below it; None elsewhere.
+    """
     if len(spans) != 2 or spans[1] != spans[0] + 1:
         return None
     upper = error_model.parts(chain)[spans[1] - 1]
     own = direction[upper]
-    motions = error_model.base_motions(chain.stages[spans[1] - 1]) / np.where(sigma[upper] > 0, sigma[upper], np.inf)[:, None]
+    motions = (
+        error_model.base_motions(chain.stages[spans[1] - 1]) / np.where(sigma[upper] > 0, sigma[upper], np.inf)[:, None]
+    )
     left = own - motions @ np.linalg.lstsq(motions, own)[0]
     return (spans[1], spans[0]) if np.linalg.norm(left) < ALIKE * np.linalg.norm(own) else None

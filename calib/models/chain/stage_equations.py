@@ -1,4 +1,6 @@
-"""What was measured of a chain, stage by stage: residuals and derivatives of each for one least squares, and what it scatters by on its own."""
+"""What was measured of a chain, stage by stage: residuals and derivatives of each for one least squares, and what it
+scatters by on its own.
+"""
 
 from dataclasses import dataclass
 
@@ -13,12 +15,15 @@ from rig.model.design import Chain
 from rig.model.mechanisms import chain as mechanism
 from rig.model.pose import pose_difference
 
-MOST = 0.9  # share of the squares that a fit is taken to have followed: where it followed all, nothing is left to tell scatter by
+# share of the squares that a fit is taken to have followed: where it followed all, nothing is left to tell scatter by
+MOST = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """What was measured of one stage: values (m, axes) effective; T (m,); covariance (m, 6, 6); common (m, 6, k); stage : None for the last."""
+    """What was measured of one stage: values (m, axes) effective; T (m,); covariance (m, 6, 6); common (m, 6, k);
+    stage : None for the last.
+    """
 
     values: np.ndarray
     T: RigidTransform
@@ -34,7 +39,9 @@ class Body:
         return (white @ left[..., None])[..., 0], white @ J, white @ self.common
 
     def scatter(self, white: np.ndarray, residual: np.ndarray, inliers: np.ndarray, hat: np.ndarray) -> np.ndarray:
-        """(6,) m and rad of its scatter beyond the instrument's own. residual : (m, 6) whitened; hat : (m, 6, 6) of the fit, whitened"""
+        """(6,) m and rad of its scatter beyond the instrument's own. residual : (m, 6) whitened; hat : (m, 6, 6) of the
+        fit, whitened
+        """
         if not inliers.any():
             return np.zeros(6)
         half = np.linalg.inv(white[inliers])
@@ -47,12 +54,19 @@ class Body:
 def bodies(samples: Samples) -> list[Body]:
     """The last platform, and the stages below it of which some pose was measured."""
     last = Body(samples.effective, samples.T_base_platform, samples.covariance, samples.common, None)
-    return [last, *(Body(samples.effective[b.seen], b.T_base_stage[b.seen], b.covariance[b.seen], b.common[b.seen], b.stage)
-                    for b in samples.below if b.seen.any())]
+    return [
+        last,
+        *(
+            Body(samples.effective[b.seen], b.T_base_stage[b.seen], b.covariance[b.seen], b.common[b.seen], b.stage)
+            for b in samples.below
+            if b.seen.any()
+        ),
+    ]
 
 
 def leverage(linear: Linear, inliers: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """(n, 6, 6) of every pose, the share of its own noise that a fit follows: what its residual's covariance lacks of the identity.
+    """(n, 6, 6) of every pose, the share of its own noise that a fit follows: what its residual's covariance lacks of
+    the identity.
 
     sigma : (k,) the prior of the parameters
     """

@@ -1,9 +1,11 @@
-"""The hexapod's error model, compiled: delta_e = J_p delta_x from the closed vector loops, at the pose that the parameters predict.
+"""The hexapod's error model, compiled: delta_e = J_p delta_x from the closed vector loops, at the pose that the
+parameters predict.
 
-Each strut closes a loop: commanded length + zero = |R a + t - b|. At constant command a change of the 42 parameters moves the
-pose by J_p = A^-1 D, where A is the struts' Jacobian to the pose and D the loops' to the parameters. Taking both at the predicted
-pose, not at the measured one, keeps the measured pose's noise out of them. Source: Masory, Wang and Zhuang, On the accuracy of
-a Stewart platform, ICRA 1993; the on-line learning patent for Stewart platforms, eq. 1 [0024].
+Each strut closes a loop: commanded length + zero = |R a + t - b|. At constant command a change of the 42 parameters
+moves the pose by J_p = A^-1 D, where A is the struts' Jacobian to the pose and D the loops' to the parameters. Taking
+both at the predicted pose, not at the measured one, keeps the measured pose's noise out of them. Source: Masory, Wang
+and Zhuang, On the accuracy of a Stewart platform, ICRA 1993; the on-line learning patent for Stewart platforms, eq. 1
+[0024].
 """
 
 from typing import NamedTuple
@@ -19,7 +21,9 @@ MAX_TURN = 0.4  # rad per step, so that Newton stays in its assembly
 
 
 class Measured(NamedTuple):
-    """A measured pose, or n of them: R (..., 3, 3); t (..., 3) m; covariance (..., 6, 6) m^2, m rad, rad^2, tangent on the right."""
+    """A measured pose, or n of them: R (..., 3, 3); t (..., 3) m; covariance (..., 6, 6) m^2, m rad, rad^2, tangent on
+    the right.
+    """
 
     R: np.ndarray
     t: np.ndarray
@@ -28,7 +32,9 @@ class Measured(NamedTuple):
 
 @njit(cache=True)
 def solve_in_place(A: np.ndarray, B: np.ndarray) -> bool:
-    """Gaussian elimination with row pivots: B (n, k) becomes A^-1 B, A (n, n) is used up. Returns whether A is regular."""
+    """Gaussian elimination with row pivots: B (n, k) becomes A^-1 B, A (n, n) is used up. Returns whether A is
+    regular.
+    """
     n, width = A.shape[0], B.shape[1]
     for j in range(n):
         pivot = j
@@ -88,7 +94,9 @@ def forward_in_place(L: np.ndarray, B: np.ndarray) -> None:
 
 @njit(cache=True)
 def struts(R: np.ndarray, t: np.ndarray, p: np.ndarray, length: np.ndarray, u: np.ndarray, A: np.ndarray) -> None:
-    """Into length (6,), unit directions u (6, 3) in the base and A (6, 6): the struts at pose R, t for parameters p (42,)."""
+    """Into length (6,), unit directions u (6, 3) in the base and A (6, 6): the struts at pose R, t for parameters p
+    (42,).
+    """
     for i in range(6):
         a = p[18 + 3 * i : 21 + 3 * i]
         for k in range(3):
@@ -105,7 +113,9 @@ def struts(R: np.ndarray, t: np.ndarray, p: np.ndarray, length: np.ndarray, u: n
 
 @njit(cache=True)
 def pose_of(command: np.ndarray, p: np.ndarray, R: np.ndarray, t: np.ndarray) -> bool:
-    """Newton from pose R (3, 3), t (3,), moved in place, to the pose of a command (6,) m. Returns whether it got there."""
+    """Newton from pose R (3, 3), t (3,), moved in place, to the pose of a command (6,) m. Returns whether it got
+    there.
+    """
     length, u, A, right = np.empty(6), np.empty((6, 3)), np.empty((6, 6)), np.empty((6, 1))
     reach = 0.3 * np.sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2) + 1e-3
     worst = np.inf
@@ -146,12 +156,21 @@ def error(R: np.ndarray, t: np.ndarray, R_measured: np.ndarray, t_measured: np.n
 
 
 @njit(cache=True)
-def row(R: np.ndarray, t: np.ndarray, p: np.ndarray, measured: Measured, scatter: np.ndarray, right: np.ndarray,
-        J: np.ndarray) -> tuple[bool, np.ndarray]:
-    """One pose's whitened rows, docs/mathematics.md (7): right (6, 1 + k), whose columns from the second are given in the pose's tangent,
-    gets the error as its first and is whitened in place; J (6, 42) and the struts' own columns S (6, 6), returned, likewise.
+def row(
+    R: np.ndarray,
+    t: np.ndarray,
+    p: np.ndarray,
+    measured: Measured,
+    scatter: np.ndarray,
+    right: np.ndarray,
+    J: np.ndarray,
+) -> tuple[bool, np.ndarray]:
+    """One pose's whitened rows, docs/mathematics.md (7): right (6, 1 + k), whose columns from the second are given in
+    the pose's tangent, gets the error as its first and is whitened in place; J (6, 42) and the struts' own columns S
+    (6, 6), returned, likewise.
 
-    R, t : the predicted pose; p : (42,) m; measured : Measured, of one pose; scatter : (6,) m^2 variance of each strut beyond its covariance
+    R, t : the predicted pose; p : (42,) m; measured : Measured, of one pose; scatter : (6,) m^2 variance of each strut
+        beyond its covariance
     Returns (well, S): whether all is regular
     """
     length, u, A = np.empty(6), np.empty((6, 3)), np.empty((6, 6))
@@ -182,12 +201,21 @@ def row(R: np.ndarray, t: np.ndarray, p: np.ndarray, measured: Measured, scatter
 
 
 @njit(cache=True)
-def rows(commands: np.ndarray, R: np.ndarray, t: np.ndarray, p: np.ndarray, measured: Measured, scatter: np.ndarray, right: np.ndarray,
-         J: np.ndarray) -> int:
-    """All poses' whitened rows, as `row` has them: right (n, 6, 1 + k), J (n, 6, 42); R, t (n, ..) start near the predicted poses and
-    become them.
+def rows(
+    commands: np.ndarray,
+    R: np.ndarray,
+    t: np.ndarray,
+    p: np.ndarray,
+    measured: Measured,
+    scatter: np.ndarray,
+    right: np.ndarray,
+    J: np.ndarray,
+) -> int:
+    """All poses' whitened rows, as `row` has them: right (n, 6, 1 + k), J (n, 6, 42); R, t (n, ..) start near the
+    predicted poses and become them.
 
-    commands : (n, 6) m; measured : Measured, of n poses. Returns the first pose that has no solution or no covariance, or -1
+    commands : (n, 6) m; measured : Measured, of n poses. Returns the first pose that has no solution or no covariance,
+        or -1
     """
     for i in range(len(commands)):
         one = Measured(measured.R[i], measured.t[i], measured.covariance[i])

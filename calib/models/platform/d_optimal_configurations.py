@@ -1,8 +1,9 @@
-"""Which configurations determine the parameters best: an exchange of configurations against candidates all over the strokes.
+"""Which configurations determine the parameters best: an exchange of configurations against candidates all over the
+strokes.
 
-Criteria: "determinant" (D-optimal: the volume of the parameters' uncertainty), "noise" (the noise amplification index of Nahvi
-and Hollerbach, ICRA 1996: smallest singular value squared over the greatest). Source of the exchange: Fedorov, Theory of Optimal
-Experiments, 1972.
+Criteria: "determinant" (D-optimal: the volume of the parameters' uncertainty), "noise" (the noise amplification index
+of Nahvi and Hollerbach, ICRA 1996: smallest singular value squared over the greatest). Source of the exchange: Fedorov,
+Theory of Optimal Experiments, 1972.
 """
 
 from collections.abc import Callable
@@ -40,11 +41,20 @@ class Chosen:
     even: np.ndarray
 
 
-def choose_configurations(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion: str = "determinant", given: np.ndarray | None = None,
-           seed: int = 0, progress: Callable[[int, int], None] | None = None, avoided: Avoided | None = None) -> Chosen:
+def choose_configurations(
+    hexapod: Hexapod,
+    count: int,
+    sigmas: tuple[float, float],
+    criterion: str = "determinant",
+    given: np.ndarray | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    avoided: Avoided | None = None,
+) -> Chosen:
     """Chosen configurations, `count` of them, beside those given (k, 6) m.
 
-    sigmas : (m, rad) standard deviations of a measured pose's position and rotation, per axis; progress : called with (done, of)
+    sigmas : (m, rad) standard deviations of a measured pose's position and rotation, per axis; progress : called with
+        (done, of)
     avoided : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
     Raises RigError for an unknown criterion, too few configurations to hold 42 parameters, or where none may be visited
     """
@@ -56,7 +66,9 @@ def choose_configurations(hexapod: Hexapod, count: int, sigmas: tuple[float, flo
     candidates, G = _candidates(hexapod, sigmas, seed, avoided)
     known = configuration_information(given, hexapod, sigmas)[1].reshape(-1, 42) if len(given) else np.zeros((0, 42))
     picked = exchange_configurations(G, known.T @ known, count, criterion, progress)
-    even = configuration_information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[1].reshape(-1, 42)
+    even = configuration_information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[
+        1
+    ].reshape(-1, 42)
     parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
     chosen = candidates[picked]
     order = balanced_order(chosen, np.random.default_rng(seed), hexapod.strut_range.mean(axis=1))
@@ -66,7 +78,9 @@ def choose_configurations(hexapod: Hexapod, count: int, sigmas: tuple[float, flo
 def exchange_configurations(
     G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progress: Callable[[int, int], None] | None = None
 ) -> list[int]:
-    """`count` of the candidates with whitened rows G (c, m, p), in plausible sizes, that tell most beside the information M0 (p, p)."""
+    """`count` of the candidates with whitened rows G (c, m, p), in plausible sizes, that tell most beside the
+    information M0 (p, p).
+    """
     picked: list[int] = []
     gain = _determinant if criterion == "determinant" else _noise
     for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
@@ -92,8 +106,12 @@ def exchange_configurations(
     return picked
 
 
-def configuration_information(commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """(commands (n, 6) m that close on a pose, rows (n, 6, 42): J_p whitened by the pose's sigmas (m, rad), in plausible sizes)."""
+def configuration_information(
+    commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(commands (n, 6) m that close on a pose, rows (n, 6, 42): J_p whitened by the pose's sigmas (m, rad), in
+    plausible sizes).
+    """
     commands = np.asarray(commands, float)
     while True:
         try:
@@ -105,11 +123,15 @@ def configuration_information(commands: np.ndarray, hexapod: Hexapod, sigmas: tu
         return commands, pose_jacobian(T, hexapod) * weights * PLAUSIBLE
 
 
-def _candidates(hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: Avoided | None) -> tuple[np.ndarray, np.ndarray]:
+def _candidates(
+    hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: Avoided | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
     spread = plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed)
     return configuration_information(
-        allowed_configurations(np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)]), avoided), hexapod, sigmas
+        allowed_configurations(np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)]), avoided),
+        hexapod,
+        sigmas,
     )
 
 
@@ -117,8 +139,11 @@ def allowed_configurations(commands: np.ndarray, avoided: Avoided | None) -> np.
     """Those of the commands (n, 6) m that may be visited. Raises RigError where none may."""
     kept = commands if avoided is None else commands[~avoided(commands)]
     if not len(kept):
-        raise RigError(f"none of {len(commands)} configurations all over the strokes may be visited: the calibration leaves no pose of the owner's "
-                       "model in reach")
+        raise RigError(
+            f"none of {len(commands)} configurations all over the strokes may be visited: the calibration "
+            "leaves no pose of the owner's "
+            "model in reach"
+        )
     return kept
 
 
@@ -137,7 +162,9 @@ def _determinant(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float,
 
 
 def _noise(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.ndarray]:
-    """(noise amplification index with candidate `present`, with each candidate (c,), -inf for those not worth looking at)."""
+    """(noise amplification index with candidate `present`, with each candidate (c,), -inf for those not worth looking
+    at).
+    """
     size, V = np.linalg.eigh(M)
     promise = np.einsum("cik,k->c", (G @ V) ** 2, 1 / np.maximum(size, 1e-12) ** 2)
     look = np.r_[present, np.argsort(-promise)[:LOOKED_AT]]

@@ -1,10 +1,12 @@
-"""The geometry of a machine on struts from measured poses: joint positions and strut zeros, by least squares on the poses they predict.
+"""The geometry of a machine on struts from measured poses: joint positions and strut zeros, by least squares on the
+poses they predict.
 
-Each strut closes a vector loop: commanded length + zero = |R a + t - b|. The measured pose less the one that the loops predict is
-weighted by the poses' covariance; the errors that all poses share (cameras and lenses) are solved for together with the
-parameters, so that the struts' known lengths steady the cameras. Source: Masory, Wang and Zhuang, On the accuracy of a Stewart
-platform, ICRA 1993 (the loop); the shared errors as nuisance parameters are the linear form of one solve of cameras, lenses and
-geometry (calib/models/platform/joint_camera_fit.py). A hexapod has 42 parameters, two struts in a plane have 6.
+Each strut closes a vector loop: commanded length + zero = |R a + t - b|. The measured pose less the one that the loops
+predict is weighted by the poses' covariance; the errors that all poses share (cameras and lenses) are solved for
+together with the parameters, so that the struts' known lengths steady the cameras. Source: Masory, Wang and Zhuang, On
+the accuracy of a Stewart platform, ICRA 1993 (the loop); the shared errors as nuisance parameters are the linear form
+of one solve of cameras, lenses and geometry (calib/models/platform/joint_camera_fit.py). A hexapod has 42 parameters,
+two struts in a plane have 6.
 """
 
 from dataclasses import dataclass, replace
@@ -30,9 +32,17 @@ LEAST = 7  # poses from which struts may scatter, and on which a geometry must s
 GATE = 6.0  # standard deviations of one strut's closure beyond which a pose is left out
 ROWS = 4  # poses for each parameter of a strut's loop, from which a robust start is taken
 EXCESS = 3.0  # standard deviations of chance that scatter must exceed before it counts as the struts'
-NAMES = {"hexapod": (*(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
-                     *(f"zero of strut {i + 1}" for i in range(6))),
-         "planar2": (*(f"base joint {i + 1} {axis}" for i in range(2) for axis in "xy"), "zero of strut 1", "zero of strut 2")}
+NAMES = {
+    "hexapod": (
+        *(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
+        *(f"zero of strut {i + 1}" for i in range(6)),
+    ),
+    "planar2": (
+        *(f"base joint {i + 1} {axis}" for i in range(2) for axis in "xy"),
+        "zero of strut 1",
+        "zero of strut 2",
+    ),
+}
 
 S = TypeVar("S", Hexapod, Planar2, Hexapod | Planar2)
 
@@ -43,9 +53,11 @@ class Identified:
 
     mechanism : with the fitted geometry; covariance : (p, p) m^2; shared : (k,) the draw of the poses'
     shared errors; root : (p, p) 1/m, square root of the information in the poses alone
-    residuals : (n, axes) m, what each strut's loop leaves once the shared errors are taken out; their covariance : (n, axes, axes) m^2
+    residuals : (n, axes) m, what each strut's loop leaves once the shared errors are taken out; their covariance : (n,
+        axes, axes) m^2
     scatter : (axes,) m, scatter of each strut beyond the poses' own; inliers : (n,) bool
-    prior : (p,) m, standard deviation that the owner's figures were given; cost : whitened squares of data, shared draw and prior
+    prior : (p,) m, standard deviation that the owner's figures were given; cost : whitened squares of data, shared draw
+        and prior
     """
 
     mechanism: Struts
@@ -69,17 +81,26 @@ def parameters(mechanism: Struts) -> np.ndarray:
 def with_parameters(mechanism: S, p: np.ndarray) -> S:
     """The mechanism with parameters p (p,) m."""
     if isinstance(mechanism, Hexapod):
-        return replace(mechanism, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:])
+        return replace(
+            mechanism, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:]
+        )
     return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
 
 
-def identify(samples: Samples, nominal: Struts, offset: np.ndarray | None = None, prior: np.ndarray | None = None,
-             near: Identified | None = None) -> Identified:
-    """Joint positions and strut zeros that explain the measured poses, as near to the owner's as these allow, docs/mathematics.md (7).
+def identify(
+    samples: Samples,
+    nominal: Struts,
+    offset: np.ndarray | None = None,
+    prior: np.ndarray | None = None,
+    near: Identified | None = None,
+) -> Identified:
+    """Joint positions and strut zeros that explain the measured poses, as near to the owner's as these allow,
+    docs/mathematics.md (7).
 
     samples : Samples; nominal : where the fit starts and where its prior holds what the poses do not tell
     near : Identified of nearly the same, to start from instead: the same optimum in fewer steps
-    offset : (n, axes) m or None, known deviations of the struts (commanded less effective), taken off the commands first
+    offset : (n, axes) m or None, known deviations of the struts (commanded less effective), taken off the commands
+        first
     prior : (p,) m, standard deviation that the owner's figures are given, 5 mm each by default
     Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
@@ -92,7 +113,9 @@ def identify(samples: Samples, nominal: Struts, offset: np.ndarray | None = None
     for turn in range(ROUNDS):
         try:
             found = loops.fit(p, inliers, scatter)
-        except RigError:  # wild poses may lead where no loop closes; a start without them leaves out what a few poses alone show as well
+        except RigError:
+            # wild poses may lead where no loop closes; a start without them leaves out what a few poses alone show as
+            # well
             inliers = loops.agreeing(p)
             if turn or inliers.all():
                 raise
@@ -105,18 +128,42 @@ def identify(samples: Samples, nominal: Struts, offset: np.ndarray | None = None
         if (new_inliers == inliers).all() and np.abs(new_scatter - scatter).max() < 1e-9:
             break
         inliers, scatter = new_inliers, new_scatter
-    return Identified(with_parameters(nominal, p), found.covariance, found.shared, found.root, left, S, scatter, inliers, prior, found.cost)
+    return Identified(
+        with_parameters(nominal, p),
+        found.covariance,
+        found.shared,
+        found.root,
+        left,
+        S,
+        scatter,
+        inliers,
+        prior,
+        found.cost,
+    )
 
 
 class Loops:
-    """The samples of a machine as a problem of least squares, for given weights; keeps the predicted poses to start from again."""
+    """The samples of a machine as a problem of least squares, for given weights; keeps the predicted poses to start
+    from again.
+    """
 
     def __init__(self, samples: Samples, lengths: np.ndarray, nominal: Struts, prior: np.ndarray) -> None:
-        """samples : Samples; lengths : (n, axes) m, commanded; nominal : the prior's middle; prior : (p,) m, its width"""
-        self.prior, self.samples, self.lengths, self.nominal = prior, samples, np.ascontiguousarray(lengths, float), nominal
+        """samples : Samples; lengths : (n, axes) m, commanded; nominal : the prior's middle; prior : (p,) m, its
+        width
+        """
+        self.prior, self.samples, self.lengths, self.nominal = (
+            prior,
+            samples,
+            np.ascontiguousarray(lengths, float),
+            nominal,
+        )
         measured = samples.T_base_platform.as_matrix()
-        self.measured = closed_loop_kernels.Measured(*(np.ascontiguousarray(part, float) for part in (measured[:, :3, :3], measured[:, :3, 3],
-                                                                                              samples.covariance)))
+        self.measured = closed_loop_kernels.Measured(
+            *(
+                np.ascontiguousarray(part, float)
+                for part in (measured[:, :3, :3], measured[:, :3, 3], samples.covariance)
+            )
+        )
         home = (nominal.home if isinstance(nominal, Hexapod) else RigidTransform.identity()).as_matrix()
         self.R, self.t = np.tile(home[:3, :3], (len(samples), 1, 1)), np.tile(home[:3, 3], (len(samples), 1))
 
@@ -125,7 +172,9 @@ class Loops:
         return fit(lambda p: self.linearise(p, scatter), start, parameters(self.nominal), self.prior, inliers=inliers)
 
     def linearise(self, p: np.ndarray, scatter: np.ndarray) -> Linear:
-        """least_squares.Linear at parameters p (p,). Raises RigError naming the first pose that has no solution there."""
+        """least_squares.Linear at parameters p (p,). Raises RigError naming the first pose that has no solution
+        there.
+        """
         common = self.samples.common
         if isinstance(self.nominal, Planar2):
             return two_strut_loop.linear(self.samples, self.lengths, with_parameters(self.nominal, p), scatter)
@@ -133,15 +182,23 @@ class Loops:
         right[..., 1:] = common
         bad = closed_loop_kernels.rows(self.lengths, self.R, self.t, p, self.measured, scatter**2, right, J)
         if bad >= 0:
-            raise RigError(f"frame {self.samples.frame[bad]}: the commanded lengths {self.lengths[bad].round(6).tolist()} m close on no pose, "
-                           "or its covariance is none")
+            raise RigError(
+                f"frame {self.samples.frame[bad]}: the commanded lengths "
+                f"{self.lengths[bad].round(6).tolist()} m close on no pose, "
+                "or its covariance is none"
+            )
         return Linear(right[..., 0], J, right[..., 1:])
 
     def agreeing(self, p: np.ndarray) -> np.ndarray:
-        """(n,) bool, poses that a robust fit of each strut's loop about parameters p (p,) does not find far off, from which a fit may start; all
-        where poses are too few for that, or too many are far off. What parameters may do is asked at the poses that commands give, of which none
-        is wild. Raises NotConverged for commands that no pose closes."""
-        T, geometry, every = self.samples.T_base_platform, with_parameters(self.nominal, p), np.ones(len(self.lengths), bool)
+        """(n,) bool, poses that a robust fit of each strut's loop about parameters p (p,) does not find far off, from
+        which a fit may start; all where poses are too few for that, or too many are far off. What parameters may do is
+        asked at the poses that commands give, of which none is wild. Raises NotConverged for commands that no pose
+        closes."""
+        T, geometry, every = (
+            self.samples.T_base_platform,
+            with_parameters(self.nominal, p),
+            np.ones(len(self.lengths), bool),
+        )
         commanded = mechanisms.kinematics_of(geometry).forward(self.lengths, geometry)
         A, loops = strut_jacobian(commanded, geometry), loop_jacobian(commanded, geometry)
         left = self.lengths - mechanisms.kinematics_of(geometry).inverse(T, geometry)
@@ -149,16 +206,25 @@ class Loops:
         own = [loops[:, i, loops[:, i].any(axis=0)] for i in range(left.shape[1])]
         if len(every) < ROWS * max(columns.shape[1] for columns in own):
             return every
-        found = robust_fit([((left[:, i] / sigma[:, i])[:, None], (columns / sigma[:, i, None])[:, None]) for i, columns in enumerate(own)])
+        found = robust_fit(
+            [
+                ((left[:, i] / sigma[:, i])[:, None], (columns / sigma[:, i, None])[:, None])
+                for i, columns in enumerate(own)
+            ]
+        )
         near = (np.abs(found.residual) < GATE * np.maximum(1.0, found.scale)).all(axis=1)
         return near if (~near).mean() <= MOST else every
 
     def closure(self, found: Fit) -> tuple[np.ndarray, np.ndarray]:
-        """(n, axes) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, axes, axes) m^2 from the poses'."""
+        """(n, axes) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, axes,
+        axes) m^2 from the poses'.
+        """
         T, geometry = self.samples.T_base_platform, with_parameters(self.nominal, found.parameters)
         A = strut_jacobian(T, geometry)
         left = (
-            self.lengths - mechanisms.kinematics_of(geometry).inverse(T, geometry) + np.einsum("nij,njk,k->ni", A, self.samples.common, found.shared)
+            self.lengths
+            - mechanisms.kinematics_of(geometry).inverse(T, geometry)
+            + np.einsum("nij,njk,k->ni", A, self.samples.common, found.shared)
         )
         return left, A @ self.samples.covariance @ np.swapaxes(A, 1, 2)
 
@@ -171,13 +237,17 @@ def strut_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.nda
 
 
 def inverse_strut_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
-    """(..., 6, axes) change of the pose's tangent (m, rad, on the right) with the struts' lengths, at poses RigidTransform (...)."""
+    """(..., 6, axes) change of the pose's tangent (m, rad, on the right) with the struts' lengths, at poses
+    RigidTransform (...).
+    """
     A = strut_jacobian(T_base_platform, mechanism)
     return np.linalg.inv(A) if A.shape[-2] == 6 else np.linalg.pinv(A)
 
 
 def loop_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
-    """(..., axes, p) change of the struts' closure, zero - length, with the parameters (m/m), at poses RigidTransform (...)."""
+    """(..., axes, p) change of the struts' closure, zero - length, with the parameters (m/m), at poses RigidTransform
+    (...).
+    """
     if isinstance(mechanism, Planar2):
         return two_strut_loop.loop_jacobian(T_base_platform, mechanism)
     matrix = T_base_platform.as_matrix()
@@ -196,7 +266,8 @@ def loop_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndar
 def pose_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
     """J_p (..., 6, p): change of the pose's tangent (m, rad, on the right) with the parameters (m) at constant command.
 
-    delta_e = J_p delta_x, docs/mathematics.md (7); source: the on-line learning patent for Stewart platforms, eq. 1 [0024]
+    delta_e = J_p delta_x, docs/mathematics.md (7); source: the on-line learning patent for Stewart platforms, eq. 1
+    [0024]
     """
     if isinstance(mechanism, Planar2):
         return inverse_strut_jacobian(T_base_platform, mechanism) @ loop_jacobian(T_base_platform, mechanism)
@@ -204,14 +275,20 @@ def pose_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndar
 
 
 def _scatter(left: np.ndarray, S: np.ndarray, inliers: np.ndarray, spent: int) -> np.ndarray:
-    """(axes,) m: what each strut scatters beyond the poses' own covariance, 0 where that suffices. spent : poses' worth of parameters"""
+    """(axes,) m: what each strut scatters beyond the poses' own covariance, 0 where that suffices. spent : poses' worth
+    of parameters
+    """
     count = inliers.sum()
     if count <= LEAST:
         return np.zeros(left.shape[1])
     own = np.einsum("nii->ni", S)[inliers].mean(axis=0) * max(1 - spent / count, 0.1)
     seen = (left[inliers] ** 2).mean(axis=0)
     freedom = count - spent
-    return np.where(seen > own * scipy.special.chdtri(freedom, scipy.special.ndtr(-EXCESS)) / freedom, np.sqrt(np.maximum(seen - own, 0)), 0.0)
+    return np.where(
+        seen > own * scipy.special.chdtri(freedom, scipy.special.ndtr(-EXCESS)) / freedom,
+        np.sqrt(np.maximum(seen - own, 0)),
+        0.0,
+    )
 
 
 def _inliers(left: np.ndarray, S: np.ndarray, scatter: np.ndarray) -> np.ndarray:

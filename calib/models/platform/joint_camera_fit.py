@@ -1,8 +1,9 @@
-"""Corners -> cameras, lenses and the hexapod's 42 parameters in one solve: the struts' known lengths hold every frame's pose.
+"""Corners -> cameras, lenses and the hexapod's 42 parameters in one solve: the struts' known lengths hold every frame's
+pose.
 
-No frame has unknowns of its own: its pose is the forward kinematics of its command. Two steps (poses first, parameters after,
-calib/models/platform/identification.py) agree with this to second order where the poses' shared errors are solved for with the parameters, and fall
-behind it where they are pooled with the poses' own.
+No frame has unknowns of its own: its pose is the forward kinematics of its command. Two steps (poses first, parameters
+after, calib/models/platform/identification.py) agree with this to second order where the poses' shared errors are
+solved for with the parameters, and fall behind it where they are pooled with the poses' own.
 """
 
 from dataclasses import dataclass, replace
@@ -25,8 +26,10 @@ from vision.recording_adjustment import Measurement
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
-    """mechanism : Hexapod as fitted; cameras : as fitted; covariance : (42, 42) m^2 of the parameters, cameras' and lenses' included;
-    root : (42, 42) 1/m, square root of the information in the corners and the lens priors; residuals : (n, 2) whitened"""
+    """mechanism : Hexapod as fitted; cameras : as fitted; covariance : (42, 42) m^2 of the parameters, cameras' and
+    lenses' included;
+    root : (42, 42) 1/m, square root of the information in the corners and the lens priors; residuals : (n, 2)
+        whitened"""
 
     mechanism: Hexapod
     cameras: tuple[Camera, ...]
@@ -35,9 +38,16 @@ class Joint:
     residuals: np.ndarray
 
 
-def fit_cameras_and_geometry(observations: Observations, commanded: np.ndarray, state: State, stated: tuple[Camera, ...], nominal: Hexapod,
-          start: Hexapod | None = None) -> Joint:
-    """Joint of corners whose frames all were commanded, with every camera fixed: docs/mathematics.md (1), (2) and (3) in one solve.
+def fit_cameras_and_geometry(
+    observations: Observations,
+    commanded: np.ndarray,
+    state: State,
+    stated: tuple[Camera, ...],
+    nominal: Hexapod,
+    start: Hexapod | None = None,
+) -> Joint:
+    """Joint of corners whose frames all were commanded, with every camera fixed: docs/mathematics.md (1), (2) and (3)
+    in one solve.
 
     observations : Observations, outliers taken out, covariance to weigh by; commanded : (F, 6) m of its frames
     state : State to start from (cameras as adjusted); stated : Cameras as their owner has them, the lenses' prior
@@ -53,7 +63,9 @@ def fit_cameras_and_geometry(observations: Observations, commanded: np.ndarray, 
     starts = 42 + np.r_[0, np.cumsum(sizes)]
     mean = np.concatenate([parameters(nominal), *[np.r_[np.zeros(6), _lens(c)] for c in stated]])
     sigma = np.concatenate([np.full(42, PRIOR), *[np.r_[np.full(6, np.inf), lens_prior(c)] for c in stated]])
-    begin = np.concatenate([parameters(nominal if start is None else start), *[np.r_[np.zeros(6), _lens(c)] for c in state.cameras]])
+    begin = np.concatenate(
+        [parameters(nominal if start is None else start), *[np.r_[np.zeros(6), _lens(c)] for c in state.cameras]]
+    )
     guess = [state.platform]
 
     def at(p: np.ndarray) -> State:
@@ -90,11 +102,18 @@ def fit_cameras_and_geometry(observations: Observations, commanded: np.ndarray, 
     found = fit(ordered, begin[order], mean[order], sigma[order])
     p = found.parameters[np.argsort(order)]
     done = at(p)
-    return Joint(with_parameters(nominal, p[:42]), done.cameras, found.covariance[-42:, -42:], found.root[-42:, -42:], found.residual)
+    return Joint(
+        with_parameters(nominal, p[:42]),
+        done.cameras,
+        found.covariance[-42:, -42:],
+        found.root[-42:, -42:],
+        found.residual,
+    )
 
 
 def commanded_state(measured: Measurement, samples: Samples) -> tuple[Observations, np.ndarray, State]:
-    """(Observations, commanded (F, 6) m, State) for `fit_cameras_and_geometry`: the corners a measurement used, in the frames that were commanded.
+    """(Observations, commanded (F, 6) m, State) for `fit_cameras_and_geometry`: the corners a measurement used, in the
+    frames that were commanded.
 
     measured : vision Measurement; samples : Samples of it
     """
@@ -113,4 +132,6 @@ def _lens(camera: Camera) -> np.ndarray:
 def _camera(camera: Camera, q: np.ndarray) -> Camera:
     """The camera moved by the tangent q[:6] with the lens q[6:]."""
     fx, fy, cx, cy = q[6:10]
-    return replace(camera, pose=camera.pose * exp(q[:6]), matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), distortion=q[10:])
+    return replace(
+        camera, pose=camera.pose * exp(q[:6]), matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), distortion=q[10:]
+    )

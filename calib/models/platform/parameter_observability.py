@@ -1,4 +1,6 @@
-"""What poses tell of the parameters of a machine on struts: which combinations they determine, how well, and what each is in plain terms."""
+"""What poses tell of the parameters of a machine on struts: which combinations they determine, how well, and what each
+is in plain terms.
+"""
 
 from dataclasses import dataclass
 
@@ -36,7 +38,9 @@ def parameter_combinations(root: np.ndarray, mechanism: Struts) -> tuple[tuple[C
     patterns = _patterns(mechanism)
     with np.errstate(divide="ignore"):
         sigma = PLAUSIBLE / seen.singular
-    return tuple(Combination(d, float(s), direction_text(d, patterns)) for d, s in zip(seen.directions[::-1], sigma[::-1])), seen
+    return tuple(
+        Combination(d, float(s), direction_text(d, patterns)) for d, s in zip(seen.directions[::-1], sigma[::-1])
+    ), seen
 
 
 def standard_error_along(root: np.ndarray, direction: np.ndarray) -> float:
@@ -45,19 +49,24 @@ def standard_error_along(root: np.ndarray, direction: np.ndarray) -> float:
 
 
 def frame_motion_columns(mechanism: Hexapod) -> np.ndarray:
-    """(42, 12) the parameters' motions with the frames: base joints with the base frame (x y z rx ry rz), platform joints with theirs.
+    """(42, 12) the parameters' motions with the frames: base joints with the base frame (x y z rx ry rz), platform
+    joints with theirs.
 
-    Where targets with stated poses hold both frames the poses determine them like any other combination; where an instrument
-    stands free, or its tool sits anywhere, they are no different from where it stands and must be held.
+    Where targets with stated poses hold both frames the poses determine them like any other combination; where an
+    instrument stands free, or its tool sits anywhere, they are no different from where it stands and must be held.
     """
     out = np.zeros((42, 12))
     for k, joints in enumerate((mechanism.base_joints, mechanism.platform_joints)):
-        out[18 * k : 18 * k + 18, 6 * k : 6 * k + 6] = np.concatenate([np.tile(np.eye(3), (6, 1, 1)), -skew(joints)], axis=2).reshape(18, 6)
+        out[18 * k : 18 * k + 18, 6 * k : 6 * k + 6] = np.concatenate(
+            [np.tile(np.eye(3), (6, 1, 1)), -skew(joints)], axis=2
+        ).reshape(18, 6)
     return out
 
 
 def base_motion_columns(mechanism: Struts) -> np.ndarray:
-    """(p, 6) m/m and m/rad the parameters' motions with the base frame (x y z rx ry rz); of two struts (6, 3), with x, y and rz."""
+    """(p, 6) m/m and m/rad the parameters' motions with the base frame (x y z rx ry rz); of two struts (6, 3), with x,
+    y and rz.
+    """
     if isinstance(mechanism, Hexapod):
         return frame_motion_columns(mechanism)[:, :6]
     out = np.zeros((6, 3))
@@ -67,7 +76,9 @@ def base_motion_columns(mechanism: Struts) -> np.ndarray:
 
 
 def direction_text(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> str:
-    """A unit direction (p,) in words: up to TERMS of the patterns {name: (p,) unit} or single parameters, the largest first."""
+    """A unit direction (p,) in words: up to TERMS of the patterns {name: (p,) unit} or single parameters, the largest
+    first.
+    """
     left, terms = direction.copy(), list[str]()
     while len(terms) < TERMS and left @ left > 1 - MOSTLY:
         shares = {name: left @ pattern for name, pattern in patterns.items()}
@@ -78,11 +89,21 @@ def direction_text(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> st
 
 
 def _patterns(mechanism: Struts) -> dict[str, np.ndarray]:
-    """{name: unit direction (p,)}: plates moved and scaled as a whole, all zeros together, each strut's loop, each parameter alone."""
-    found = _of_hexapod(mechanism) if isinstance(mechanism, Hexapod) else {
-        **{f"base joints moved {axis}": motion for axis, motion in zip(("along x", "along y", "about z"), base_motion_columns(mechanism).T)},
-        "base joints spread": np.r_[(mechanism.base_joints - mechanism.base_joints.mean(axis=0)).ravel(), 0, 0],
-        "both zeros": np.r_[np.zeros(4), 1, 1.0]}
+    """{name: unit direction (p,)}: plates moved and scaled as a whole, all zeros together, each strut's loop, each
+    parameter alone.
+    """
+    found = (
+        _of_hexapod(mechanism)
+        if isinstance(mechanism, Hexapod)
+        else {
+            **{
+                f"base joints moved {axis}": motion
+                for axis, motion in zip(("along x", "along y", "about z"), base_motion_columns(mechanism).T)
+            },
+            "base joints spread": np.r_[(mechanism.base_joints - mechanism.base_joints.mean(axis=0)).ravel(), 0, 0],
+            "both zeros": np.r_[np.zeros(4), 1, 1.0],
+        }
+    )
     for name, unit in zip(NAMES[mechanism.kind], np.eye(len(NAMES[mechanism.kind]))):
         found[name] = unit
     return {name: pattern / np.linalg.norm(pattern) for name, pattern in found.items() if np.linalg.norm(pattern) > 0}
@@ -96,7 +117,9 @@ def _of_hexapod(mechanism: Hexapod) -> dict[str, np.ndarray]:
         for j, axis in enumerate(("along x", "along y", "along z", "about x", "about y", "about z")):
             found[f"{plate} joints moved {axis}"] = motions[:, 6 * k + j]
         joints = mechanism.base_joints if k == 0 else mechanism.platform_joints
-        found[f"{plate} joints spread"] = np.r_[np.zeros(18 * k), (joints - joints.mean(axis=0)).ravel(), np.zeros(24 - 18 * k)]
+        found[f"{plate} joints spread"] = np.r_[
+            np.zeros(18 * k), (joints - joints.mean(axis=0)).ravel(), np.zeros(24 - 18 * k)
+        ]
     found["all zeros"] = np.r_[np.zeros(36), np.ones(6)]
     u = _directions(mechanism)
     for i in range(6):

@@ -1,8 +1,9 @@
-"""How good the owner's figures are, as the poses themselves have it: joints and zeros are drawn about where they are stated.
+"""How good the owner's figures are, as the poses themselves have it: joints and zeros are drawn about where they are
+stated.
 
-The widths of these draws, one for the joints' coordinates and one for the zeros, are found by the evidence, so that what the poses
-do not tell rests on a tolerance that they bear out, and what is promised of it too. Source: MacKay, Bayesian interpolation,
-Neural Computation 1992.
+The widths of these draws, one for the joints' coordinates and one for the zeros, are found by the evidence, so that
+what the poses do not tell rests on a tolerance that they bear out, and what is promised of it too. Source: MacKay,
+Bayesian interpolation, Neural Computation 1992.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,8 @@ STEPS = 25  # of the grid of either width, in equal ratios
 @dataclass(frozen=True, slots=True, eq=False)
 class Tolerance:
     """widths : (k, 2) m, of joints and of zeros; weight : (k,) probability of each pair
-    information : (p, p) 1/m^2 of the poses alone; right : (p,) 1/m, information times what the poses alone move the parameters by
+    information : (p, p) 1/m^2 of the poses alone; right : (p,) 1/m, information times what the poses alone move the
+        parameters by
     counts : how many of the parameters are joints' coordinates and how many are zeros
     """
 
@@ -41,10 +43,15 @@ def parameter_widths(widths: np.ndarray, counts: tuple[int, int]) -> np.ndarray:
 
 
 def stated_geometry_accuracy(found: Identified, nominal: Struts) -> Tolerance:
-    """Tolerance of an Identified: widths from 10 um to 5 mm, each order of magnitude as likely as another before the poses."""
+    """Tolerance of an Identified: widths from 10 um to 5 mm, each order of magnitude as likely as another before the
+    poses.
+    """
     information = found.root.T @ found.root
     counts = (len(found.prior) - len(nominal.axes), len(nominal.axes))
-    right = information @ (parameters(found.mechanism) - parameters(nominal)) + (parameters(found.mechanism) - parameters(nominal)) / found.prior**2
+    right = (
+        information @ (parameters(found.mechanism) - parameters(nominal))
+        + (parameters(found.mechanism) - parameters(nominal)) / found.prior**2
+    )
     grid = np.geomspace(LEAST, PRIOR, STEPS)
     widths = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
     sigma = parameter_widths(widths, counts)

@@ -1,4 +1,6 @@
-"""The parser of the command line: help that says when it cannot be printed, and the likeliest word for a mistyped one."""
+"""The parser of the command line: help that says when it cannot be printed, and the likeliest word for a mistyped
+one.
+"""
 
 import re
 from argparse import ArgumentParser
@@ -8,14 +10,28 @@ from typing import Any, NoReturn
 PROGRESS = ("auto", "lines", "none")
 PRINTED = ("completion", "doctor", "effects", "status")  # what they print is all they are for, so they cannot be quiet
 
-SHARED = ("blind", "calibrate", "certify", "diagnose", "insitu", "investigate", "measure", "online", "simulate", "verify", "watch")  # work for many
+SHARED = (
+    "blind",
+    "calibrate",
+    "certify",
+    "diagnose",
+    "insitu",
+    "investigate",
+    "measure",
+    "online",
+    "simulate",
+    "verify",
+    "watch",
+)  # work for many
 
 INVALID = re.compile(r"invalid parse_(\w+) value")  # as argparse names what parses an argument
 NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures joined by commas, of which the first is negative
 
 
 def join_negative_numbers(words: Iterable[str]) -> list[str]:
-    """A command line on which `--pose -0.1,0,0` is `--pose=-0.1,0,0`, as argparse takes what begins with a dash for an option."""
+    """A command line on which `--pose -0.1,0,0` is `--pose=-0.1,0,0`, as argparse takes what begins with a dash for an
+    option.
+    """
     joined: list[str] = []
     for word in words:
         if NEGATIVE.match(word) and joined and re.fullmatch(r"--[a-z][a-z-]*", joined[-1]):
@@ -26,7 +42,9 @@ def join_negative_numbers(words: Iterable[str]) -> list[str]:
 
 
 class Parser(ArgumentParser):
-    """An ArgumentParser that knows the words it was given. words : the whole command line; command : the parser of the command chosen, or None"""
+    """An ArgumentParser that knows the words it was given. words : the whole command line; command : the parser of the
+    command chosen, or None
+    """
 
     words: tuple[str, ...] = ()
     command: "Parser | None" = None
@@ -37,9 +55,17 @@ class Parser(ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong with the usage, and what was probably meant, and end with status 2."""
-        parser, message = self.command or self, INVALID.sub(lambda found: f"invalid {found[1].replace('_', ' ')} value", message)
-        hints = [f"{word}: did you mean {near}?" for word in self.words if word.startswith("--") and len(word) > 2
-                 for near in [nearest_word(word.split("=")[0], parser.options())] if near]
+        parser, message = (
+            self.command or self,
+            INVALID.sub(lambda found: f"invalid {found[1].replace('_', ' ')} value", message),
+        )
+        hints = [
+            f"{word}: did you mean {near}?"
+            for word in self.words
+            if word.startswith("--") and len(word) > 2
+            for near in [nearest_word(word.split("=")[0], parser.options())]
+            if near
+        ]
         hint = "".join(f"\n{line}" for line in hints)
         parser.exit(2, f"{parser.format_usage()}{parser.prog}: error: {message}{hint}\n")
 
@@ -49,11 +75,17 @@ class Parser(ArgumentParser):
 
     def unknown(self, word: str, commands: Iterable[str]) -> NoReturn:
         """Say that there is no such command, and which was probably meant, and end with status 2."""
-        self.exit(2, f"{self.prog}: error: there is no command {word!r}{suggestion_text(word, commands) or '.'} `{self.prog} --help` lists them\n")
+        self.exit(
+            2,
+            f"{self.prog}: error: there is no command {word!r}{suggestion_text(word, commands) or '.'} "
+            f"`{self.prog} --help` lists them\n",
+        )
 
 
 def nearest_word(word: str, known: Iterable[str]) -> str | None:
-    """The known word most like a mistyped one; None for a known one, one that starts a known one, and where none is like it."""
+    """The known word most like a mistyped one; None for a known one, one that starts a known one, and where none is
+    like it.
+    """
     found = list(known)
     if word in found or any(word.startswith("--") and name.startswith(word) for name in found):
         return None
@@ -76,6 +108,16 @@ def add_common(parser: ArgumentParser, command: str) -> None:
         add_workers(parser)
     if command in PRINTED:
         return
-    parser.add_argument("--quiet", action="store_true", help="say nothing but what is wrong, and results asked for on the standard output")
-    parser.add_argument("--progress", choices=PROGRESS, default="auto", metavar="|".join(PROGRESS), help="how far a command has come and the "
-                        "time left: bars on a terminal (auto), lines on the error output, pipes too, or none")
+    parser.add_argument(
+        "--quiet",
+        action="store_true",
+        help="say nothing but what is wrong, and results asked for on the standard output",
+    )
+    parser.add_argument(
+        "--progress",
+        choices=PROGRESS,
+        default="auto",
+        metavar="|".join(PROGRESS),
+        help="how far a command has come and the "
+        "time left: bars on a terminal (auto), lines on the error output, pipes too, or none",
+    )

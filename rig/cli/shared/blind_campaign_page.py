@@ -29,7 +29,10 @@ def tree(cases: list[Case]) -> dict:
     return {
         "verdict": judged(diagnosis_score.campaign_figures(cases)).tree(),
         "figures": [asdict(f) for f in diagnosis_score.campaign_figures(cases)],
-        "medians": {name: None if math.isnan(value) else value for name, value in diagnosis_score.campaign_medians(cases).items()},
+        "medians": {
+            name: None if math.isnan(value) else value
+            for name, value in diagnosis_score.campaign_medians(cases).items()
+        },
         "by_effect": _rows(diagnosis_score.figures_by_effect(cases)),
         "by_strength": _rows(diagnosis_score.figures_by_strength(cases)),
         "confusion": diagnosis_score.confusion_table(cases),
@@ -42,8 +45,14 @@ def tree(cases: list[Case]) -> dict:
                 "seconds": c.seconds,
                 "ratio": None if math.isnan(c.ratio) else c.ratio,
                 "unexplained": c.unexplained,
-                "hidden": [{"effect": h.effect, "place": h.place, "strength": h.strength, "outcome": outcome(c, h)} for h in c.hidden],
-                "found": [{"effect": f.effect, "place": f.place, "alternatives": [list(a) for a in f.alternatives]} for f in c.found],
+                "hidden": [
+                    {"effect": h.effect, "place": h.place, "strength": h.strength, "outcome": outcome(c, h)}
+                    for h in c.hidden
+                ],
+                "found": [
+                    {"effect": f.effect, "place": f.place, "alternatives": [list(a) for a in f.alternatives]}
+                    for f in c.found
+                ],
             }
             for c in cases
         ],
@@ -62,17 +71,31 @@ def outcome(case: Case, hidden: Hidden) -> str:
 
 
 def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
-    """Write the page of a campaign: figures with their intervals, by effect, by strength, the confusion matrix, and every wrong answer."""
-    said = ", ".join(f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}" for name, value in settings.items() if value)
+    """Write the page of a campaign: figures with their intervals, by effect, by strength, the confusion matrix, and
+    every wrong answer.
+    """
+    said = ", ".join(
+        f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}"
+        for name, value in settings.items()
+        if value
+    )
     parts = [
         paragraph(
-            f"{len(cases)} blinded cases ({said}). Strength is an effect's signal-to-noise over all corners once cameras and geometry "
-            f"have taken what they can; an effect is strong from {diagnosis_score.STRONG:g} on. Intervals are Clopper and Pearson's, 95 %."
+            f"{len(cases)} blinded cases ({said}). Strength is an effect's signal-to-noise over all corners "
+            "once cameras and geometry "
+            f"have taken what they can; an effect is strong from {diagnosis_score.STRONG:g} on. Intervals "
+            "are Clopper and Pearson's, 95 %."
         ),
-        table(("what", "hits", "of", "share", "interval", "to reach"), [_figure(f) for f in diagnosis_score.campaign_figures(cases)]),
+        table(
+            ("what", "hits", "of", "share", "interval", "to reach"),
+            [_figure(f) for f in diagnosis_score.campaign_figures(cases)],
+        ),
         table(
             ("median", ""),
-            [(name, "not known" if math.isnan(value) else f"{value:.3g}") for name, value in diagnosis_score.campaign_medians(cases).items()],
+            [
+                (name, "not known" if math.isnan(value) else f"{value:.3g}")
+                for name, value in diagnosis_score.campaign_medians(cases).items()
+            ],
         ),
         heading("By effect"),
         note("Strong ones, in cases with one or two."),
@@ -82,11 +105,30 @@ def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
     ]
     if any(c.hidden for c in cases):
         parts.append(_strengths(cases))
-    parts += [heading("What was taken for what"), note("Rows: what was hidden. Columns: the name that it was given."),
-              _confusion(diagnosis_score.confusion_table(cases)), heading("Answers that were not right"), _wrong(cases)]
-    links = [Link(f"Case {c.index}", f"diagnoses/{c.index:04d}/diagnosis.html") for c in cases if c.failed is None and not _right(c)][:LINKS]
+    parts += [
+        heading("What was taken for what"),
+        note("Rows: what was hidden. Columns: the name that it was given."),
+        _confusion(diagnosis_score.confusion_table(cases)),
+        heading("Answers that were not right"),
+        _wrong(cases),
+    ]
+    links = [
+        Link(f"Case {c.index}", f"diagnoses/{c.index:04d}/diagnosis.html")
+        for c in cases
+        if c.failed is None and not _right(c)
+    ][:LINKS]
     verdict = judged(diagnosis_score.campaign_figures(cases))
-    write_page(path, Page("blind", "Blind cases", verdict, parts, list(dict.fromkeys([*verdict.next, *([LOOK_AT] if links else [])])), links))
+    write_page(
+        path,
+        Page(
+            "blind",
+            "Blind cases",
+            verdict,
+            parts,
+            list(dict.fromkeys([*verdict.next, *([LOOK_AT] if links else [])])),
+            links,
+        ),
+    )
 
 
 def judged(figures: list[Figure]) -> Verdict:
@@ -94,13 +136,24 @@ def judged(figures: list[Figure]) -> Verdict:
     asked = [f for f in figures if f.goal is not None and f.trials]
     missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
     if not asked:
-        return judge_evidence(Evidence("no figure is judged", missing=(Missing("no case shows a figure that is to be reached", MORE),)))
+        return judge_evidence(
+            Evidence("no figure is judged", missing=(Missing("no case shows a figure that is to be reached", MORE),))
+        )
     surely = [f for f in missed if f.high < (f.goal or 0)]
-    few = [f for f in asked if f not in missed and f.low < (f.goal or 0) < 1]  # of no number of cases is all surely reached
+    few = [
+        f for f in asked if f not in missed and f.low < (f.goal or 0) < 1
+    ]  # of no number of cases is all surely reached
     missing = [Missing(f"{_said(f)} falls short") for f in missed if f not in surely]
     missing += [Missing(f"too few cases to be sure: {'; '.join(map(_said, few))}", MORE)] if few else []
     reached = f"{len(asked) - len(missed)} of {len(asked)} figures reach what they are to reach"
-    return judge_evidence(Evidence(reached, missing=tuple(missing), refuted=tuple(f"{_said(f)} falls short for sure" for f in surely), look=LOOK_AT))
+    return judge_evidence(
+        Evidence(
+            reached,
+            missing=tuple(missing),
+            refuted=tuple(f"{_said(f)} falls short for sure" for f in surely),
+            look=LOOK_AT,
+        )
+    )
 
 
 def _said(f: Figure) -> str:
@@ -109,17 +162,34 @@ def _said(f: Figure) -> str:
 
 def _figure(f: Figure) -> tuple:
     goal = "" if f.goal is None else f"{f.goal:.0%}"
-    return (f.name, f.hits, f.trials, *((f"{f.hits / f.trials:.1%}", f"{f.low:.1%} to {f.high:.1%}") if f.trials else ("", "")), goal)
+    return (
+        f.name,
+        f.hits,
+        f.trials,
+        *((f"{f.hits / f.trials:.1%}", f"{f.low:.1%} to {f.high:.1%}") if f.trials else ("", "")),
+        goal,
+    )
 
 
 def _rows(groups: list) -> list[dict]:
-    return [{"name": name, **{f.name: [f.hits, f.trials] for f in figures}, "taken_for": taken} for name, figures, taken in groups]
+    return [
+        {"name": name, **{f.name: [f.hits, f.trials] for f in figures}, "taken_for": taken}
+        for name, figures, taken in groups
+    ]
 
 
 def _grouped(groups: list, heading: str) -> str:
-    rows = [(name, figures[0].trials, *(f"{f.hits} of {f.trials}" if f.trials else "" for f in figures),
-             ", ".join(f"{other} {count}" for other, count in sorted(taken.items(), key=lambda item: -item[1]) if other != name))
-            for name, figures, taken in groups]
+    rows = [
+        (
+            name,
+            figures[0].trials,
+            *(f"{f.hits} of {f.trials}" if f.trials else "" for f in figures),
+            ", ".join(
+                f"{other} {count}" for other, count in sorted(taken.items(), key=lambda item: -item[1]) if other != name
+            ),
+        )
+        for name, figures, taken in groups
+    ]
     return table((heading, "times", "detected", "named", "placed", "intervals that cover", "taken for"), rows)
 
 
@@ -127,21 +197,34 @@ def _strengths(cases: list[Case]) -> str:
     """What became of every hidden effect, by its strength: a row for each outcome."""
     told = [(max(h.strength, 0.1), OUTCOMES.index(outcome(c, h))) for c in cases if c.failed is None for h in c.hidden]
     strength, became = (np.array(column, float) for column in zip(*told)) if told else (np.zeros(0), np.zeros(0))
-    series = [Series(np.log10(strength[became == k]), np.full((became == k).sum(), len(OUTCOMES) - float(k)), name, colour=k)
-              for k, name in enumerate(OUTCOMES)]
-    return plot_panel("what became of each hidden effect", ("signal-to-noise, power of ten", ""), series, limits=(0.0, len(OUTCOMES) + 1.0))
+    series = [
+        Series(np.log10(strength[became == k]), np.full((became == k).sum(), len(OUTCOMES) - float(k)), name, colour=k)
+        for k, name in enumerate(OUTCOMES)
+    ]
+    return plot_panel(
+        "what became of each hidden effect",
+        ("signal-to-noise, power of ten", ""),
+        series,
+        limits=(0.0, len(OUTCOMES) + 1.0),
+    )
 
 
 def _confusion(matrix: dict[str, dict[str, int]]) -> str:
-    columns = sorted({name for counts in matrix.values() for name in counts}, key=lambda name: (name in ("unknown", "nothing"), name))
-    return table(("hidden", *(name.replace("_", " ") for name in columns)),
-                 [(name, *(counts.get(column, "") for column in columns)) for name, counts in sorted(matrix.items())])
+    columns = sorted(
+        {name for counts in matrix.values() for name in counts}, key=lambda name: (name in ("unknown", "nothing"), name)
+    )
+    return table(
+        ("hidden", *(name.replace("_", " ") for name in columns)),
+        [(name, *(counts.get(column, "") for column in columns)) for name, counts in sorted(matrix.items())],
+    )
 
 
 def _wrong(cases: list[Case]) -> str:
     rows = []
     for c in cases:
-        hidden = ", ".join(f"{h.effect} at {h.place} ({h.strength:.3g})" for h in c.hidden) or c.disturbance or "nothing"
+        hidden = (
+            ", ".join(f"{h.effect} at {h.place} ({h.strength:.3g})" for h in c.hidden) or c.disturbance or "nothing"
+        )
         found = ", ".join(f"{f.effect} at {f.place}" for f in c.found) or "nothing"
         if c.failed is not None or not _right(c):
             rows.append((c.index, hidden, c.failed or found))
@@ -150,5 +233,11 @@ def _wrong(cases: list[Case]) -> str:
 
 def _right(c: Case) -> bool:
     """Whether a case was answered as it ought to be."""
-    known = {"nothing": not c.found and not c.unexplained, "noise": not c.named, "foreign": c.unexplained and not c.named}
-    return bool(known.get(c.kind, all(outcome(c, h) == OUTCOMES[0] for h in c.hidden) and len(c.named) == len(c.hidden)))
+    known = {
+        "nothing": not c.found and not c.unexplained,
+        "noise": not c.named,
+        "foreign": c.unexplained and not c.named,
+    }
+    return bool(
+        known.get(c.kind, all(outcome(c, h) == OUTCOMES[0] for h in c.hidden) and len(c.named) == len(c.hidden))
+    )

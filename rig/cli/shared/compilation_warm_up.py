@@ -1,4 +1,6 @@
-"""What is compiled, or loaded, with the first frame of a run, done while the struts home: the rig as stated is drawn, measured, learnt from."""
+"""What is compiled, or loaded, with the first frame of a run, done while the struts home: the rig as stated is drawn,
+measured, learnt from.
+"""
 
 import cv2
 import numpy as np
@@ -32,7 +34,9 @@ def warm_up(design: Design) -> None:
         learner.learn(lengths, m.home, 1e-10 * np.eye(6))
 
 
-def draw_markers(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> dict[str, np.ndarray]:
+def draw_markers(
+    cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
+) -> dict[str, np.ndarray]:
     """{camera: (height, width) uint8} of markers alone, nothing in front of anything."""
     return {camera.name: _picture(camera, T_base_platform, markers) for camera in cameras}
 

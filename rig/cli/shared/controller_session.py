@@ -18,7 +18,9 @@ from rig.model.design import Design
 
 
 def design_with_controller(path: Path, port: str | None) -> Design:
-    """The design of a rig.toml with a controller, at another port where that is asked for. Raises RigError for one without."""
+    """The design of a rig.toml with a controller, at another port where that is asked for. Raises RigError for one
+    without.
+    """
     design = design_file.load(path)
     if design.controller is None:
         raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
@@ -28,8 +30,9 @@ def design_with_controller(path: Path, port: str | None) -> Design:
 
 
 @contextmanager
-def open_driver(design: Design, trace: Path | None, say: Callable[[str], None], clock: Clock | None = None,
-            stopping: bool = False) -> Iterator[Driver]:
+def open_driver(
+    design: Design, trace: Path | None, say: Callable[[str], None], clock: Clock | None = None, stopping: bool = False
+) -> Iterator[Driver]:
     """The open Driver of a design, which no other process drives meanwhile. say : takes a line of text
     stopping : the struts are stopped before anything is asked of the controller
     Raises FileError for a trace that cannot be written, and what opening raises."""
@@ -49,7 +52,8 @@ def open_driver(design: Design, trace: Path | None, say: Callable[[str], None], 
 
 
 def settled_status(driver: Driver, clock: Clock, patience: float = 60.0, every: float = 0.05) -> Status:
-    """Status once the axes stand: what another process began is let come to its end, and its end is where the struts were left.
+    """Status once the axes stand: what another process began is let come to its end, and its end is where the struts
+    were left.
 
     Raises RigError where they still move after so long.
     """
@@ -90,4 +94,7 @@ def print_status(status: Status, design: Design) -> None:
         except NotConverged:
             print("these lengths close on no pose of the owner's model")
             return
-        print(f"pose by the owner's model {' '.join(f'{x * 1e3:.4f}' for x in v[:3])} mm, {' '.join(f'{x * 1e3:.4f}' for x in v[3:])} mrad")
+        print(
+            f"pose by the owner's model {' '.join(f'{x * 1e3:.4f}' for x in v[:3])} mm, "
+            f"{' '.join(f'{x * 1e3:.4f}' for x in v[3:])} mrad"
+        )

@@ -1,4 +1,6 @@
-"""The cameras of `rig emulate`, in a process of their own that follows the struts' history: drawing does not delay the controller's answers."""
+"""The cameras of `rig emulate`, in a process of their own that follows the struts' history: drawing does not delay the
+controller's answers.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +20,14 @@ class Cameras:
     """A process that draws. name : host:port where it listens."""
 
     def __init__(self, design: Path, truth: Path | None, history: Path, address: tuple[str, int], seed: int) -> None:
-        """truth : what rig simulate --truth wrote, or None for a rig that is as its rig.toml says. Raises RigError where it cannot start."""
+        """truth : what rig simulate --truth wrote, or None for a rig that is as its rig.toml says. Raises RigError
+        where it cannot start.
+        """
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        self._process = context.Process(target=_draw, args=(str(design), truth and str(truth), str(history), address, seed, theirs), daemon=True)
+        self._process = context.Process(
+            target=_draw, args=(str(design), truth and str(truth), str(history), address, seed, theirs), daemon=True
+        )
         self._process.start()
         theirs.close()
         try:

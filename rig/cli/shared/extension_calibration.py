@@ -1,4 +1,6 @@
-"""rig calibrate REC --extend WAY [--alone | --onto CALIBRATION [--space SPACE] [--within PART]]: summands extended over a space."""
+"""rig calibrate REC --extend WAY [--alone | --onto CALIBRATION [--space SPACE] [--within PART]]: summands extended over
+a space.
+"""
 
 from __future__ import annotations
 
@@ -34,15 +36,38 @@ SPACES = ("configuration", "pose", "both")
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments about --extend to a parser."""
-    parser.add_argument("--extend", choices=WAYS, metavar="WAY", help="extend the corrections at the recorded configurations over all of them: "
-                        f"{', '.join(WAYS[:-1])} (linear and simplex take a grid, as the plan division:2 visits one), or auto, by held-out error")
-    parser.add_argument("--alone", action="store_true", help="of --extend: correct the owner's model itself, with no geometry fitted first")
-    parser.add_argument("--onto", metavar="CALIBRATION", type=Path, help="of --extend: one more pass, on the rig that this calibration corrects: "
-                        "what it leaves in the recording is corrected on top; order and count are kept")
-    parser.add_argument("--space", choices=SPACES, help="of --onto: where the pass maps what is left: over configurations (default), "
-                        "over poses, or over both, poses then holding what the first leaves")
-    parser.add_argument("--within", metavar="PART", help="of --onto: the part in which the pass holds, fading beyond: bounds of axes (m or rad) "
-                        "and of poses (x y z in m, rx ry rz in rad from home), as l1=0.40:0.46,z=0.41: ")
+    parser.add_argument(
+        "--extend",
+        choices=WAYS,
+        metavar="WAY",
+        help="extend the corrections at the recorded configurations over all of them: "
+        f"{', '.join(WAYS[:-1])} (linear and simplex take a grid, as the plan division:2 visits one), or "
+        "auto, by held-out error",
+    )
+    parser.add_argument(
+        "--alone",
+        action="store_true",
+        help="of --extend: correct the owner's model itself, with no geometry fitted first",
+    )
+    parser.add_argument(
+        "--onto",
+        metavar="CALIBRATION",
+        type=Path,
+        help="of --extend: one more pass, on the rig that this calibration corrects: "
+        "what it leaves in the recording is corrected on top; order and count are kept",
+    )
+    parser.add_argument(
+        "--space",
+        choices=SPACES,
+        help="of --onto: where the pass maps what is left: over configurations (default), "
+        "over poses, or over both, poses then holding what the first leaves",
+    )
+    parser.add_argument(
+        "--within",
+        metavar="PART",
+        help="of --onto: the part in which the pass holds, fading beyond: bounds of axes (m or rad) "
+        "and of poses (x y z in m, rx ry rz in rad from home), as l1=0.40:0.46,z=0.41: ",
+    )
 
 
 def refuse_mixed(arguments: Namespace, kind: str) -> None:
@@ -52,15 +77,20 @@ def refuse_mixed(arguments: Namespace, kind: str) -> None:
     if (arguments.space or arguments.within) and not arguments.onto:
         raise RigError("--space and --within are of a pass; name with --onto what it stands on")
     if arguments.onto and kind == "arm":
-        raise RigError("--onto is a pass on top of a calibration of struts; an arm's is extended in one go, by all of its recordings")
+        raise RigError(
+            "--onto is a pass on top of a calibration of struts; an arm's is extended in one go, by all of "
+            "its recordings"
+        )
     if arguments.extend and arguments.joint:
         raise RigError("--extend is not for --joint: give one of them")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extended:
-    """done : Certified, of struts or of an arm; tried : Tried of each way; claim : Claim; kept : what the provenance keeps of a pass
-    draw : writes the page of (path, Recording, Calibration, its links); misses : (RMS, greatest) of the single step; unit : of an axis, m or rad."""
+    """done : Certified, of struts or of an arm; tried : Tried of each way; claim : Claim; kept : what the provenance
+    keeps of a pass
+    draw : writes the page of (path, Recording, Calibration, its links); misses : (RMS, greatest) of the single step;
+        unit : of an axis, m or rad."""
 
     done: Certified | ArmCertified
     tried: tuple[Tried, ...]
@@ -95,23 +125,49 @@ def certify_extension(
         done, tried = certify_extended(samples, nominal, Asked(arguments.extend, arguments.alone), rng, progress)
     else:
         done, tried, kept = certify_pass(arguments, samples, before, rng, progress)
-    claim = workspace_claim_of(samples, done, rng) if not arguments.alone and before is None else claim_without_geometry(samples, done, rng)
-    return Extended(done, tried, claim, kept, lambda page, rec, made, links: calibration_page(page, rec, made, samples, done.found, links),
-                    single_step_errors(done.correction), "m")
+    claim = (
+        workspace_claim_of(samples, done, rng)
+        if not arguments.alone and before is None
+        else claim_without_geometry(samples, done, rng)
+    )
+    return Extended(
+        done,
+        tried,
+        claim,
+        kept,
+        lambda page, rec, made, links: calibration_page(page, rec, made, samples, done.found, links),
+        single_step_errors(done.correction),
+        "m",
+    )
 
 
-def _of_arm(arguments: Namespace, nominal: Arm, samples: Samples, instrument: Instrument | None, rng: np.random.Generator,
-            progress: Progress) -> Extended:
+def _of_arm(
+    arguments: Namespace,
+    nominal: Arm,
+    samples: Samples,
+    instrument: Instrument | None,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> Extended:
     from calib.certify.extension_certification import Asked
     from calib.models.arm.calibration_page import calibration_page
     from calib.models.arm.certification import workspace_claim_of
     from calib.models.arm.extension_certification import certify_extended, claim_without_geometry, single_step_errors
     from rig.model import mechanisms
 
-    done, tried = certify_extended(samples, nominal, instrument, Asked(arguments.extend, arguments.alone), rng, progress)
+    done, tried = certify_extended(
+        samples, nominal, instrument, Asked(arguments.extend, arguments.alone), rng, progress
+    )
     claim = (claim_without_geometry if arguments.alone else workspace_claim_of)(samples, done, rng)
-    return Extended(done, tried, claim, {}, lambda page, rec, made, links: calibration_page(page, rec, made, samples, done, links),
-                    single_step_errors(done.correction), mechanisms.travel_unit(nominal))
+    return Extended(
+        done,
+        tried,
+        claim,
+        {},
+        lambda page, rec, made, links: calibration_page(page, rec, made, samples, done, links),
+        single_step_errors(done.correction),
+        mechanisms.travel_unit(nominal),
+    )
 
 
 def print_extension(found: Extended, on: str) -> None:
@@ -120,7 +176,9 @@ def print_extension(found: Extended, on: str) -> None:
         words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses"
         if one.held_out is not None:
             turned = one.held_out.after.rotation[0]
-            words = f"held out {one.held_out.after.position[0] * 1e3:.4f} mm" + (f", {turned * 1e3:.4f} mrad RMS" if turned == turned else " RMS")
+            words = f"held out {one.held_out.after.position[0] * 1e3:.4f} mm" + (
+                f", {turned * 1e3:.4f} mrad RMS" if turned == turned else " RMS"
+            )
             words += f"; not taken: {one.reason}" if one.reason else ""
         print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
     correction = found.done.correction
@@ -128,30 +186,54 @@ def print_extension(found: Extended, on: str) -> None:
     known = getattr(field, "values", None) if field is not None and field.exact else None
     for held in correction.posed:
         print(f"a map in pose space: {held.field.kind}")
-    print(f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {on}"
-          + (f"; exact at its {len(known)} samples" if known is not None else ""))
+    print(
+        f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {on}"
+        + (f"; exact at its {len(known)} samples" if known is not None else "")
+    )
     rms, most = (f"{value * 1e6:.3f} u{found.unit.replace(' or ', ' or u')}" for value in found.misses)
-    print(f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms} RMS, {most} at most")
+    print(
+        f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms} RMS, "
+        f"{most} at most"
+    )
 
 
-def certify_pass(arguments: Namespace, samples: Samples, before: Calibration, rng: np.random.Generator,
-           progress: Progress) -> tuple[Certified, tuple[Tried, ...], dict[str, Any]]:
-    """(Certified, what was tried, what the provenance keeps of it) of one more pass. Raises RigError for a part that cannot be."""
+def certify_pass(
+    arguments: Namespace, samples: Samples, before: Calibration, rng: np.random.Generator, progress: Progress
+) -> tuple[Certified, tuple[Tried, ...], dict[str, Any]]:
+    """(Certified, what was tried, what the provenance keeps of it) of one more pass. Raises RigError for a part that
+    cannot be.
+    """
     from calib.certify.additional_pass import CONFIGURATION, POSE, Pass, certify_additional_pass
 
     space = arguments.space or CONFIGURATION
     configurations, poses = _parts(arguments.within, before.correction.nominal)
     if configurations is not None and space == POSE or poses is not None and space == CONFIGURATION:
-        raise RigError(f"--within {arguments.within}: a pass over {'poses' if space == POSE else 'configurations'} is bounded by "
-                       f"{'x y z rx ry rz' if space == POSE else 'the axes'}; --space both takes either")
-    done, tried, count = certify_additional_pass(samples, before, Pass(arguments.extend, space, configurations, poses), rng, progress)
+        raise RigError(
+            f"--within {arguments.within}: a pass over {'poses' if space == POSE else 'configurations'} is bounded by "
+            f"{'x y z rx ry rz' if space == POSE else 'the axes'}; --space both takes either"
+        )
+    done, tried, count = certify_additional_pass(
+        samples, before, Pass(arguments.extend, space, configurations, poses), rng, progress
+    )
     number = len(before.provenance.get("passes", ())) + 2
-    return done, tried, {"number": number, "way": arguments.extend, "space": space, "within": arguments.within, "samples": count,
-                         "chosen": [one.kind for one in tried if one.chosen]}
+    return (
+        done,
+        tried,
+        {
+            "number": number,
+            "way": arguments.extend,
+            "space": space,
+            "within": arguments.within,
+            "samples": count,
+            "chosen": [one.kind for one in tried if one.chosen],
+        },
+    )
 
 
 def _parts(text: str | None, mechanism: Struts) -> tuple[Part | None, Part | None]:
-    """(Part of the configuration space, Part of pose space), None for all of it, of a text. Raises RigError for one that bounds nothing."""
+    """(Part of the configuration space, Part of pose space), None for all of it, of a text. Raises RigError for one
+    that bounds nothing.
+    """
     if text is None:
         return None, None
     import numpy as np
@@ -171,8 +253,11 @@ def _parts(text: str | None, mechanism: Struts) -> tuple[Part | None, Part | Non
             pair = np.nan, np.nan
         at = [(k, names.index(name)) for k, names in enumerate(spaces) if name in names]
         if not at or not colon or not pair[0] < pair[1] or pair == (-np.inf, np.inf):
-            raise RigError(f"--within takes NAME=LOW:HIGH joined by commas, names {' '.join(spaces[0] + spaces[1])}, low below high and either left "
-                           f"out where free, not {word.strip()!r}")
+            raise RigError(
+                f"--within takes NAME=LOW:HIGH joined by commas, names {' '.join(spaces[0] + spaces[1])}, "
+                "low below high and either left "
+                f"out where free, not {word.strip()!r}"
+            )
         bounds[at[0][0]][at[0][1]] = pair
     found = [Part(*pair.T) if np.isfinite(pair).any() else None for pair in bounds]
     return found[0], found[1]

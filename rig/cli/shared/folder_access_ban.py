@@ -4,11 +4,21 @@ import os
 import sys
 from pathlib import Path
 
-WATCHED = ("open", "os.listdir", "os.scandir", "os.rename", "os.link", "os.symlink", "shutil.copyfile")  # events whose first argument is a path
+WATCHED = (
+    "open",
+    "os.listdir",
+    "os.scandir",
+    "os.rename",
+    "os.link",
+    "os.symlink",
+    "shutil.copyfile",
+)  # events whose first argument is a path
 
 
 def forbid_folder(folder: str | Path) -> None:
-    """From now on reading anything in a folder raises PermissionError in this process (PEP 578; it cannot be taken back)."""
+    """From now on reading anything in a folder raises PermissionError in this process (PEP 578; it cannot be taken
+    back).
+    """
     closed = os.path.realpath(folder)
 
     def watch(event: str, given: tuple) -> None:

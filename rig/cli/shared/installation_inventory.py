@@ -26,7 +26,8 @@ renderer.delete()
 
 @dataclass(frozen=True, slots=True)
 class InventoryItem:
-    """about : what was looked for; state : "ok", "absent" (needed for some things only) or "missing"; text : what was found
+    """about : what was looked for; state : "ok", "absent" (needed for some things only) or "missing"; text : what was
+    found
     todo : what to do, "" where nothing is"""
 
     about: str
@@ -61,11 +62,19 @@ def installed_packages() -> Iterator[InventoryItem]:
             version = metadata.version(name)
         except metadata.PackageNotFoundError:
             yield InventoryItem(
-                name, "absent" if extra else "missing", "not installed", f"pip install 'rig[{extra}]'" if extra else f"pip install {name}"
+                name,
+                "absent" if extra else "missing",
+                "not installed",
+                f"pip install 'rig[{extra}]'" if extra else f"pip install {name}",
             )
             continue
         old = least is not None and _numbers(version) < _numbers(least)
-        yield InventoryItem(name, "missing" if old else "ok", version, f"rig needs {least} or newer: pip install -U {name}" if old else "")
+        yield InventoryItem(
+            name,
+            "missing" if old else "ok",
+            version,
+            f"rig needs {least} or newer: pip install -U {name}" if old else "",
+        )
 
 
 def parse_requirement(need: str) -> tuple[str, str | None, str | None]:
@@ -88,15 +97,21 @@ def check_graphics() -> InventoryItem:
     if done.returncode == 0:
         return InventoryItem("OpenGL", "ok", done.stdout.strip())
     said = (done.stderr.strip().splitlines() or [f"ended by status {done.returncode}"])[-1]
-    return InventoryItem("OpenGL", "absent", said, "drawing images (simulate --images, emulate --cameras) does not work; all else does")
+    return InventoryItem(
+        "OpenGL", "absent", said, "drawing images (simulate --images, emulate --cameras) does not work; all else does"
+    )
 
 
 def list_cameras(folder: Path = Path("/sys/class/video4linux")) -> InventoryItem:
     """Video devices and their names; none is opened."""
     there = sorted(folder.iterdir()) if folder.is_dir() else []
     names = [f"/dev/{one.name} ({(one / 'name').read_text().strip()})" for one in there]
-    return InventoryItem("cameras", "ok" if names else "absent", ", ".join(names) or "no video device",
-                 "" if names else "plug one in, or name a folder of images in [[camera]] of rig.toml")
+    return InventoryItem(
+        "cameras",
+        "ok" if names else "absent",
+        ", ".join(names) or "no video device",
+        "" if names else "plug one in, or name a folder of images in [[camera]] of rig.toml",
+    )
 
 
 def list_genicam_producers() -> InventoryItem:
@@ -104,7 +119,9 @@ def list_genicam_producers() -> InventoryItem:
     folders = [Path(folder) for folder in os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep) if folder]
     files = [file.name for folder in folders if folder.is_dir() for file in sorted(folder.glob("*.cti"))]
     todo = "only for GenICam cameras: install the maker's producer, which sets GENICAM_GENTL64_PATH"
-    return InventoryItem("GenICam producers", "ok" if files else "absent", ", ".join(files) or "none", "" if files else todo)
+    return InventoryItem(
+        "GenICam producers", "ok" if files else "absent", ", ".join(files) or "none", "" if files else todo
+    )
 
 
 def list_serial_ports() -> InventoryItem:
@@ -115,9 +132,17 @@ def list_serial_ports() -> InventoryItem:
     closed = [port.device for port in found if not os.access(port.device, os.R_OK | os.W_OK)]
     text = ", ".join(f"{port.device} ({port.description})" for port in found) or "no serial port"
     if closed:
-        return InventoryItem("ports", "absent", text, f"this user may not open {', '.join(closed)}: add them to the group dialout and log in again")
+        return InventoryItem(
+            "ports",
+            "absent",
+            text,
+            f"this user may not open {', '.join(closed)}: add them to the group dialout and log in again",
+        )
     return InventoryItem(
-        "ports", "ok" if found else "absent", text, "" if found else "plug the controller in, or name socket://HOST:PORT in [controller]"
+        "ports",
+        "ok" if found else "absent",
+        text,
+        "" if found else "plug the controller in, or name socket://HOST:PORT in [controller]",
     )
 
 
@@ -126,7 +151,13 @@ def free_disk_space() -> Iterator[InventoryItem]:
     for name, folder in (("space here", Path.cwd()), ("temporary space", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free
         writable = os.access(folder, os.W_OK)
-        todo = "" if free > SPACE and writable else "free some: a thousand images take about 2 GB" if writable else "choose a folder of your own"
+        todo = (
+            ""
+            if free > SPACE and writable
+            else "free some: a thousand images take about 2 GB"
+            if writable
+            else "choose a folder of your own"
+        )
         text = f"{free / 1e9:.1f} GB free in {folder}{'' if writable else ', which cannot be written'}"
         yield InventoryItem(name, "ok" if not todo else "absent", text, todo)
 
@@ -135,4 +166,6 @@ def thread_limits() -> InventoryItem:
     """Cores that this process may use, and what limits the libraries' threads."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     limits = [f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ]
-    return InventoryItem("threads", "ok", f"{cores} of {os.cpu_count()} cores" + (f", {', '.join(limits)}" if limits else ""))
+    return InventoryItem(
+        "threads", "ok", f"{cores} of {os.cpu_count()} cores" + (f", {', '.join(limits)}" if limits else "")
+    )

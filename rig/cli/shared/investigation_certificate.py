@@ -1,4 +1,6 @@
-"""The end of an investigation: a calibration with what was found, verified on new poses, and its certificate where these suffice."""
+"""The end of an investigation: a calibration with what was found, verified on new poses, and its certificate where
+these suffice.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ VERIFYING = 1000  # added to the seed for the new poses
 
 
 def certify_investigation(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, ...]:
-    """Calibrate, correct, verify on new poses and certify; what was done and what could not be, in lines. Raises Waiting as `Rig.record` does
+    """Calibrate, correct, verify on new poses and certify; what was done and what could not be, in lines. Raises
+    Waiting as `Rig.record` does
 
     Where a command refuses, what follows from it is left out, and that is a line
     """
@@ -30,11 +33,15 @@ def certify_investigation(arguments: Namespace, rig: Rig, looks: Sequence[Look])
     out, said = arguments.out, []
     recordings = [str(recording_path(out, look.number)) for look in looks]
     calibration, number = out / "calibration.json", len(looks)
-    poses, commands, plan, again = (out / f"verify{number}{suffix}" for suffix in ("-poses.csv", "-commands.csv", ".csv", ""))
+    poses, commands, plan, again = (
+        out / f"verify{number}{suffix}" for suffix in ("-poses.csv", "-commands.csv", ".csv", "")
+    )
     done = plan.exists()
     try:
         if not done:
-            rig.call("calibrate", *recordings, "--diagnosis", str(diagnosis_path(out, number)), "--out", str(calibration))
+            rig.call(
+                "calibrate", *recordings, "--diagnosis", str(diagnosis_path(out, number)), "--out", str(calibration)
+            )
     except RigError as error:
         return (f"not calibrated: {error}",)
     found = ", ".join(looks[-1].findings) or "no physics"
@@ -42,9 +49,22 @@ def certify_investigation(arguments: Namespace, rig: Rig, looks: Sequence[Look])
     try:
         if not done:
             _wanted(poses, rig, arguments, calibration)
-            rig.call("correct", str(calibration), "--poses", str(poses), "--out", str(commands), "--skip-unreachable", "--force")
-            stands = build_plan(rig.design, f"commands:{plan_path(out, number)}").turned  # cubes stay as they were put back
-            write_plan(plan, replace(build_plan(rig.design, f"commands:{commands}"), turned=stands), rig.design.mechanism.axes)
+            rig.call(
+                "correct",
+                str(calibration),
+                "--poses",
+                str(poses),
+                "--out",
+                str(commands),
+                "--skip-unreachable",
+                "--force",
+            )
+            stands = build_plan(
+                rig.design, f"commands:{plan_path(out, number)}"
+            ).turned  # cubes stay as they were put back
+            write_plan(
+                plan, replace(build_plan(rig.design, f"commands:{commands}"), turned=stands), rig.design.mechanism.axes
+            )
         rig.record(plan, again, arguments.seed + VERIFYING)
         rig.call("verify", str(calibration), str(again))
         said.append(f"verified on new poses, commanded through the correction: {again.name}")
@@ -59,7 +79,9 @@ def certify_investigation(arguments: Namespace, rig: Rig, looks: Sequence[Look])
 
 
 def _wanted(path: Path, rig: Rig, arguments: Namespace, calibration: Path) -> None:
-    """Write new poses all over what the axes reach; of an arm as its calibration has it, in the instrument's own frame."""
+    """Write new poses all over what the axes reach; of an arm as its calibration has it, in the instrument's own
+    frame.
+    """
     import numpy as np
 
     from rig.model import mechanisms

@@ -21,15 +21,20 @@ class Waiting(Exception):
 
 
 class Rig:
-    """A machine that can be told to make a recording. by : "machine", "driver" or "hand"; moving : whether it may be exposed on the way
-    digest : of its rig.toml, but for what experiments may do and how cubes stand, and of a simulated one of its truth"""
+    """A machine that can be told to make a recording. by : "machine", "driver" or "hand"; moving : whether it may be
+    exposed on the way
+    digest : of its rig.toml, but for what experiments may do and how cubes stand, and of a simulated one of its
+        truth"""
 
     def __init__(self, arguments: Namespace, design: Design) -> None:
         self.design, self._arguments = design, arguments
         self.by = "machine" if arguments.machine else "hand" if arguments.by_hand else "driver"
         if self.by == "driver" and design.controller is None:
-            raise RigError(f"{arguments.design} has no [controller], so there is nothing to drive; --by-hand writes plans for somebody, --machine "
-                           "TRUTH tries a simulated machine")
+            raise RigError(
+                f"{arguments.design} has no [controller], so there is nothing to drive; --by-hand writes "
+                "plans for somebody, --machine "
+                "TRUTH tries a simulated machine"
+            )
         self.moving = self.by != "driver"
         read = [arguments.design, *([arguments.machine] if arguments.machine else [])]
         for path in read:
@@ -57,8 +62,18 @@ class Rig:
         """Have a plan carried out and recorded, unless that is done. Raises Waiting where somebody has to do it"""
         if self.by == "machine":
             if not (out / "frames.csv").exists():
-                self.call("simulate", str(self._arguments.design), "--plan", f"commands:{plan}", "--machine", str(self._arguments.machine), "--seed",
-                          str(seed), "--out", str(out))
+                self.call(
+                    "simulate",
+                    str(self._arguments.design),
+                    "--plan",
+                    f"commands:{plan}",
+                    "--machine",
+                    str(self._arguments.machine),
+                    "--seed",
+                    str(seed),
+                    "--out",
+                    str(out),
+                )
         elif self.by == "driver":
             self._drive(plan, out)
         elif not (out / "frames.csv").exists():
@@ -79,8 +94,23 @@ class Rig:
         if todo:
             then = f"  then say so in {a.design}, {_said(cubes)}, and give the same command with --resume"
             raise Waiting("\n".join(["to do, before the struts move:", *(f"  {text}" for text in todo), then]))
-        more = [*(["--port", a.port] if a.port else []), *(["--no-home"] if a.no_home else []), *(["--resume"] if begun else [])]
-        self.call("run", str(a.design), "--plan", f"commands:{plan}", "--out", str(out), "--settle", a.settle, "--no-measure", *more)
+        more = [
+            *(["--port", a.port] if a.port else []),
+            *(["--no-home"] if a.no_home else []),
+            *(["--resume"] if begun else []),
+        ]
+        self.call(
+            "run",
+            str(a.design),
+            "--plan",
+            f"commands:{plan}",
+            "--out",
+            str(out),
+            "--settle",
+            a.settle,
+            "--no-measure",
+            *more,
+        )
 
     def _stood(self, plan: Path, out: Path) -> None:
         """Raise RigError where a recording by hand does not say that cubes stood as its plan has them."""
@@ -88,10 +118,16 @@ class Rig:
         from rig.model.cube_remounting import quarter_turns
         from rig.planning.plan import build_plan
 
-        wanted, told = dict(build_plan(self.design, f"commands:{plan}").turned), quarter_turns(design_file.load(out / "rig.toml"))
+        wanted, told = (
+            dict(build_plan(self.design, f"commands:{plan}").turned),
+            quarter_turns(design_file.load(out / "rig.toml")),
+        )
         if told != wanted:
-            raise RigError(f"{plan} is for cubes that stand as {_said(wanted) if wanted else 'rig.toml states them'}, and {out / 'rig.toml'} says "
-                           f"{_said(told) if told else 'that none was taken off'}; state there how they stood")
+            raise RigError(
+                f"{plan} is for cubes that stand as {_said(wanted) if wanted else 'rig.toml states them'}, "
+                f"and {out / 'rig.toml'} says "
+                f"{_said(told) if told else 'that none was taken off'}; state there how they stood"
+            )
 
     def _asked(self, plan: Path, out: Path) -> str:
         """What somebody is asked to do, in words."""
@@ -101,9 +137,19 @@ class Rig:
         todo = build_plan(self.design, f"commands:{plan}")
         cubes = [f"  before it begins: {text}" for text in turning_instructions(dict(todo.turned), {})]
         cubes += [f"  and say so in its rig.toml: {_said(dict(todo.turned))}"] if cubes else []
-        loads = [f"  at t = {t:.0f} s: " + (f"load {mass:.3g} kg" if mass else "take the load off") for t, mass in todo.payload[1:]]
-        return "\n".join([f"to do: carry out {plan} ({len(todo.t)} exposures, where a row has a frame; {todo.commands.t[-1] / 60:.1f} min) and "
-                          f"record it as {out}, with its own commands.csv and frames.csv; then the same command with --resume", *cubes, *loads])
+        loads = [
+            f"  at t = {t:.0f} s: " + (f"load {mass:.3g} kg" if mass else "take the load off")
+            for t, mass in todo.payload[1:]
+        ]
+        return "\n".join(
+            [
+                f"to do: carry out {plan} ({len(todo.t)} exposures, where a row has a frame; "
+                f"{todo.commands.t[-1] / 60:.1f} min) and "
+                f"record it as {out}, with its own commands.csv and frames.csv; then the same command with --resume",
+                *cubes,
+                *loads,
+            ]
+        )
 
 
 def _said(cubes: dict[str, int]) -> str:

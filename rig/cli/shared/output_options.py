@@ -47,26 +47,42 @@ SEED = 0  # of the bootstrap; results are the same from run to run
 
 
 def add_recording(parser: ArgumentParser, text: str | None = None) -> None:
-    """Add REC, a recording whose images are read, and what is done about those that cannot be. text : help about it, or None."""
+    """Add REC, a recording whose images are read, and what is done about those that cannot be. text : help about it, or
+    None.
+    """
     parser.add_argument("recording", metavar="REC", type=Path, help=text)
     _add_left_out(parser)
 
 
 def add_recordings(parser: ArgumentParser) -> None:
-    """Add REC.., recordings of one rig, and what is left out of them; `recording` is the first of these, `further` the others."""
+    """Add REC.., recordings of one rig, and what is left out of them; `recording` is the first of these, `further` the
+    others.
+    """
     parser.add_argument("recording", metavar="REC", type=Path)
-    parser.add_argument("further", metavar="REC", type=Path, nargs="*", help="more recordings of the same rig, in the order in which they were "
-                        "taken: days apart, with other payloads, cameras moved between them or not")
+    parser.add_argument(
+        "further",
+        metavar="REC",
+        type=Path,
+        nargs="*",
+        help="more recordings of the same rig, in the order in which they were "
+        "taken: days apart, with other payloads, cameras moved between them or not",
+    )
     _add_left_out(parser)
 
 
 def _add_left_out(parser: ArgumentParser) -> None:
-    parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
-    parser.add_argument("--mask", metavar="FRAMES", help="leave these frames out, for example 3,7-9: what you know to be spoilt")
+    parser.add_argument(
+        "--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used"
+    )
+    parser.add_argument(
+        "--mask", metavar="FRAMES", help="leave these frames out, for example 3,7-9: what you know to be spoilt"
+    )
 
 
 def read_recording(arguments: Namespace, path: Path | None = None) -> Recording:
-    """The Recording at a path, by default the one of the arguments that `add_recording` adds; images left out are named on standard error."""
+    """The Recording at a path, by default the one of the arguments that `add_recording` adds; images left out are named
+    on standard error.
+    """
     from rig.recording import recording_folder as recordings
     from rig.recording.frame_mask import remove_frames
 
@@ -82,14 +98,22 @@ def file_or_stdout(text: str) -> Path:
 
 
 def add_overwrite_option(parser: ArgumentParser, name: str = "--force") -> None:
-    """Let a command that writes be told to write over what it did not make. name : of that option, where --force is taken"""
-    parser.add_argument(name, dest="overwrite", action="store_true",
-                        help="write over what this command did not make; what it reads it never writes over")
+    """Let a command that writes be told to write over what it did not make. name : of that option, where --force is
+    taken
+    """
+    parser.add_argument(
+        name,
+        dest="overwrite",
+        action="store_true",
+        help="write over what this command did not make; what it reads it never writes over",
+    )
 
 
 def add_page(parser: ArgumentParser) -> None:
     """Let a command write a page of its result."""
-    parser.add_argument("--page", metavar="FILE", type=Path, help="a page of it, written here: one file that needs no network")
+    parser.add_argument(
+        "--page", metavar="FILE", type=Path, help="a page of it, written here: one file that needs no network"
+    )
 
 
 def page_path(arguments: Namespace) -> Path | None:
@@ -110,8 +134,14 @@ def add_json(parser: ArgumentParser) -> None:
 
 
 def add_result(parser: ArgumentParser) -> None:
-    """Let a command, which leaves it in `arguments.result` as plain values, print its result for programs once all is written."""
-    parser.add_argument("--json", action="store_true", help="print the result as JSON (SI units, rad) when all is done; words go to the error output")
+    """Let a command, which leaves it in `arguments.result` as plain values, print its result for programs once all is
+    written.
+    """
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="print the result as JSON (SI units, rad) when all is done; words go to the error output",
+    )
     parser.set_defaults(result=None)
 
 
@@ -125,7 +155,9 @@ def print_json(tree: object) -> None:
 
 
 def parse_length(text: str) -> float:
-    """m of a length as written on the command line: 20um, 0.02mm or 2e-5m. Raises ArgumentTypeError for anything else."""
+    """m of a length as written on the command line: 20um, 0.02mm or 2e-5m. Raises ArgumentTypeError for anything
+    else.
+    """
     for unit, scale in (("um", 1e-6), ("mm", 1e-3), ("m", 1.0)):
         if text.endswith(unit):
             try:
@@ -157,7 +189,9 @@ def add_driving(parser: ArgumentParser) -> None:
 
 def add_port(parser: ArgumentParser) -> None:
     """Where the controller is, and a trace of what is said."""
-    parser.add_argument("--port", help="where the controller is, instead of what [controller] says: a device, socket://.., rfc2217://..")
+    parser.add_argument(
+        "--port", help="where the controller is, instead of what [controller] says: a device, socket://.., rfc2217://.."
+    )
     parser.add_argument("--trace", metavar="FILE", type=Path, help="write every byte there, with its time")
 
 
@@ -185,7 +219,9 @@ def _cell(value: float) -> str:
 
 
 def require_drawing(what: str) -> None:
-    """Raise MissingLibrary where that which draws PDF and pictures is not installed. what : is to be drawn, in the plural"""
+    """Raise MissingLibrary where that which draws PDF and pictures is not installed. what : is to be drawn, in the
+    plural
+    """
     problem = missing_drawing_reason()
     if problem:
         raise MissingLibrary(f"{what} {problem}")

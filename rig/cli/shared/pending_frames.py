@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
 
 def unlearnt_frame_numbers(recording: Recording, of: Marks, learnt: set[str]) -> list[int]:
-    """Numbers of the frames whose data have not been learnt; how many have been is said. of : Marks of the recording; learnt : marks
+    """Numbers of the frames whose data have not been learnt; how many have been is said. of : Marks of the recording;
+    learnt : marks
 
     Raises RigError where none is left: what is learnt twice counts twice
     """
@@ -21,8 +22,11 @@ def unlearnt_frame_numbers(recording: Recording, of: Marks, learnt: set[str]) ->
 
     frames, again = recording.exposures.times()[0], frames_with_known_data(of, learnt)
     if len(again) == len(of) > 0:
-        raise RigError(f"all {len(of)} frames of {recording.folder} in which anything is seen have been learnt already; once more they would count "
-                       "twice")
+        raise RigError(
+            f"all {len(of)} frames of {recording.folder} in which anything is seen have been learnt already; "
+            "once more they would count "
+            "twice"
+        )
     if again:
         print(f"{len(again)} of {len(frames)} frames have been learnt already and are left out")
     return [frame for frame in frames.tolist() if frame not in set(again)]

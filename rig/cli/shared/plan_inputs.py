@@ -1,4 +1,6 @@
-"""What `rig plan` starts from: the geometry that a calibration states, and the configurations that were visited already."""
+"""What `rig plan` starts from: the geometry that a calibration states, and the configurations that were visited
+already.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ if TYPE_CHECKING:
 
 
 def calibrated_geometry(arguments: Namespace, mechanism: Hexapod) -> tuple[Hexapod, Avoided | None]:
-    """(geometry, which configurations are not to be visited) by the calibration that is named; the mechanism as it is where none is.
+    """(geometry, which configurations are not to be visited) by the calibration that is named; the mechanism as it is
+    where none is.
 
     Raises RigError for a calibration of another kind of mechanism
     """
@@ -29,12 +32,17 @@ def calibrated_geometry(arguments: Namespace, mechanism: Hexapod) -> tuple[Hexap
 
     correction = calibration_file.load(arguments.calibration).correction
     if correction.fitted.kind != "hexapod":
-        raise RigError(f"{arguments.calibration} is a calibration of a mechanism of kind {correction.fitted.kind!r}, not of a hexapod")
+        raise RigError(
+            f"{arguments.calibration} is a calibration of a mechanism of kind {correction.fitted.kind!r}, "
+            "not of a hexapod"
+        )
     return correction.fitted, partial(is_pose_lost, correction)
 
 
 def visited_configurations(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> np.ndarray:
-    """(k, 6) m configurations visited: of a recording's frames, or of a table. Raises RigError for a recording of another kind of machine"""
+    """(k, 6) m configurations visited: of a recording's frames, or of a table. Raises RigError for a recording of
+    another kind of machine
+    """
     from rig.formats import csv_table
     from rig.recording import recording_folder
 

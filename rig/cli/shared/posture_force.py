@@ -19,14 +19,31 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add what is to be exerted."""
-    parser.add_argument("--exert", nargs="+", metavar="N", help="fx,fy,fz or fx,fy,fz,mx,my,mz that the hand is to exert, N and Nm in the axes of "
-                        "poses: torques, margin to their limits, and, with no --force or --moment, the posture that can exert most of it")
-    parser.add_argument("--limits", nargs="+", metavar="N", help="torque limits of the joints, Nm (slides: N), in place of [dynamics] torque_limits")
-    parser.add_argument("--draw", metavar="FILE.svg", type=Path, help="with --exert: force polytope and ellipsoid of the posture")
+    parser.add_argument(
+        "--exert",
+        nargs="+",
+        metavar="N",
+        help="fx,fy,fz or fx,fy,fz,mx,my,mz that the hand is to exert, N and Nm in the axes of "
+        "poses: torques, margin to their limits, and, with no --force or --moment, the posture that can "
+        "exert most of it",
+    )
+    parser.add_argument(
+        "--limits",
+        nargs="+",
+        metavar="N",
+        help="torque limits of the joints, Nm (slides: N), in place of [dynamics] torque_limits",
+    )
+    parser.add_argument(
+        "--draw", metavar="FILE.svg", type=Path, help="with --exert: force polytope and ellipsoid of the posture"
+    )
 
 
-def requested_exertion(arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: np.ndarray, path: Path) -> Exertion | None:
-    """The Exertion that is asked for, or None. gravity : (3,) m/s^2; path : of the arm's file. Raises RigError for what cannot be meant"""
+def requested_exertion(
+    arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: np.ndarray, path: Path
+) -> Exertion | None:
+    """The Exertion that is asked for, or None. gravity : (3,) m/s^2; path : of the arm's file. Raises RigError for what
+    cannot be meant
+    """
     import numpy as np
 
     from rig.posture.exertable_wrench import Exertion, Strength
@@ -36,17 +53,25 @@ def requested_exertion(arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gr
             raise RigError("--draw and --limits say more of what --exert wants")
         return None
     n, given = len(arm.axes), " ".join(arguments.exert).replace(",", " ").split()
-    wrench = np.array(parse_numbers(arguments.exert, 3 if len(given) == 3 else 6, "--exert") + [0.0] * (3 if len(given) == 3 else 0))
+    wrench = np.array(
+        parse_numbers(arguments.exert, 3 if len(given) == 3 else 6, "--exert") + [0.0] * (3 if len(given) == 3 else 0)
+    )
     if not wrench.any():
         raise RigError("--exert takes a force or a moment that is not nothing")
-    limits = np.array(parse_numbers(arguments.limits, n, "--limits")) if arguments.limits else dynamics.need("torque_limits", path)
+    limits = (
+        np.array(parse_numbers(arguments.limits, n, "--limits"))
+        if arguments.limits
+        else dynamics.need("torque_limits", path)
+    )
     if not (limits > 0).all():
         raise RigError(f"--limits takes positive torques, not {limits.min():g} Nm")
     return Exertion(wrench, Strength(limits, dynamics.links, gravity))
 
 
 def exertion_dict(q: np.ndarray, arm: Arm, exertion: Exertion) -> dict[str, Any]:
-    """{what: figure} of a posture q (n,) rad: torques (N m), margins, greatest multiple, the strongest and weakest directions of a force (N)."""
+    """{what: figure} of a posture q (n,) rad: torques (N m), margins, greatest multiple, the strongest and weakest
+    directions of a force (N).
+    """
     import numpy as np
 
     from rig.posture import exertable_wrench as of
@@ -58,9 +83,17 @@ def exertion_dict(q: np.ndarray, arm: Arm, exertion: Exertion) -> dict[str, Any]
     margin, multiple = strength.limits - np.abs(torque), float(exertion.value(q, arm))
     A = of.joint_loads(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
     bears = bool((low <= 0).all() and (high >= 0).all())
-    out = {"wrench": exertion.wrench.tolist(), "torques": torque.tolist(), "weight": weight.tolist(), "limits": strength.limits.tolist(),
-           "margin": margin.tolist(), "tightest_joint": int(np.argmin(margin / strength.limits)) + 1, "greatest_multiple": multiple,
-           "greatest": (multiple * exertion.wrench).tolist() if bears else None, "weight_counted": strength.links is not None}
+    out = {
+        "wrench": exertion.wrench.tolist(),
+        "torques": torque.tolist(),
+        "weight": weight.tolist(),
+        "limits": strength.limits.tolist(),
+        "margin": margin.tolist(),
+        "tightest_joint": int(np.argmin(margin / strength.limits)) + 1,
+        "greatest_multiple": multiple,
+        "greatest": (multiple * exertion.wrench).tolist() if bears else None,
+        "weight_counted": strength.links is not None,
+    }
     if bears:
         every = of.force_polytope_corners(A, low, high)
         size, least = np.linalg.norm(every, axis=1), of.weakest_force_direction(A, low, high)
@@ -72,16 +105,28 @@ def exertion_dict(q: np.ndarray, arm: Arm, exertion: Exertion) -> dict[str, Any]
 def exertion_lines(found: dict[str, Any], units: tuple[str, ...]) -> list[str]:
     """What `exertion_dict` found, in words. units : of each joint's torque, "Nm", or of a slide's force "N"."""
     mixed = len(set(units)) > 1
-    cells = ", ".join(f"{torque:.3f}{' ' + unit if mixed else ''} ({margin:+.3f})"
-                      for torque, margin, unit in zip(found["torques"], found["margin"], units))
+    cells = ", ".join(
+        f"{torque:.3f}{' ' + unit if mixed else ''} ({margin:+.3f})"
+        for torque, margin, unit in zip(found["torques"], found["margin"], units)
+    )
     held = ", own weight held" if found["weight_counted"] else " (the weight of the links is not stated)"
     out = [f"torques that exert it{held}, and what is left to the limits{'' if mixed else ', ' + units[0]}: {cells}"]
     if found["greatest"] is None:
         return [*out, f"joint {found['tightest_joint']} cannot even hold the arm's own weight here"]
     multiple, joint = found["greatest_multiple"], found["tightest_joint"]
-    out.append(f"at most {multiple:.4g} times what is wanted" + ("" if multiple >= 1 else f": it CANNOT be exerted, joint {joint} falls short by "
-                                                               f"{-found['margin'][joint - 1]:.3f} {units[joint - 1]}"))
-    for name, words in (("strongest", "the strongest direction of a force"), ("weakest", "in every direction at least, the weakest")):
+    out.append(
+        f"at most {multiple:.4g} times what is wanted"
+        + (
+            ""
+            if multiple >= 1
+            else f": it CANNOT be exerted, joint {joint} falls short by "
+            f"{-found['margin'][joint - 1]:.3f} {units[joint - 1]}"
+        )
+    )
+    for name, words in (
+        ("strongest", "the strongest direction of a force"),
+        ("weakest", "in every direction at least, the weakest"),
+    ):
         d = found[name]
         out.append(f"{words}: {d['force']:.4g} N along ({', '.join(f'{part:+.3f}' for part in d['direction'])})")
     return out
@@ -99,4 +144,6 @@ def exertion_svg(q: np.ndarray, arm: Arm, exertion: Exertion) -> str:
     if (low > 0).any() or (high < 0).any():
         raise RigError("the posture cannot hold the arm's own weight, and there is nothing to draw")
     A = of.joint_loads(q, arm, np.eye(6)[:, :3]).reshape(len(q), 3)
-    return force_polytope_figure.force_polytope_svg(A, exertion.strength.limits, of.force_polytope_corners(A, low, high), exertion.wrench[:3])
+    return force_polytope_figure.force_polytope_svg(
+        A, exertion.strength.limits, of.force_polytope_corners(A, low, high), exertion.wrench[:3]
+    )

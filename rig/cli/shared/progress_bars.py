@@ -1,4 +1,6 @@
-"""How far a command has come, and the time left: bars on a terminal, lines on the error output where they are asked for."""
+"""How far a command has come, and the time left: bars on a terminal, lines on the error output where they are asked
+for.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ class Progress:
     shown: ClassVar[str] = "auto"
 
     def __init__(self, silent: float = 1.0, every: float = EVERY) -> None:
-        """silent : s, from now, in which no bar is shown: who is quick needs none; every : s, between lines and before the first"""
+        """silent : s, from now, in which no bar is shown: who is quick needs none; every : s, between lines and before
+        the first
+        """
         self.bar: Any = None
         self.label: str | None = None
         self.timer: threading.Timer | None = None
@@ -39,7 +43,10 @@ class Progress:
         if label != self.label:
             self.close()
             wait = max(self.from_then - time.monotonic(), 0.0)
-            self.bar, self.label = tqdm(total=of, desc=label, disable=None, leave=False, file=unescaped_stream(sys.stderr), delay=wait), label
+            self.bar, self.label = (
+                tqdm(total=of, desc=label, disable=None, leave=False, file=unescaped_stream(sys.stderr), delay=wait),
+                label,
+            )
             if wait and not self.bar.disable:  # a bar of its own accord shows only once something is done
                 self.timer = threading.Timer(wait, _show, (self.bar,))
                 self.timer.daemon = True
@@ -66,7 +73,8 @@ class Progress:
 
 
 def compilation_notice() -> None:
-    """Say why nothing moves on for a while: a new installation, or a new version, compiles what is called for the first time.
+    """Say why nothing moves on for a while: a new installation, or a new version, compiles what is called for the first
+    time.
 
     On a terminal, or where lines are asked for; in a pipe the first line on the error output stays the command's own
     """

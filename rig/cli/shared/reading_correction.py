@@ -1,4 +1,6 @@
-"""rig correct CALIBRATION --forward readings.csv: what a measuring machine reads -> the poses that it stands for, corrected."""
+"""rig correct CALIBRATION --forward readings.csv: what a measuring machine reads -> the poses that it stands for,
+corrected.
+"""
 
 from argparse import Namespace
 
@@ -23,8 +25,13 @@ def poses_of_readings(arguments: Namespace) -> None:
     from rig.recording.corner_and_pose_tables import Poses
 
     if arguments.uncorrected or arguments.single_step or arguments.skip_unreachable or arguments.sensors:
-        raise RigError("--uncorrected, --single-step, --skip-unreachable and --sensors are about commands for wanted poses, not about --forward")
-    calibration = user_effects_option.load_calibration(arguments.calibration, user_effects_option.load_effect_files(arguments))
+        raise RigError(
+            "--uncorrected, --single-step, --skip-unreachable and --sensors are about commands for wanted "
+            "poses, not about --forward"
+        )
+    calibration = user_effects_option.load_calibration(
+        arguments.calibration, user_effects_option.load_effect_files(arguments)
+    )
     correction, nominal = calibration.correction, calibration.correction.nominal
     kinematics = mechanisms.kinematics_of(nominal)
     rows = csv_table.read(arguments.forward, ("frame", *nominal.axes))
@@ -37,9 +44,15 @@ def poses_of_readings(arguments: Namespace) -> None:
     T = correction.predict(readings)
     covariance = pose_covariance(calibration, T, readings)
     recording_tables.write_poses(out, Poses(frames, T, covariance))
-    position, rotation = (float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6)))
+    position, rotation = (
+        float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean()))
+        for part in (slice(0, 3), slice(3, 6))
+    )
     moved = np.linalg.norm(T.translation - kinematics.forward(readings, nominal).translation, axis=1)
-    print(f"{len(frames)} poses written to {arguments.out}: {np.sqrt((moved**2).mean()) * 1e3:.4f} mm RMS from what the owner's model reads; "
-          f"standard uncertainty {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad RMS")
+    print(
+        f"{len(frames)} poses written to {arguments.out}: {np.sqrt((moved**2).mean()) * 1e3:.4f} mm RMS from "
+        "what the owner's model reads; "
+        f"standard uncertainty {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad RMS"
+    )
     if calibration.physics is not None:
         print("what the calibration knows of physics is not taken off readings: it depends on what went before them")

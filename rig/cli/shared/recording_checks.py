@@ -1,4 +1,6 @@
-"""What commands say of their user's mistakes before they begin: a recording is read, checked, and refused where its results would mean nothing."""
+"""What commands say of their user's mistakes before they begin: a recording is read, checked, and refused where its
+results would mean nothing.
+"""
 
 import argparse
 import sys
@@ -18,7 +20,11 @@ if TYPE_CHECKING:
 
 def add_anyway_option(parser: argparse.ArgumentParser) -> None:
     """Add --anyway to a command that begins with a check."""
-    parser.add_argument("--anyway", action="store_true", help="go on though the recording shows a mistake that makes results meaningless")
+    parser.add_argument(
+        "--anyway",
+        action="store_true",
+        help="go on though the recording shows a mistake that makes results meaningless",
+    )
 
 
 def load_recording(arguments: argparse.Namespace, path: Path | None = None) -> "Recording":
@@ -38,7 +44,8 @@ def load_recording(arguments: argparse.Namespace, path: Path | None = None) -> "
 
 
 def check_recording(recording: "Recording", anyway: bool) -> "Callable[[Corners], None]":
-    """What looks at a recording's corners once they are read: both refuse what is spoilt, unless anyway, and print what is unlikely.
+    """What looks at a recording's corners once they are read: both refuse what is spoilt, unless anyway, and print what
+    is unlikely.
 
     Raises RigError that names the likeliest mistake first
     """
@@ -55,8 +62,8 @@ def check_recording(recording: "Recording", anyway: bool) -> "Callable[[Corners]
 def load_and_check_recordings(
     arguments: argparse.Namespace, progress: "Progress"
 ) -> "tuple[Recording, Callable[[Corners], None], CombinedRecordings | None]":
-    """(Recording, what looks at its corners, see `check_recording`) of the arguments that `add_recordings` adds: one Recording of them all, each
-    checked
+    """(Recording, what looks at its corners, see `check_recording`) of the arguments that `add_recordings` adds: one
+    Recording of them all, each checked
     by itself; and how they go together, None for one alone. What is shared and what is each one's own is printed.
 
     Raises RigError that names the likeliest mistake first, and for recordings that are not of one rig
@@ -65,7 +72,10 @@ def load_and_check_recordings(
         recording = load_recording(arguments)
         return recording, check_recording(recording, arguments.anyway), None
     if arguments.mask is not None:
-        raise RigError("--mask names frames of one recording; with several, mask them one by one (rig measure REC --mask FRAMES --out ..)")
+        raise RigError(
+            "--mask names frames of one recording; with several, mask them one by one (rig measure REC "
+            "--mask FRAMES --out ..)"
+        )
     from rig.recording.combined_recordings import is_measured_by_instrument
     from vision.combined_recordings import combine_recordings, require_combinable
 
@@ -87,7 +97,11 @@ def load_and_check_recordings(
             from calib.drift.instrument_displacement import remove_instrument_displacement
 
             recording, places = remove_instrument_displacement(recording)
-            print("\n".join(place.line(every[place.recording].name) for place in places) or "the instrument stands where it stood", flush=True)
+            print(
+                "\n".join(place.line(every[place.recording].name) for place in places)
+                or "the instrument stands where it stood",
+                flush=True,
+            )
         else:
             print("the instrument is taken to stand where it stood: of an arm that is not looked at", flush=True)
     return recording, lambda corners: None, found
@@ -100,8 +114,12 @@ def _judge_files(recording: "Recording", anyway: bool) -> None:
 
     report_mistakes(file_mistakes(recording), anyway)
     for name, quarters in quarter_turns(recording.design).items():
-        print(f"{recording.folder}: cube {name} was taken off and put back, {WORDS[quarters]}; its place is known only to what that may do, so its "
-              "markers hold no pose", flush=True)
+        print(
+            f"{recording.folder}: cube {name} was taken off and put back, {WORDS[quarters]}; its place is "
+            "known only to what that may do, so its "
+            "markers hold no pose",
+            flush=True,
+        )
     if recording.has_images and recording.corners is None and recording.design.targets:
         from vision.checks.image_sample import image_mistakes
 
@@ -135,14 +153,19 @@ def pose_mistakes(recording: "Recording") -> tuple[Mistake, ...]:
     return sort_mistakes(
         platform_commands_and_poses.command_pose_mistakes(
             platform_commands_and_poses.moves_of_recording(
-                recording, recording.poses.frame, recording.poses.T_base_platform, platform_commands_and_poses.written_pose_columns(recording)
+                recording,
+                recording.poses.frame,
+                recording.poses.T_base_platform,
+                platform_commands_and_poses.written_pose_columns(recording),
             )
         )
     )
 
 
 def report_mistakes(mistakes: Iterable[Mistake], anyway: bool) -> None:
-    """Print what is unlikely, first of all; raise RigError with all of it where one makes results meaningless and nobody said anyway."""
+    """Print what is unlikely, first of all; raise RigError with all of it where one makes results meaningless and
+    nobody said anyway.
+    """
     mistakes = tuple(mistakes)
     if any(one.spoils for one in mistakes) and not anyway:
         raise RigError("\n".join([*map(str, mistakes), "Nothing was computed; --anyway does it nevertheless"]))

@@ -1,4 +1,6 @@
-"""What a run works with, from a rig.toml: cameras opened and exposed well, sensors, how images are put on disk, how a move goes in time."""
+"""What a run works with, from a rig.toml: cameras opened and exposed well, sensors, how images are put on disk, how a
+move goes in time.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -28,7 +30,9 @@ COMPRESSION = 1  # of the PNG files
 
 
 def open_cameras(design: Design, clock: Clock) -> Shutter:
-    """All cameras of a design, open. Raises CameraError for one that states no source or does not open; the others are closed then."""
+    """All cameras of a design, open. Raises CameraError for one that states no source or does not open; the others are
+    closed then.
+    """
     opened = []
     try:
         for camera in design.cameras:
@@ -41,7 +45,9 @@ def open_cameras(design: Design, clock: Clock) -> Shutter:
 
 
 def run_equipment(design: Design, driver: Driver, shutter: Shutter, settling: Settling, clock: Clock) -> Bench:
-    """The Bench of a design, its sensors opened where it states any. Raises RigError for settling by limbs that nobody reads."""
+    """The Bench of a design, its sensors opened where it states any. Raises RigError for settling by limbs that nobody
+    reads.
+    """
     sensing = Sensing(design.sensors, clock) if design.sensors else None
     channels = set(design.sensors.channels) if design.sensors else set()
     if settling.by == "limbs" and not {f"m{i + 1}" for i in range(6)} <= channels:
@@ -60,7 +66,9 @@ def run_equipment(design: Design, driver: Driver, shutter: Shutter, settling: Se
 
 
 def move_time_profile(design: Design) -> Callable[[np.ndarray, np.ndarray, float, float], Way]:
-    """How a move goes in time: (start, goal (axes,) m, begun, ended s) -> Way, by the controller's stated speeds and accelerations."""
+    """How a move goes in time: (start, goal (axes,) m, begun, ended s) -> Way, by the controller's stated speeds and
+    accelerations.
+    """
     c = design.driver()
 
     def way(start: np.ndarray, goal: np.ndarray, begun: float, ended: float) -> Way:
@@ -93,8 +101,12 @@ def set_exposures(shutter: Shutter, design: Design, stated: float | None) -> lis
         elif stated is not None:
             said.append(f"camera {source.name!r}: exposure {source.set_exposure(stated) * 1e3:.3g} ms")
         else:
-            exposure, level = set_exposure_for_markers(source, partial(marker_white_level, camera=design.camera(source.name), markers=markers), START)
-            said.append(f"camera {source.name!r}: exposure {exposure * 1e3:.3g} ms, markers' white at {level:.0f} of 255")
+            exposure, level = set_exposure_for_markers(
+                source, partial(marker_white_level, camera=design.camera(source.name), markers=markers), START
+            )
+            said.append(
+                f"camera {source.name!r}: exposure {exposure * 1e3:.3g} ms, markers' white at {level:.0f} of 255"
+            )
     return said
 
 
@@ -105,9 +117,14 @@ def marker_white_level(image: np.ndarray, camera: Camera, markers: MarkerMap) ->
     """
     eight, full = grey_image(image)
     if full.shape != (camera.height, camera.width):
-        raise CameraError(f"camera {camera.name!r} gives {full.shape[1]} x {full.shape[0]} px, but rig.toml has {camera.width} x {camera.height} px")
+        raise CameraError(
+            f"camera {camera.name!r} gives {full.shape[1]} x {full.shape[0]} px, but rig.toml has "
+            f"{camera.width} x {camera.height} px"
+        )
     quads = read_markers(eight, markers).corners
-    boxes = [full[max(int(low[1]), 0): int(high[1]) + 1, max(int(low[0]), 0): int(high[0]) + 1] for low, high in
-             zip(quads.min(axis=1), quads.max(axis=1))] or [full]
+    boxes = [
+        full[max(int(low[1]), 0) : int(high[1]) + 1, max(int(low[0]), 0) : int(high[0]) + 1]
+        for low, high in zip(quads.min(axis=1), quads.max(axis=1))
+    ] or [full]
     bright = [np.percentile(box, 90) for box in boxes if box.size]
     return float(np.percentile(bright, 90)), float(np.mean([(box >= CLIPPED).mean() for box in boxes if box.size]))

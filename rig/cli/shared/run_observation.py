@@ -1,4 +1,6 @@
-"""Who looks on while a run goes: every frame measured and learnt from as it comes, what is wrong said at once, and shown to displays."""
+"""Who looks on while a run goes: every frame measured and learnt from as it comes, what is wrong said at once, and
+shown to displays.
+"""
 
 import queue
 import sys
@@ -33,7 +35,8 @@ LATEST = 30  # alarms that are kept for displays
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A frame that was measured. delay : s from the end of its exposure to its pose; learnt : what the learner made of it, or None
+    """A frame that was measured. delay : s from the end of its exposure to its pose; learnt : what the learner made of
+    it, or None
     blur : {camera: px, width of the markers' edges}, a figure of focus; rms : px of its corners, {camera: px}."""
 
     shot: Shot
@@ -47,7 +50,8 @@ class Seen:
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     """What displays show. phase : in words; frame, frames, step, steps : how far; left : s; lengths, goal : (axes,) m
-    ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first; ended : why, None while it goes."""
+    ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first; ended : why, None while it
+        goes."""
 
     phase: str
     frame: int
@@ -82,27 +86,52 @@ class Stopping:
 
 
 class Looking:
-    """See rig.driving.operator_loop.Watcher. start : (axes,) m; live, learner : None where frames are not measured or poses not learnt from
-    `displays` : who shows it."""
+    """See rig.driving.operator_loop.Watcher. start : (axes,) m; live, learner : None where frames are not measured or
+    poses not learnt from `displays` : who shows it."""
 
-    def __init__(self, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, live: Live | None, learner: Learner | None,
-                 stopping: Stopping) -> None:
+    def __init__(
+        self,
+        design: Design,
+        planned: tuple[Step, ...],
+        start: np.ndarray,
+        clock: Clock,
+        live: Live | None,
+        learner: Learner | None,
+        stopping: Stopping,
+    ) -> None:
         self.design, self._clock, self._live, self._learner = design, clock, live, learner
         self._stopping, self._reason = stopping, ""
         self._failed: Exception | None = None
         self.displays: list[Display] = []
-        self.note: Callable[[str], None] = lambda text: None  # puts what is said on record; the operator's, once there is one
+        self.note: Callable[[str], None] = lambda text: (
+            None
+        )  # puts what is said on record; the operator's, once there is one
         self._watch = Watch(design)
         self._limbs = LimbWatch(design) if has_six_limbs(design) else None
         self._read: np.ndarray | None = None
         self.source: LimbLive | None = None  # limbs whose poses stand for vision's
-        self.withdraw: Callable[[LimbLive, int, str], None] = lambda source, frame, reason: None  # writes that they no longer do
+        self.withdraw: Callable[[LimbLive, int, str], None] = lambda source, frame, reason: (
+            None
+        )  # writes that they no longer do
         self._waiting: list[Alarm] = []  # jumps that vision has not confirmed
         self._begun, self._done, self._way = clock.now(), 0, step_distances(planned, start)
         speed = design.controller.max_speed.min() if design.controller else np.inf
         self._travel, self._planned = self._way / speed, planned
         frames = sum(step.frames for step in planned)
-        self.view = View("starting", 0, frames, 0, len(planned), float("nan"), start, start, struts_of(design.mechanism).strut_range, (), None, None)
+        self.view = View(
+            "starting",
+            0,
+            frames,
+            0,
+            len(planned),
+            float("nan"),
+            start,
+            start,
+            struts_of(design.mechanism).strut_range,
+            (),
+            None,
+            None,
+        )
         self._lock = threading.RLock()
         self._queue: queue.Queue[tuple[Shot, np.ndarray | None] | None] = queue.Queue(WAITING)
         self._worker = threading.Thread(target=self._work, daemon=True)
@@ -112,7 +141,12 @@ class Looking:
         """A row is on disk."""
         if isinstance(row, Departure):
             self._done += 1
-            self.update(phase=f"moving to step {row.step + 1}", step=row.step + 1, goal=np.array(row.goal), left=self._left(row.step))
+            self.update(
+                phase=f"moving to step {row.step + 1}",
+                step=row.step + 1,
+                goal=np.array(row.goal),
+                left=self._left(row.step),
+            )
         elif isinstance(row, Exposed):
             self.update(phase="exposed", frame=row.frame + 1)
         elif isinstance(row, Resumed):
@@ -149,7 +183,9 @@ class Looking:
             for display in tuple(self.displays):
                 try:
                     display.show(self.view)
-                except Exception as error:  # of a display, whatever it is: the run goes on without that one, and reports it
+                except (
+                    Exception
+                ) as error:  # of a display, whatever it is: the run goes on without that one, and reports it
                     self.displays.remove(display)
                     self._report_lost(display, error)
 
@@ -206,7 +242,9 @@ class Looking:
         return sight, self._watch.look(sight, live.noise)
 
     def _by_limbs(self, shot: Shot, lengths: np.ndarray, source: LimbLive) -> None:
-        """A shot's pose from the limbs, learnt; vision looks where it is due, and what it has not confirmed is not said."""
+        """A shot's pose from the limbs, learnt; vision looks where it is due, and what it has not confirmed is not
+        said.
+        """
         open_ = source.is_closed(lengths)
         if open_ is not None:
             self._withdrawn(source, shot.number, open_)
@@ -236,13 +274,20 @@ class Looking:
             live.adjust()
 
     def _withdrawn(self, source: LimbLive, frame: int, found: Disagreement) -> None:
-        """The limbs no longer stand for vision: on file, said, and what was learnt since the last check is forgotten."""
+        """The limbs no longer stand for vision: on file, said, and what was learnt since the last check is
+        forgotten.
+        """
         self._waiting = []
         if self._learner is not None:
             self._learner.restore()
         self.withdraw(source, frame, found.reason)
-        self.warn(Alarm("limbs", f"frame {frame}: {found.reason}. {found.who}: their acceptance is withdrawn, "
-                                 "what was learnt since they last agreed is forgotten, and vision measures"))
+        self.warn(
+            Alarm(
+                "limbs",
+                f"frame {frame}: {found.reason}. {found.who}: their acceptance is withdrawn, "
+                "what was learnt since they last agreed is forgotten, and vision measures",
+            )
+        )
 
     def _measure(self, shot: Shot, lengths: np.ndarray | None, live: Live) -> None:
         sight, alarms = self._look(shot, live)
@@ -251,10 +296,21 @@ class Looking:
             learnt = self._learner.learn(shot.commanded, sight.T_base_platform, sight.covariance)
             alarms += [Alarm("jump", change_sentence(change, shot.number)) for change in learnt.changes]
             if learnt.drift:
-                alarms.append(Alarm("drift", f"frame {shot.number}: poses have drifted from the calibration by {learnt.drift[0] * 1e3:.3f} mm and "
-                                             f"{learnt.drift[1] * 1e3:.3f} mrad, beyond the tolerance"))
-        if self._limbs is not None and self.source is None and lengths is not None and sight.covariance is not None and self._limbs.take(
-                lengths, sight.T_base_platform, sight.covariance):
+                alarms.append(
+                    Alarm(
+                        "drift",
+                        f"frame {shot.number}: poses have drifted from the calibration by "
+                        f"{learnt.drift[0] * 1e3:.3f} mm and "
+                        f"{learnt.drift[1] * 1e3:.3f} mrad, beyond the tolerance",
+                    )
+                )
+        if (
+            self._limbs is not None
+            and self.source is None
+            and lengths is not None
+            and sight.covariance is not None
+            and self._limbs.take(lengths, sight.T_base_platform, sight.covariance)
+        ):
             alarms.append(Alarm("limbs", f"frame {shot.number}: the measuring limbs no longer agree with vision"))
         self._show(shot, sight, learnt)
         for alarm in alarms:
@@ -265,8 +321,11 @@ class Looking:
         """Have displays show a frame."""
         delay = self._clock.now() - max([frame.t for frame in shot.frames.values()], default=self._clock.now())
         o, good = sight.observations, sight.inliers & np.isfinite(sight.residuals[:, 0])
-        rms = {camera.name: float(np.sqrt((sight.residuals[rows] ** 2).mean())) for i, camera in enumerate(self.design.cameras)
-               if (rows := good & (o.camera == i)).any()}
+        rms = {
+            camera.name: float(np.sqrt((sight.residuals[rows] ** 2).mean()))
+            for i, camera in enumerate(self.design.cameras)
+            if (rows := good & (o.camera == i)).any()
+        }
         blur = {name: float(np.median(d.blur)) for name, d in sight.detections.items() if len(d.blur)}
         self.update(seen=Seen(shot, sight, learnt, delay, rms, blur))
 
@@ -276,6 +335,10 @@ class Looking:
         try:
             if self._learner is not None:
                 return self._learner.expected(shot.commanded)
-            return mechanisms.kinematics_of(mechanism).forward(shot.commanded, mechanism) if mechanism.kind == "hexapod" else None
+            return (
+                mechanisms.kinematics_of(mechanism).forward(shot.commanded, mechanism)
+                if mechanism.kind == "hexapod"
+                else None
+            )
         except NotConverged:
             return None

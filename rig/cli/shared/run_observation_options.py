@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 SHARED = 42  # draws that all poses by limbs have in common: their geometry
 
 
-def run_observation(arguments: Namespace, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock,
-               stopping: Stopping) -> Looking:
+def run_observation(
+    arguments: Namespace, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, stopping: Stopping
+) -> Looking:
     """The Looking of a run, by limbs where the arguments name accepted ones. start : (axes,) m.
 
     Raises RigError for a calibration of another kind of machine, and for limbs that do not stand for vision.
@@ -41,13 +42,21 @@ def run_observation(arguments: Namespace, design: Design, planned: tuple[Step, .
     if calibration is not None:
         calibration.refuse_physics("watching a run")
     if calibration is not None and calibration.correction.nominal.kind != design.mechanism.kind:
-        raise RigError(f"{arguments.calibration} is of a mechanism of kind {calibration.correction.nominal.kind!r}, the rig's is "
-                       f"{design.mechanism.kind!r}")
-    measured = not arguments.no_measure and (has_hand_cameras(design) or any(target.body == "platform" for target in design.targets))
+        raise RigError(
+            f"{arguments.calibration} is of a mechanism of kind {calibration.correction.nominal.kind!r}, the rig's is "
+            f"{design.mechanism.kind!r}"
+        )
+    measured = not arguments.no_measure and (
+        has_hand_cameras(design) or any(target.body == "platform" for target in design.targets)
+    )
     learner = None
     if measured and design.mechanism.kind == "hexapod":
-        learner = Learner(design.mechanism, calibration, tuple(arguments.tolerance) if arguments.tolerance else None,
-                          0 if accepted is None else SHARED)
+        learner = Learner(
+            design.mechanism,
+            calibration,
+            tuple(arguments.tolerance) if arguments.tolerance else None,
+            0 if accepted is None else SHARED,
+        )
     looking = Looking(design, planned, start, clock, Live(design) if measured else None, learner, stopping)
     if accepted is not None:
         looking.source = LimbLive(accepted, every)

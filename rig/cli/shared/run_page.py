@@ -49,22 +49,38 @@ class Page:
         """The run is over; the page stays until the context ends."""
 
     def _event(self, view: View, history: list[dict]) -> dict:
-        struts = [{"low": low * 1e3, "high": high * 1e3, "at": at * 1e3, "goal": goal * 1e3}
-                  for (low, high), at, goal in zip(view.ranges.tolist(), view.lengths.tolist(), view.goal.tolist())]
+        struts = [
+            {"low": low * 1e3, "high": high * 1e3, "at": at * 1e3, "goal": goal * 1e3}
+            for (low, high), at, goal in zip(view.ranges.tolist(), view.lengths.tolist(), view.goal.tolist())
+        ]
         T = view.seen.sight.T_base_platform if view.seen is not None else None
-        return {"verdict": run_verdict(view).tree(), "phase": view.phase, "frame": view.frame, "frames": view.frames, "step": view.step,
-                "steps": view.steps, "left": view.left if np.isfinite(view.left) else 0.0, "ended": view.ended, "struts": struts, "history": history,
-                "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in view.alarms],
-                "seen": None if view.seen is None else _seen(view.seen, self._design, self._markers),
-                "rig": _rig(self._design, self._fixed, self._markers, T)}
+        return {
+            "verdict": run_verdict(view).tree(),
+            "phase": view.phase,
+            "frame": view.frame,
+            "frames": view.frames,
+            "step": view.step,
+            "steps": view.steps,
+            "left": view.left if np.isfinite(view.left) else 0.0,
+            "ended": view.ended,
+            "struts": struts,
+            "history": history,
+            "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in view.alarms],
+            "seen": None if view.seen is None else _seen(view.seen, self._design, self._markers),
+            "rig": _rig(self._design, self._fixed, self._markers, T),
+        }
 
 
 def _figures(seen: Seen) -> dict:
     """What charts show of a frame."""
     rms = float(np.sqrt(np.mean(np.square(list(seen.rms.values()))))) if seen.rms else None
     learnt = seen.learnt
-    return {"frame": seen.sight.frame, "rms": rms, "error": None if learnt is None else float(np.linalg.norm(learnt.error[:3]) * 1e6),
-            "innovation": None if learnt is None else learnt.innovation}
+    return {
+        "frame": seen.sight.frame,
+        "rms": rms,
+        "error": None if learnt is None else float(np.linalg.norm(learnt.error[:3]) * 1e6),
+        "innovation": None if learnt is None else learnt.innovation,
+    }
 
 
 def _seen(seen: Seen, design: Design, markers: MarkerMap | None) -> dict:
@@ -74,10 +90,18 @@ def _seen(seen: Seen, design: Design, markers: MarkerMap | None) -> dict:
     def scaled(values: np.ndarray, scale: float) -> list[float]:
         return (np.asarray(values) * scale).tolist()
 
-    return {"frame": sight.frame, "reason": sight.reason, "delay": seen.delay, "pose": None if T is None else scaled(pose_to_vector(T), 1e3),
-            "sigma": None if sight.covariance is None else scaled(np.sqrt(np.diag(sight.covariance)), 1e6),
-            "error": None if learnt is None else scaled(learnt.error, 1e6), "innovation": None if learnt is None else learnt.innovation,
-            "cameras": [_camera(seen, i, camera, ids) for i, camera in enumerate(design.cameras) if camera.name in sight.detections]}
+    return {
+        "frame": sight.frame,
+        "reason": sight.reason,
+        "delay": seen.delay,
+        "pose": None if T is None else scaled(pose_to_vector(T), 1e3),
+        "sigma": None if sight.covariance is None else scaled(np.sqrt(np.diag(sight.covariance)), 1e6),
+        "error": None if learnt is None else scaled(learnt.error, 1e6),
+        "innovation": None if learnt is None else learnt.innovation,
+        "cameras": [
+            _camera(seen, i, camera, ids) for i, camera in enumerate(design.cameras) if camera.name in sight.detections
+        ],
+    }
 
 
 def _camera(seen: Seen, i: int, camera: Camera, ids: np.ndarray) -> dict:
@@ -87,11 +111,20 @@ def _camera(seen: Seen, i: int, camera: Camera, ids: np.ndarray) -> dict:
     rows = np.flatnonzero(o.camera == i)
     aside = set(ids[o.marker[rows[~sight.inliers[rows]]]].tolist())
     solved = rows[np.isfinite(sight.residuals[rows, 0])]
-    return {"name": camera.name, "width": camera.width, "height": camera.height, "read": len(detection.marker),
-            "expected": len(sight.expected.get(camera.name, detection.marker)), "rms": seen.rms.get(camera.name), "blur": seen.blur.get(camera.name),
-            "quads": [[int(number), number not in aside, *np.round(quad.ravel(), 2).tolist()]
-                      for number, quad in zip(detection.marker.tolist(), detection.corners)],
-            "arrows": np.round(np.hstack([o.uv[solved], sight.residuals[solved]]), 4).tolist()}
+    return {
+        "name": camera.name,
+        "width": camera.width,
+        "height": camera.height,
+        "read": len(detection.marker),
+        "expected": len(sight.expected.get(camera.name, detection.marker)),
+        "rms": seen.rms.get(camera.name),
+        "blur": seen.blur.get(camera.name),
+        "quads": [
+            [int(number), number not in aside, *np.round(quad.ravel(), 2).tolist()]
+            for number, quad in zip(detection.marker.tolist(), detection.corners)
+        ],
+        "arrows": np.round(np.hstack([o.uv[solved], sight.residuals[solved]]), 4).tolist(),
+    }
 
 
 def _rig(design: Design, fixed: list[dict], markers: MarkerMap | None, T: RigidTransform | None) -> dict:
@@ -101,9 +134,13 @@ def _rig(design: Design, fixed: list[dict], markers: MarkerMap | None, T: RigidT
     if m.kind == "hexapod":
         T = m.home if T is None else T
         top = T.apply(m.platform_joints)
-        parts += [{"kind": "strut", "name": str(k), "points": [low.tolist(), high.tolist()]}
-                  for k, (low, high) in enumerate(zip(m.base_joints, top), 1)]
-        parts += [{"kind": "plate", "points": around} for around in (closed_outline(m.base_joints), closed_outline(top))]
+        parts += [
+            {"kind": "strut", "name": str(k), "points": [low.tolist(), high.tolist()]}
+            for k, (low, high) in enumerate(zip(m.base_joints, top), 1)
+        ]
+        parts += [
+            {"kind": "plate", "points": around} for around in (closed_outline(m.base_joints), closed_outline(top))
+        ]
         middle = (m.home.translation / 2).tolist()
     if markers is not None and T is not None:
         corners = transform_points(T, markers.corners[markers.on_platform].reshape(-1, 3))

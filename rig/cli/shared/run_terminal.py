@@ -67,7 +67,9 @@ def view_lines(view: View) -> list[str]:
     for i, (length, goal, (low, high)) in enumerate(zip(view.lengths, view.goal, view.ranges), 1):
         at, to = (int(np.clip((value - low) / (high - low), 0, 1) * (WIDTH - 1)) for value in (length, goal))
         bar = "".join("#" if k == at else "+" if k == to else "-" for k in range(WIDTH))
-        lines.append(f"strut {i} {low * 1e3:8.1f} |{bar}| {high * 1e3:8.1f} mm   {length * 1e3:9.4f} -> {goal * 1e3:9.4f}")
+        lines.append(
+            f"strut {i} {low * 1e3:8.1f} |{bar}| {high * 1e3:8.1f} mm   {length * 1e3:9.4f} -> {goal * 1e3:9.4f}"
+        )
     if view.seen is not None:
         lines += pose_lines(view.seen)
     return lines + [f"! {alarm.kind}: {alarm.text}" for alarm in view.alarms[-4:]]
@@ -76,8 +78,11 @@ def view_lines(view: View) -> list[str]:
 def pose_lines(seen: Seen) -> list[str]:
     """A measured frame in words: its pose, how sure that is, what each camera saw, what was expected."""
     sight = seen.sight
-    cameras = ", ".join(f"{name} {len(d.marker)}/{len(sight.expected.get(name, d.marker))}"
-                        + (f" {seen.rms[name]:.3f} px" if name in seen.rms else "") for name, d in sight.detections.items())
+    cameras = ", ".join(
+        f"{name} {len(d.marker)}/{len(sight.expected.get(name, d.marker))}"
+        + (f" {seen.rms[name]:.3f} px" if name in seen.rms else "")
+        for name, d in sight.detections.items()
+    )
     if sight.T_base_platform is None:
         return [f"frame {sight.frame}: no pose: {sight.reason}", cameras]
     v = pose_to_vector(sight.T_base_platform)
@@ -91,8 +96,11 @@ def pose_lines(seen: Seen) -> list[str]:
         lines.append("cameras not yet adjusted")
     if seen.learnt is not None:
         error = seen.learnt.error
-        lines.append(f"off what was expected by {np.linalg.norm(error[:3]) * 1e6:.1f} um, {np.linalg.norm(error[3:]) * 1e6:.1f} urad "
-                     f"({seen.learnt.innovation:.2f} of what the learner expects by now)")
+        lines.append(
+            f"off what was expected by {np.linalg.norm(error[:3]) * 1e6:.1f} um, "
+            f"{np.linalg.norm(error[3:]) * 1e6:.1f} urad "
+            f"({seen.learnt.innovation:.2f} of what the learner expects by now)"
+        )
     return [*lines, cameras, f"{seen.delay:.2f} s after its exposure"]
 
 

@@ -1,4 +1,6 @@
-"""The verdict on a run that goes on: ended before its end, alarms, poses that are off what was expected by more than measuring them allows."""
+"""The verdict on a run that goes on: ended before its end, alarms, poses that are off what was expected by more than
+measuring them allows.
+"""
 
 import math
 
@@ -8,7 +10,9 @@ from rig.cli.shared.run_observation import Seen, View
 from rig.report.verdict import Evidence, Missing, Verdict, judge_evidence
 
 OFF = 3.0  # standard uncertainties, RMS over the axes that were measured: beyond it one pose is off by more than chance
-CALIBRATE = "Calibrate once the run is over: `rig calibrate REC --out calibration.json`, or begin with `--calibration FILE`"
+CALIBRATE = (
+    "Calibrate once the run is over: `rig calibrate REC --out calibration.json`, or begin with `--calibration FILE`"
+)
 
 
 def run_verdict(view: View) -> Verdict:
@@ -17,11 +21,15 @@ def run_verdict(view: View) -> Verdict:
     alarms = tuple(Missing(f"{alarm.kind}: {alarm.text}") for alarm in view.alarms)
     off = math.nan if view.seen is None else pose_deviation_in_sigmas(view.seen)
     unexplained = (f"the last pose is {off:.3g} times its own uncertainty off what was expected",) if off > OFF else ()
-    return judge_evidence(Evidence(view.phase, missing=alarms, unexplained=unexplained, refuted=refuted, look=CALIBRATE))
+    return judge_evidence(
+        Evidence(view.phase, missing=alarms, unexplained=unexplained, refuted=refuted, look=CALIBRATE)
+    )
 
 
 def pose_deviation_in_sigmas(seen: Seen) -> float:
-    """By how many of its own standard uncertainties a pose is off what was expected, RMS over the axes; NaN where that is not known."""
+    """By how many of its own standard uncertainties a pose is off what was expected, RMS over the axes; NaN where that
+    is not known.
+    """
     if seen.learnt is None or seen.sight.covariance is None:
         return math.nan
     sigma = np.sqrt(np.diag(seen.sight.covariance))

@@ -1,4 +1,6 @@
-"""rig online --learner: the learners that follow poses and watch for nothing, with what each keeps between recordings."""
+"""rig online --learner: the learners that follow poses and watch for nothing, with what each keeps between
+recordings.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +30,32 @@ SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the choice of a learner, and each one's setting."""
-    parser.add_argument("--learner", choices=(WATCHING, *SETTINGS), default=WATCHING, help="filter (the default) names what jumped; forgetting: "
-                        "least squares that forget along what is told; drifting: parameters that wander; first-order: gradient steps, no covariance")
-    parser.add_argument("--kept", type=parse_number, metavar="SHARE", help="of forgetting: share of what was known that a pose leaves (default 0.99)")
-    parser.add_argument("--drift", type=parse_number, metavar="M", help="of drifting: how far a parameter wanders from pose to pose (default 1e-7 m)")
-    parser.add_argument("--step", type=parse_number, metavar="M", help="of first-order: how far a parameter may have to go (default 1e-3 m)")
+    parser.add_argument(
+        "--learner",
+        choices=(WATCHING, *SETTINGS),
+        default=WATCHING,
+        help="filter (the default) names what jumped; forgetting: "
+        "least squares that forget along what is told; drifting: parameters that wander; first-order: "
+        "gradient steps, no covariance",
+    )
+    parser.add_argument(
+        "--kept",
+        type=parse_number,
+        metavar="SHARE",
+        help="of forgetting: share of what was known that a pose leaves (default 0.99)",
+    )
+    parser.add_argument(
+        "--drift",
+        type=parse_number,
+        metavar="M",
+        help="of drifting: how far a parameter wanders from pose to pose (default 1e-7 m)",
+    )
+    parser.add_argument(
+        "--step",
+        type=parse_number,
+        metavar="M",
+        help="of first-order: how far a parameter may have to go (default 1e-3 m)",
+    )
 
 
 def refuse_settings(arguments: Namespace) -> None:
@@ -42,10 +65,16 @@ def refuse_settings(arguments: Namespace) -> None:
             raise RigError(f"--{setting} is of --learner {learner}, not of {arguments.learner}")
 
 
-def learn_poses(arguments: Namespace, recording: Recording, sampled: Callable[[], Sampled], calibration: Calibration | None, state: Path | None,
-           progress: Progress) -> tuple[OnlineResult, dict[str, Any]]:
-    """What a recording's poses taught one at a time, by the learner that is asked for, and what --json prints of it; it is said how well it expected
-    them.
+def learn_poses(
+    arguments: Namespace,
+    recording: Recording,
+    sampled: Callable[[], Sampled],
+    calibration: Calibration | None,
+    state: Path | None,
+    progress: Progress,
+) -> tuple[OnlineResult, dict[str, Any]]:
+    """What a recording's poses taught one at a time, by the learner that is asked for, and what --json prints of it; it
+    is said how well it expected them.
 
     sampled : makes the Sampled of the recording; state : where it is saved, or None
     Raises RigError for a state of another learner, and where no pose is left to learn
@@ -70,8 +99,10 @@ def learn_poses(arguments: Namespace, recording: Recording, sampled: Callable[[]
     for k, (x, T, C) in enumerate(zip(commands, samples.T_base_platform, samples.total_covariance())):
         errors[k] = learner.update(x, T, C)
         progress("learning", k + 1, len(samples))
-    print(f"{len(samples)} poses from {found.source}, learnt one at a time by {arguments.learner} ({learner.SETTING} {learner.setting:g})"
-          + (f" after {before} before" if before else ""))
+    print(
+        f"{len(samples)} poses from {found.source}, learnt one at a time by {arguments.learner} "
+        f"({learner.SETTING} {learner.setting:g})" + (f" after {before} before" if before else "")
+    )
     _tell(errors)
     moved = float(np.sqrt(np.mean((learner.p - parameters(hexapod_of(recording.design.mechanism))) ** 2)))
     sigma = None if learner.covariance is None else float(np.sqrt(np.mean(np.diag(learner.covariance))))
@@ -82,8 +113,17 @@ def learn_poses(arguments: Namespace, recording: Recording, sampled: Callable[[]
         learner_file.save(state, learner)
         print(f"written: {arguments.state}")
     first, last = _quarters(errors)
-    result = {"schema": "followed/1", "learner": arguments.learner, learner.SETTING: float(learner.setting), "poses": len(samples),
-              "poses_before": before, "first_quarter": first, "last_quarter": last, "moved_rms_m": moved, "sigma_rms_m": sigma}
+    result = {
+        "schema": "followed/1",
+        "learner": arguments.learner,
+        learner.SETTING: float(learner.setting),
+        "poses": len(samples),
+        "poses_before": before,
+        "first_quarter": first,
+        "last_quarter": last,
+        "moved_rms_m": moved,
+        "sigma_rms_m": sigma,
+    }
     return OnlineResult(samples.frame, errors, found.source, (), (), sigma, moved), result
 
 
@@ -121,5 +161,8 @@ def _quarters(errors: np.ndarray) -> tuple[float, float]:
 def _tell(errors: np.ndarray) -> None:
     """Say how far poses were from what was expected of them. errors : (n, 6) whitened"""
     first, last = _quarters(errors)
-    print(f"poses were off what was expected by {first:.3g} standard deviations RMS in the first quarter, by {last:.3g} in the last "
-          "(1 where nothing is left to learn)")
+    print(
+        f"poses were off what was expected by {first:.3g} standard deviations RMS in the first quarter, by "
+        f"{last:.3g} in the last "
+        "(1 where nothing is left to learn)"
+    )

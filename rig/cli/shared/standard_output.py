@@ -1,4 +1,6 @@
-"""Standard output whose reader may close it early, as `head` does: a command that writes files finishes them all the same."""
+"""Standard output whose reader may close it early, as `head` does: a command that writes files finishes them all the
+same.
+"""
 
 import os
 from collections.abc import Callable
@@ -8,8 +10,9 @@ from typing import Any, TextIO
 class StandardOutput:
     """A stream that stands for standard output while a command runs.
 
-    stream : what it prints to; writes_files : whether the command writes files by now. Once the reader has closed the pipe, printing is discarded
-    where it does (`closed` is true from then on); where it does not, BrokenPipeError is raised, since nobody is left to work for.
+    stream : what it prints to; writes_files : whether the command writes files by now. Once the reader has closed the
+    pipe, printing is discarded where it does (`closed` is true from then on); where it does not, BrokenPipeError is
+    raised, since nobody is left to work for.
     """
 
     def __init__(self, stream: TextIO, writes_files: Callable[[], bool]) -> None:

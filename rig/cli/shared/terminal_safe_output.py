@@ -1,4 +1,6 @@
-"""Standard output and error on which outside text (names of files, what a controller answers) can be read and does nothing else."""
+"""Standard output and error on which outside text (names of files, what a controller answers) can be read and does
+nothing else.
+"""
 
 import sys
 from collections.abc import Iterator

@@ -16,8 +16,14 @@ if TYPE_CHECKING:
 
 def add_effects_option(parser: ArgumentParser) -> None:
     """Let a command take files of effects."""
-    parser.add_argument("--effects", metavar="FILE.py", type=Path, action="append", default=[], help="a file with effects of your own, as "
-                        "`rig effects --new` writes one; it is run; may be given again")
+    parser.add_argument(
+        "--effects",
+        metavar="FILE.py",
+        type=Path,
+        action="append",
+        default=[],
+        help="a file with effects of your own, as `rig effects --new` writes one; it is run; may be given again",
+    )
 
 
 def load_effect_files(arguments: Namespace) -> tuple[Plugin, ...]:
@@ -41,7 +47,9 @@ def known_effects(given: tuple[Plugin, ...]) -> Kinds:
 
 
 def load_calibration(path: Path, given: tuple[Plugin, ...]) -> Calibration:
-    """Calibration of a file, which may know effects of these files. Raises RigError where one is not as it was when the calibration was made."""
+    """Calibration of a file, which may know effects of these files. Raises RigError where one is not as it was when the
+    calibration was made.
+    """
     from calib.files import calibration_file
 
     found = calibration_file.load(path, known_effects(given))
@@ -49,5 +57,7 @@ def load_calibration(path: Path, given: tuple[Plugin, ...]) -> Calibration:
     used = {effect.name for effect in found.physics.effects} if found.physics is not None else set()
     for plugin in given:
         if plugin.sha256 not in hashes and used & {kind.name for kind in plugin.kinds}:
-            raise RigError(f"{plugin.path} is not as it was when {path} was made from it; take that file, or calibrate again")
+            raise RigError(
+                f"{plugin.path} is not as it was when {path} was made from it; take that file, or calibrate again"
+            )
     return found

@@ -1,4 +1,6 @@
-"""Who does the work of a command: so many processes here, or a Dask cluster; one group of options and what they mean."""
+"""Who does the work of a command: so many processes here, or a Dask cluster; one group of options and what they
+mean.
+"""
 
 import sys
 import time
@@ -21,16 +23,25 @@ def add_workers(parser: ArgumentParser) -> None:
     """Let a command be told who works for it."""
     group = parser.add_argument_group("who does the work; results are the same to the last byte")
     group.add_argument(
-        "--workers", "--jobs", dest="workers", type=parse_whole_number, metavar="N", help="processes at a time on this computer (all cores)"
+        "--workers",
+        "--jobs",
+        dest="workers",
+        type=parse_whole_number,
+        metavar="N",
+        help="processes at a time on this computer (all cores)",
     )
-    group.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster (tcp://HOST:PORT) whose workers have rig and see the same "
-                       "folders: they read images, draw and diagnose; needs the extra rig[cluster]")
+    group.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of a Dask cluster (tcp://HOST:PORT) whose workers have rig and see the same "
+        "folders: they read images, draw and diagnose; needs the extra rig[cluster]",
+    )
 
 
 @contextmanager
 def workers_at_work(arguments: Namespace) -> Iterator[None]:
-    """Within it those work whom `add_workers` was told of; products of matrices take one thread, so that who works does not change how they are
-    rounded. Raises RigError for a number of workers that cannot be, and what `cluster` raises
+    """Within it those work whom `add_workers` was told of; products of matrices take one thread, so that who works does
+    not change how they are rounded. Raises RigError for a number of workers that cannot be, and what `cluster` raises
     """
     if arguments.workers is not None and not 1 <= arguments.workers <= MOST:
         raise RigError(f"--workers takes 1 to {MOST}, not {arguments.workers}")
@@ -44,7 +55,9 @@ def workers_at_work(arguments: Namespace) -> Iterator[None]:
 
 @contextmanager
 def worker_pool() -> Iterator[Any]:
-    """What runs calls at the same time: threads that wait for processes here, or the cluster. At its end what has not begun is dropped."""
+    """What runs calls at the same time: threads that wait for processes here, or the cluster. At its end what has not
+    begun is dropped.
+    """
     there = dask_cluster.current_cluster()
     if there is not None:
         yield there.executor()

@@ -1,4 +1,6 @@
-"""Cameras of a rig: opened by what rig.toml says of them, grabbed together, with the time at which they were exposed."""
+"""Cameras of a rig: opened by what rig.toml says of them, grabbed together, with the time at which they were
+exposed.
+"""
 
 from rig.driving.cameras.camera_interface import CameraError, Frame, Source
 from rig.driving.cameras.camera_opening import KINDS, open_source

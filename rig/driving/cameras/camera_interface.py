@@ -1,4 +1,6 @@
-"""What a camera is to the rest of the house: something that grabs a frame, and when the frame was exposed on the host's clock."""
+"""What a camera is to the rest of the house: something that grabs a frame, and when the frame was exposed on the host's
+clock.
+"""
 
 from dataclasses import dataclass
 from typing import Protocol

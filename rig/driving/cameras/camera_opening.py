@@ -10,8 +10,13 @@ from rig.driving.cameras.opencv_camera import open_video
 from rig.driving.clock import Clock
 from rig.model.design import Camera
 
-KINDS = {"uvc": "uvc:0 or uvc:/dev/video0", "gstreamer": "gstreamer:PIPELINE ! appsink", "genicam": "genicam:SERIAL",
-         "folder": "folder:/path", "emulator": "emulator:HOST:PORT"}
+KINDS = {
+    "uvc": "uvc:0 or uvc:/dev/video0",
+    "gstreamer": "gstreamer:PIPELINE ! appsink",
+    "genicam": "genicam:SERIAL",
+    "folder": "folder:/path",
+    "emulator": "emulator:HOST:PORT",
+}
 
 __all__ = ["KINDS", "CameraError", "Frame", "Source", "open_source"]
 

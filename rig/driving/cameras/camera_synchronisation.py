@@ -21,7 +21,9 @@ class Shutter:
         self._pool = ThreadPoolExecutor(len(sources))
 
     def grab(self) -> dict[str, Frame]:
-        """{camera: Frame}, exposed together as nearly as their triggers allow. Raises CameraError for all that gave none."""
+        """{camera: Frame}, exposed together as nearly as their triggers allow. Raises CameraError for all that gave
+        none.
+        """
         futures = [self._pool.submit(self._one, source) for source in self.sources]
         errors = [error for error in (future.exception() for future in futures) if error is not None]
         for error in errors:

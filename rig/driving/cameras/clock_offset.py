@@ -1,8 +1,9 @@
-"""A camera's clock against the host's: between two readings of ours lies one of theirs, so the offset is bounded; what many leave is it.
+"""A camera's clock against the host's: between two readings of ours lies one of theirs, so the offset is bounded; what
+many leave is it.
 
-Each pair of readings of the host's clock, before and after something that the camera stamped, says that offset = host - camera lies
-between them. Bounds of several meet in a narrower one (Cristian, Distributed Computing 3, 1989); old bounds widen with the drift
-that two clocks may have.
+Each pair of readings of the host's clock, before and after something that the camera stamped, says that offset = host -
+camera lies between them. Bounds of several meet in a narrower one (Cristian, Distributed Computing 3, 1989); old bounds
+widen with the drift that two clocks may have.
 """
 
 import math
@@ -29,14 +30,18 @@ class Bound:
 
 
 class Offset:
-    """The offset host - camera of one camera's clock, learnt from its stamps. `restarts` counts how often its clock was found set anew."""
+    """The offset host - camera of one camera's clock, learnt from its stamps. `restarts` counts how often its clock was
+    found set anew.
+    """
 
     def __init__(self) -> None:
         self.bound: Bound | None = None
         self.restarts = 0
 
     def learn(self, before: float, stamp: float, after: float) -> None:
-        """One stamp of the camera's clock (s), taken between two readings of the host's (s). Raises RigError for readings out of order."""
+        """One stamp of the camera's clock (s), taken between two readings of the host's (s). Raises RigError for
+        readings out of order.
+        """
         if after < before:
             raise RigError(f"the host's clock ran backwards about a camera's stamp: {before!r} s, then {after!r} s")
         fresh = Bound(after, before - stamp, after - stamp)
@@ -50,7 +55,9 @@ class Offset:
         self.bound = fresh
 
     def host(self, stamp: float, now: float) -> tuple[float, float]:
-        """(t, sigma) s: a stamp of the camera on the host's clock, and how well that is known. Raises RigError before any stamp."""
+        """(t, sigma) s: a stamp of the camera on the host's clock, and how well that is known. Raises RigError before
+        any stamp.
+        """
         if self.bound is None:
             raise RigError("the offset between the camera's clock and the host's is not known yet")
         bound = self.bound.at(max(now, self.bound.t))

@@ -1,7 +1,8 @@
 """The cameras of an emulator, over TCP: images drawn at the pose that its struts give it when it is asked.
 
-A request is one line, `expose CAMERA SECONDS`. The answer is one line of JSON, {"width", "height", "bits", "age"} or {"error"}, and
-the pixels, row by row (12 bits: two bytes each, low byte first). age (s): how long before the answer began to be sent the exposure was.
+A request is one line, `expose CAMERA SECONDS`. The answer is one line of JSON, {"width", "height", "bits", "age"} or
+{"error"}, and the pixels, row by row (12 bits: two bytes each, low byte first). age (s): how long before the answer
+began to be sent the exposure was.
 """
 
 import json
@@ -31,8 +32,10 @@ class EmulatedSource:
         try:
             self._socket = socket.create_connection((host, int(port)), timeout=WAIT)
         except OSError as error:
-            raise CameraError(f"camera {name!r}: no emulator draws pictures at {address} ({error.strerror or error}); "
-                              "`rig emulate .. --cameras PORT` does") from None
+            raise CameraError(
+                f"camera {name!r}: no emulator draws pictures at {address} ({error.strerror or error}); "
+                "`rig emulate .. --cameras PORT` does"
+            ) from None
         self._stream = self._socket.makefile("rb")
 
     def grab(self) -> Frame:
@@ -50,12 +53,18 @@ class EmulatedSource:
             count = tree["width"] * tree["height"] * (1 if tree["bits"] == 8 else 2)
             data = self._stream.read(count)
         except (OSError, ValueError, KeyError) as error:
-            raise CameraError(f"camera {self.name!r}: the emulator at {self._address} did not answer: {error}") from None
+            raise CameraError(
+                f"camera {self.name!r}: the emulator at {self._address} did not answer: {error}"
+            ) from None
         if len(data) < count:
-            raise CameraError(f"camera {self.name!r}: the emulator's picture was cut off after {len(data)} of {count} bytes")
+            raise CameraError(
+                f"camera {self.name!r}: the emulator's picture was cut off after {len(data)} of {count} bytes"
+            )
         if (tree["width"], tree["height"]) != self._size:
-            raise CameraError(f"camera {self.name!r} gives {tree['width']} x {tree['height']} px, but rig.toml has "
-                              f"{self._size[0]} x {self._size[1]} px")
+            raise CameraError(
+                f"camera {self.name!r} gives {tree['width']} x {tree['height']} px, but rig.toml has "
+                f"{self._size[0]} x {self._size[1]} px"
+            )
         image = np.frombuffer(data, np.uint8 if tree["bits"] == 8 else "<u2").reshape(tree["height"], tree["width"])
         if tree["bits"] != 8:
             image = image.astype(np.uint16) << (16 - tree["bits"])  # as a 16-bit file holds it

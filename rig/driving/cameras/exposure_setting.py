@@ -14,7 +14,9 @@ STEPS = 8  # of setting and looking
 RANGE = (1e-5, 1.0)  # s
 
 
-def set_exposure_for_markers(source: Source, white: Callable[[np.ndarray], tuple[float, float]], start: float) -> tuple[float, float]:
+def set_exposure_for_markers(
+    source: Source, white: Callable[[np.ndarray], tuple[float, float]], start: float
+) -> tuple[float, float]:
     """Set a camera's exposure so that markers do not clip; returns (exposure s, level of white of 255).
 
     white : (image) -> (level of the markers' white, of 255; share of their pixels that clip); start : s
@@ -39,5 +41,8 @@ def set_exposure_for_markers(source: Source, white: Callable[[np.ndarray], tuple
             break
     if not bright and level > WHITE / 4:
         return exposure, level  # as good as this camera's steps allow
-    raise CameraError(f"camera {source.name!r}: no exposure found at which markers are bright and do not clip; at {exposure * 1e3:.3g} ms white is "
-                      f"at {level:.0f} of 255 and {clips:.1%} clip: change the light or the aperture")
+    raise CameraError(
+        f"camera {source.name!r}: no exposure found at which markers are bright and do not clip; at "
+        f"{exposure * 1e3:.3g} ms white is "
+        f"at {level:.0f} of 255 and {clips:.1%} clip: change the light or the aperture"
+    )

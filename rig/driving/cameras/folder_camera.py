@@ -21,7 +21,8 @@ TYPES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
 class FolderSource:
     """Images of a folder, each given once, oldest first. What was there at the start is left alone.
 
-    Whoever writes them must expose after asking: `ask`, a file in the folder, is touched at every grab, for programs that wait for it.
+    Whoever writes them must expose after asking: `ask`, a file in the folder, is touched at every grab, for programs
+    that wait for it.
     """
 
     can_set_exposure = False
@@ -52,21 +53,32 @@ class FolderSource:
                 first = sizes[name][2]
                 return Frame(image, (asked + first) / 2, max(first - asked, EVERY) / 12**0.5)
             if now - asked > self._wait:
-                raise CameraError(f"camera {self.name!r}: no whole image appeared in {self._folder} within {self._wait:g} s")
+                raise CameraError(
+                    f"camera {self.name!r}: no whole image appeared in {self._folder} within {self._wait:g} s"
+                )
             self._clock.sleep(EVERY)
 
     def _decoded(self, path: Path) -> np.ndarray:
-        """The image of a file, decoded once its size has been looked at. Raises CameraError for another size and for what is no image."""
+        """The image of a file, decoded once its size has been looked at. Raises CameraError for another size and for
+        what is no image.
+        """
         try:
             size, expected = claimed_size(path), (self._camera.width, self._camera.height)
             if size is not None and size != expected:
-                raise CameraError(f"camera {self.name!r}: {path} is {size[0]} x {size[1]} px, but rig.toml has {expected[0]} x {expected[1]} px")
+                raise CameraError(
+                    f"camera {self.name!r}: {path} is {size[0]} x {size[1]} px, but rig.toml has "
+                    f"{expected[0]} x {expected[1]} px"
+                )
             return read_image(path)
         except FileError as error:
             raise CameraError(f"camera {self.name!r}: {error}") from None
 
     def _names(self) -> list[str]:
-        return sorted(entry.name for entry in os.scandir(self._folder) if entry.name.lower().endswith(TYPES) and not entry.name.startswith("."))
+        return sorted(
+            entry.name
+            for entry in os.scandir(self._folder)
+            if entry.name.lower().endswith(TYPES) and not entry.name.startswith(".")
+        )
 
     def _whole(self, path: Path, sizes: dict[str, tuple[int, float, float]], now: float) -> bool:
         """Whether a file is whole; sizes : {name: (bytes, since when s, first seen s)}, kept up."""

@@ -1,4 +1,6 @@
-"""GenICam cameras (GigE Vision, USB3 Vision) through harvesters: triggered by software, stamped by the camera's own clock."""
+"""GenICam cameras (GigE Vision, USB3 Vision) through harvesters: triggered by software, stamped by the camera's own
+clock.
+"""
 
 import os
 from typing import Any
@@ -24,8 +26,14 @@ class GenicamSource:
         self.name, self._acquirer, self._clock, self._size, self._offset = name, acquirer, clock, size, Offset()
         nodes = acquirer.remote_device.node_map
         self._nodes = nodes
-        for node, value in (("AcquisitionMode", "Continuous"), ("TriggerSelector", "FrameStart"), ("TriggerMode", "On"),
-                            ("TriggerSource", "Software"), ("ExposureMode", "Timed"), ("ExposureAuto", "Off")):
+        for node, value in (
+            ("AcquisitionMode", "Continuous"),
+            ("TriggerSelector", "FrameStart"),
+            ("TriggerMode", "On"),
+            ("TriggerSource", "Software"),
+            ("ExposureMode", "Timed"),
+            ("ExposureAuto", "Off"),
+        ):
             if hasattr(nodes, node):
                 getattr(nodes, node).value = value
         acquirer.start()
@@ -64,11 +72,15 @@ class GenicamSource:
     def _image(self, component: Any) -> np.ndarray:
         """(height, width) uint8 or uint16 of a buffer's component, copied out of it."""
         if (component.width, component.height) != self._size:
-            raise CameraError(f"camera {self.name!r} gives {component.width} x {component.height} px, but rig.toml has "
-                              f"{self._size[0]} x {self._size[1]} px")
+            raise CameraError(
+                f"camera {self.name!r} gives {component.width} x {component.height} px, but rig.toml has "
+                f"{self._size[0]} x {self._size[1]} px"
+            )
         form = component.data_format
         if not form.startswith("Mono") or form.endswith(("p", "Packed")):
-            raise CameraError(f"camera {self.name!r} sends {form}; set its PixelFormat to Mono8, Mono10, Mono12 or Mono16")
+            raise CameraError(
+                f"camera {self.name!r} sends {form}; set its PixelFormat to Mono8, Mono10, Mono12 or Mono16"
+            )
         image = np.array(component.data).reshape(component.height, component.width)
         bits = int(form[4:])
         return image.astype(np.uint8) if bits == 8 else image.astype(np.uint16) << (16 - bits)
@@ -89,7 +101,8 @@ class GenicamSource:
 
 
 def open_genicam(name: str, serial: str, clock: Clock, size: tuple[int, int]) -> GenicamSource:
-    """The camera with a serial number. Raises MissingLibrary without harvesters, CameraError where no such camera answers.
+    """The camera with a serial number. Raises MissingLibrary without harvesters, CameraError where no such camera
+    answers.
 
     GENICAM_GENTL64_PATH names the folders with the makers' producers (.cti files), as the GenTL standard has it.
     """
@@ -98,9 +111,14 @@ def open_genicam(name: str, serial: str, clock: Clock, size: tuple[int, int]) ->
     except ImportError:
         raise MissingLibrary("GenICam cameras need the package harvesters; pip install 'rig[genicam]'") from None
     folders = [folder for folder in os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep) if folder]
-    producers = [os.path.join(folder, file) for folder in folders for file in sorted(os.listdir(folder)) if file.endswith(".cti")]
+    producers = [
+        os.path.join(folder, file) for folder in folders for file in sorted(os.listdir(folder)) if file.endswith(".cti")
+    ]
     if not producers:
-        raise CameraError(f"camera {name!r}: no GenTL producer (.cti) in GENICAM_GENTL64_PATH = {os.pathsep.join(folders)!r}; install the maker's")
+        raise CameraError(
+            f"camera {name!r}: no GenTL producer (.cti) in GENICAM_GENTL64_PATH = "
+            f"{os.pathsep.join(folders)!r}; install the maker's"
+        )
     harvester = Harvester()
     for producer in producers:
         harvester.add_file(producer)
@@ -108,5 +126,7 @@ def open_genicam(name: str, serial: str, clock: Clock, size: tuple[int, int]) ->
     there = [info.serial_number for info in harvester.device_info_list]
     if serial not in there:
         harvester.reset()
-        raise CameraError(f"camera {name!r}: no GenICam camera {serial!r}; there are {', '.join(map(repr, there)) or 'none'}")
+        raise CameraError(
+            f"camera {name!r}: no GenICam camera {serial!r}; there are {', '.join(map(repr, there)) or 'none'}"
+        )
     return GenicamSource(name, harvester.create({"serial_number": serial}), clock, size)

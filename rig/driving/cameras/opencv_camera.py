@@ -1,4 +1,6 @@
-"""UVC and GStreamer cameras through OpenCV: fresh frames only, and times from the driver's stamps where it gives them."""
+"""UVC and GStreamer cameras through OpenCV: fresh frames only, and times from the driver's stamps where it gives
+them.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +24,14 @@ UVC_STEP = 1e-4  # s; V4L2's exposure_time_absolute counts these
 
 
 class VideoSource:
-    """A camera that OpenCV opens. Without stamps of its own, an image was exposed between the one before it and its arrival."""
+    """A camera that OpenCV opens. Without stamps of its own, an image was exposed between the one before it and its
+    arrival.
+    """
 
     def __init__(self, name: str, capture: Any, clock: Clock, size: tuple[int, int], uvc: bool = True) -> None:
-        """capture : an open cv2.VideoCapture; size : (width, height) px that its images must have; uvc : whether it takes UVC's controls"""
+        """capture : an open cv2.VideoCapture; size : (width, height) px that its images must have; uvc : whether it
+        takes UVC's controls
+        """
         import cv2
 
         self.name, self.can_set_exposure = name, uvc
@@ -33,7 +39,9 @@ class VideoSource:
         self._exposure = 0.0
 
     def grab(self) -> Frame:
-        """A frame exposed after this call: what waits in the driver's queue is let go by. Raises CameraError where none comes."""
+        """A frame exposed after this call: what waits in the driver's queue is let go by. Raises CameraError where none
+        comes.
+        """
         asked, last = self._clock.now(), None
         for _ in range(FLUSHED + 3):
             before = self._clock.now()
@@ -45,21 +53,31 @@ class VideoSource:
             last, (begin, t, sigma) = after if after - before >= BLOCKED else None, self._time(before, after, last)
             if begin >= asked:
                 return Frame(self._image(), t, sigma)
-        raise CameraError(f"camera {self.name!r} gave {FLUSHED + 3} frames, none of them known to be exposed after it was asked for")
+        raise CameraError(
+            f"camera {self.name!r} gave {FLUSHED + 3} frames, none of them known to be exposed after it was asked for"
+        )
 
     def _time(self, before: float, after: float, last: float | None) -> tuple[float, float, float]:
-        """(earliest start, t, sigma) s of the exposure of the frame just grabbed, between two readings of the clock; start -inf if unknown.
+        """(earliest start, t, sigma) s of the exposure of the frame just grabbed, between two readings of the clock;
+        start -inf if unknown.
 
-        last : s, when the frame before it arrived, or None. A frame for which grabbing had to wait arrived then and there.
+        last : s, when the frame before it arrived, or None. A frame for which grabbing had to wait arrived then and
+            there.
         """
         blocked, stamp = after - before >= BLOCKED, float(self._capture.get(self._cv2.CAP_PROP_POS_MSEC)) / 1e3
         if stamp <= 0:  # this driver stamps nothing: exposed between the arrival of the frame before it and its own
-            return (last, (last + after) / 2, (after - last) / UNIFORM) if blocked and last is not None else (-math.inf, after, math.inf)
+            return (
+                (last, (last + after) / 2, (after - last) / UNIFORM)
+                if blocked and last is not None
+                else (-math.inf, after, math.inf)
+            )
         if blocked:
             self._offset.learn(before, stamp, after)
         if self._offset.bound is None:
             return -math.inf, after, math.inf
-        end, sigma = self._offset.host(stamp, after)  # drivers stamp what arrives, at the exposure's end or somewhat later
+        end, sigma = self._offset.host(
+            stamp, after
+        )  # drivers stamp what arrives, at the exposure's end or somewhat later
         return end - self._exposure, end - self._exposure / 2, math.hypot(sigma, self._exposure / UNIFORM)
 
     def _image(self) -> np.ndarray:
@@ -67,12 +85,16 @@ class VideoSource:
         if not good or image is None:
             raise CameraError(f"camera {self.name!r}: a frame could not be decoded")
         if (image.shape[1], image.shape[0]) != self._size:
-            raise CameraError(f"camera {self.name!r} gives {image.shape[1]} x {image.shape[0]} px, but rig.toml has "
-                              f"{self._size[0]} x {self._size[1]} px")
+            raise CameraError(
+                f"camera {self.name!r} gives {image.shape[1]} x {image.shape[0]} px, but rig.toml has "
+                f"{self._size[0]} x {self._size[1]} px"
+            )
         return image
 
     def set_exposure(self, seconds: float) -> float:
-        """Turn UVC's automatic exposure off and expose for so long (steps of 0.1 ms). Raises CameraError where the camera does not take it."""
+        """Turn UVC's automatic exposure off and expose for so long (steps of 0.1 ms). Raises CameraError where the
+        camera does not take it.
+        """
         cv2 = self._cv2
         steps = max(1, round(seconds / UVC_STEP))
         self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL)
@@ -89,8 +111,8 @@ class VideoSource:
 def open_video(name: str, kind: str, place: str, clock: Clock, size: tuple[int, int]) -> VideoSource:
     """A camera of kind "uvc" (place : number or device path) or "gstreamer" (place : a pipeline that ends in appsink).
 
-    size : (width, height) px, as rig.toml has them. Raises CameraError where it does not open, and for a pipeline that may write (see
-    rig.driving.cameras.gstreamer_pipelines).
+    size : (width, height) px, as rig.toml has them. Raises CameraError where it does not open, and for a pipeline that
+    may write (see rig.driving.cameras.gstreamer_pipelines).
     """
     import cv2
 

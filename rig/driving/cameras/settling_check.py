@@ -1,4 +1,6 @@
-"""Whether the platform stands still: by the time since it arrived, by images that no longer change, or by measuring limbs."""
+"""Whether the platform stands still: by the time since it arrived, by images that no longer change, or by measuring
+limbs.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,13 +26,21 @@ class NotSettled(RigError):
 
 @dataclass(frozen=True, slots=True)
 class Settling:
-    """by : "time", "images" or "limbs"; amount : s to wait, or m that the limbs' readings may differ; unused for images."""
+    """by : "time", "images" or "limbs"; amount : s to wait, or m that the limbs' readings may differ; unused for
+    images.
+    """
 
     by: str
     amount: float
 
-    def wait(self, clock: Clock, images: Callable[[], list[np.ndarray]] | None = None, limbs: Callable[[], np.ndarray] | None = None) -> None:
-        """Return once the platform stands. images : one of each camera; limbs : (6,) m readings; whichever `by` asks for.
+    def wait(
+        self,
+        clock: Clock,
+        images: Callable[[], list[np.ndarray]] | None = None,
+        limbs: Callable[[], np.ndarray] | None = None,
+    ) -> None:
+        """Return once the platform stands. images : one of each camera; limbs : (6,) m readings; whichever `by` asks
+        for.
 
         Raises NotSettled after MOST seconds, ValueError where what it goes by is not given.
         """
@@ -57,7 +67,9 @@ def parse_settling(text: str) -> Settling:
 
 
 def image_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """How much two images (height, width[, 3]) of a camera differ beyond noise, in what noise would come to at most: above 1 it moved."""
+    """How much two images (height, width[, 3]) of a camera differ beyond noise, in what noise would come to at most:
+    above 1 it moved.
+    """
     difference = np.abs(_blocks(a) - _blocks(b))
     noise = min(float(np.median(difference)) / 0.6745, LARGEST_NOISE)
     return float(difference.max()) / max(NOISES * noise, LEAST)
@@ -78,7 +90,10 @@ def _by_images(clock: Clock, images: Callable[[], list[np.ndarray]]) -> None:
         most = max(image_difference(a, b) for a, b in zip(before, now))
         still, before = still + 1 if most <= 1 else 0, now
         if clock.now() - start > MOST and still < PAIRS:
-            raise NotSettled(f"images still change after {MOST:g} s, {most:.1f} times what noise comes to: does the platform move, or the light?")
+            raise NotSettled(
+                f"images still change after {MOST:g} s, {most:.1f} times what noise comes to: does the "
+                "platform move, or the light?"
+            )
 
 
 def _by_limbs(clock: Clock, limbs: Callable[[], np.ndarray], tolerance: float) -> None:
@@ -90,6 +105,8 @@ def _by_limbs(clock: Clock, limbs: Callable[[], np.ndarray], tolerance: float) -
         if len(last) == READINGS and (moved <= tolerance).all():
             return
         if clock.now() - start > MOST:
-            raise NotSettled(f"limb {int(np.argmax(moved)) + 1} still moves by {moved.max() * 1e6:.2f} um after {MOST:g} s, "
-                             f"{tolerance * 1e6:.2f} um are allowed")
+            raise NotSettled(
+                f"limb {int(np.argmax(moved)) + 1} still moves by {moved.max() * 1e6:.2f} um after {MOST:g} s, "
+                f"{tolerance * 1e6:.2f} um are allowed"
+            )
         clock.sleep(EVERY)

@@ -1,4 +1,6 @@
-"""Controllers that are not there: axes that move in time, dialects that answer as the real ones do, and the faults seen in the field."""
+"""Controllers that are not there: axes that move in time, dialects that answer as the real ones do, and the faults seen
+in the field.
+"""
 
 from rig.driving.emulators.emulator_construction import emulator_of_design
 from rig.driving.emulators.true_commands_log import History

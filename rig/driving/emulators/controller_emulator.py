@@ -1,4 +1,6 @@
-"""A controller at the far end of a line: what it receives, what it answers and when, and what the line makes of both."""
+"""A controller at the far end of a line: what it receives, what it answers and when, and what the line makes of
+both.
+"""
 
 import heapq
 import itertools
@@ -71,7 +73,7 @@ class Emulator:
                 kept.append(byte)
         self._in = (self._in + bytes(kept))[-LONGEST:]
         while (cut := min((at for at in (self._in.find(end) for end in self.ends) if at >= 0), default=-1)) >= 0:
-            line, self._in = self._in[:cut], self._in[cut + 1:]
+            line, self._in = self._in[:cut], self._in[cut + 1 :]
             self.line(line)
 
     def due(self) -> bytes:
@@ -107,7 +109,9 @@ class Emulator:
         self._generation += 1
 
     def say(self, text: str, acknowledges: bool = False) -> None:
-        """Queue text for the line; the faults armed for answers act on it, and acknowledgements may be lost or doubled."""
+        """Queue text for the line; the faults armed for answers act on it, and acknowledgements may be lost or
+        doubled.
+        """
         data = text.encode("latin-1")
         take, rng = self.faults.take, self.faults.rng
         if acknowledges and take("lost-ok"):

@@ -41,14 +41,23 @@ class Order:
 
 
 def parse_faults(text: str) -> tuple[Order, ...]:
-    """Orders of `KIND` (once) or `KIND:RATE` (chance per move); KIND `all` shares the rate among all kinds. Raises RigError."""
+    """Orders of `KIND` (once) or `KIND:RATE` (chance per move); KIND `all` shares the rate among all kinds. Raises
+    RigError.
+    """
     kind, _, rate = text.partition(":")
     try:
         chance = float(rate) if rate else None
     except ValueError:
         chance = np.nan
-    if (kind not in KINDS and kind != "all") or (chance is not None and not 0 < chance <= 1) or (kind == "all" and chance is None):
-        raise RigError(f"fault {text!r}: write KIND or KIND:RATE, the rate above 0 and at most 1; kinds are all (with a rate), {', '.join(KINDS)}")
+    if (
+        (kind not in KINDS and kind != "all")
+        or (chance is not None and not 0 < chance <= 1)
+        or (kind == "all" and chance is None)
+    ):
+        raise RigError(
+            f"fault {text!r}: write KIND or KIND:RATE, the rate above 0 and at most 1; kinds are all (with a "
+            f"rate), {', '.join(KINDS)}"
+        )
     if kind != "all" or chance is None:
         return (Order(kind, chance),)
     happening = [kind for kind in KINDS if kind not in ALWAYS]
@@ -77,7 +86,9 @@ class Faults:
                 self.orders.remove(order)
             elif self.rng.random() >= order.rate:
                 continue
-            self.armed[order.kind] = int(self.rng.integers(4)) if order.kind in ON_ANSWERS and order.rate is not None else 0
+            self.armed[order.kind] = (
+                int(self.rng.integers(4)) if order.kind in ON_ANSWERS and order.rate is not None else 0
+            )
 
     def take(self, kind: str) -> bool:
         """Whether this goes wrong now; then it is over."""

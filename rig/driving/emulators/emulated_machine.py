@@ -1,4 +1,6 @@
-"""The machine behind a controller: true axes, the counters that the controller believes, homing, faults, and a log of what was done."""
+"""The machine behind a controller: true axes, the counters that the controller believes, homing, faults, and a log of
+what was done.
+"""
 
 from dataclasses import dataclass
 
@@ -22,7 +24,8 @@ class Executed:
 
 
 class Machine:
-    """axes : as they truly are, lengths in m; zero : (n,) m, length where a counter reads 0; home : (n,) m, lengths after homing
+    """axes : as they truly are, lengths in m; zero : (n,) m, length where a counter reads 0; home : (n,) m, lengths
+    after homing
     faults : dice; known : whether the counters are true when the power comes on
 
     executed : every move carried out; homed : whether the counters are true, as the controller believes

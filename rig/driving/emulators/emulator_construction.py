@@ -18,11 +18,13 @@ from rig.model.mechanism_kinds import hexapod_of, struts_of
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 
 
-def emulator_of_design(design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = None, speed: float = 1.0) -> Emulator:
+def emulator_of_design(
+    design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = None, speed: float = 1.0
+) -> Emulator:
     """The Emulator of a design's controller.
 
-    start : (n,) m, lengths at first, by default those after homing; speed : factor on the struts' speed. Raises RigError for a start
-    that the struts cannot have, and for a rig without a controller
+    start : (n,) m, lengths at first, by default those after homing; speed : factor on the struts' speed. Raises
+    RigError for a start that the struts cannot have, and for a rig without a controller
     """
     c = design.controller
     if c is None:
@@ -38,13 +40,22 @@ def emulator_of_design(design: Design, faults: Faults, clock: Clock, start: np.n
     machine = Machine(axes, c.zero, home, faults, known=not c.homing)
     limits = m.strut_range - c.zero[:, None]
     if c.protocol == "grblhal":
-        return GrblHAL(machine, faults, clock, "".join(c.axes) or "XYZABC"[: len(home)], limits, None if c.homing else {22: 0})
+        return GrblHAL(
+            machine, faults, clock, "".join(c.axes) or "XYZABC"[: len(home)], limits, None if c.homing else {22: 0}
+        )
     if c.protocol == "gcs":
         return GCS(machine, faults, clock, c.axes or tuple(str(i + 1) for i in range(len(home))), limits)
     if c.protocol == "struts":
         return Struts(machine, faults, clock, limits)
     if c.protocol == "linuxcnc":
-        return LinuxCNC(machine, faults, clock, c.axes or tuple("XYZABC"[: len(home)]), limits, hexapod_of(m) if c.kinematics == "world" else None)
+        return LinuxCNC(
+            machine,
+            faults,
+            clock,
+            c.axes or tuple("XYZABC"[: len(home)]),
+            limits,
+            hexapod_of(m) if c.kinematics == "world" else None,
+        )
     raise RigError(f"there is no emulator of {c.protocol!r}")
 
 

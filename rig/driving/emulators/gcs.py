@@ -20,7 +20,9 @@ class GCS(Emulator):
 
     ends = b"\n"
 
-    def __init__(self, machine: Machine, faults: Faults, clock: Clock, axes: tuple[str, ...], limits: np.ndarray) -> None:
+    def __init__(
+        self, machine: Machine, faults: Faults, clock: Clock, axes: tuple[str, ...], limits: np.ndarray
+    ) -> None:
         super().__init__(machine, faults, clock)
         self.axes, self.limits = axes, np.asarray(limits, float)
         self.velocity, self.acceleration = machine.axes.speed.copy(), machine.axes.acceleration.copy()
@@ -49,8 +51,18 @@ class GCS(Emulator):
         if word == "ERR?":
             self._tell_error()
         elif word in ("*IDN?", "SAI?", "HLP?", "VER?", "CSV?", "RDY?"):
-            self.say({"*IDN?": IDENTITY + "\n", "SAI?": _lines(self.axes), "CSV?": "2.0\n", "VER?": IDENTITY + "\n", "RDY?": "1\n",
-                      "HLP?": _lines(("*IDN?", "#5", "#7", "#24", "ERR?", "MOV", "POS?", "ONT?", "SVO", "FRF", "HLT", "STP"))}[word])
+            self.say(
+                {
+                    "*IDN?": IDENTITY + "\n",
+                    "SAI?": _lines(self.axes),
+                    "CSV?": "2.0\n",
+                    "VER?": IDENTITY + "\n",
+                    "RDY?": "1\n",
+                    "HLP?": _lines(
+                        ("*IDN?", "#5", "#7", "#24", "ERR?", "MOV", "POS?", "ONT?", "SVO", "FRF", "HLT", "STP")
+                    ),
+                }[word]
+            )
         elif word.endswith("?"):
             self._ask(word, arguments)
         elif word in ("HLT", "STP"):
@@ -92,11 +104,20 @@ class GCS(Emulator):
             self.error = 15
             return
         t, n = self.now, len(self.axes)
-        known = {"POS?": lambda: MM * self.machine.counters(t), "MOV?": lambda: MM * self.target, "VEL?": lambda: MM * self.velocity,
-                 "ACC?": lambda: MM * self.acceleration, "DEC?": lambda: MM * self.acceleration, "TMN?": lambda: MM * self.limits[:, 0],
-                 "TMX?": lambda: MM * self.limits[:, 1]}
-        flags = {"ONT?": lambda: np.full(n, not self._moving() and self._on_target()), "SVO?": lambda: self.servo,
-                 "FRF?": lambda: np.full(n, self.machine.homed and not self.machine.homing(t)) & self._referenced()}
+        known = {
+            "POS?": lambda: MM * self.machine.counters(t),
+            "MOV?": lambda: MM * self.target,
+            "VEL?": lambda: MM * self.velocity,
+            "ACC?": lambda: MM * self.acceleration,
+            "DEC?": lambda: MM * self.acceleration,
+            "TMN?": lambda: MM * self.limits[:, 0],
+            "TMX?": lambda: MM * self.limits[:, 1],
+        }
+        flags = {
+            "ONT?": lambda: np.full(n, not self._moving() and self._on_target()),
+            "SVO?": lambda: self.servo,
+            "FRF?": lambda: np.full(n, self.machine.homed and not self.machine.homing(t)) & self._referenced(),
+        }
         if word in known:
             values = [f"{value:.6f}" for value in known[word]()]
         elif word in flags:
@@ -106,7 +127,9 @@ class GCS(Emulator):
         else:
             self.error = 2
             return
-        self.say(_lines([f"{axis}={value}" for axis, value in zip(self.axes, values) if not arguments or axis in arguments]))
+        self.say(
+            _lines([f"{axis}={value}" for axis, value in zip(self.axes, values) if not arguments or axis in arguments])
+        )
 
     def _referenced(self) -> np.ndarray:
         self.machine.settle(self.now)
@@ -116,7 +139,11 @@ class GCS(Emulator):
         return bool(np.abs(self.machine.axes.at(self.now) - self._goal).max() < 2e-6)
 
     def _set(self, word: str, arguments: list[str]) -> None:
-        if len(arguments) % 2 or not arguments or not all(re.fullmatch(r"[-+]?\d+(\.\d*)?", value) for value in arguments[1::2]):
+        if (
+            len(arguments) % 2
+            or not arguments
+            or not all(re.fullmatch(r"[-+]?\d+(\.\d*)?", value) for value in arguments[1::2])
+        ):
             self.error = 24 if len(arguments) % 2 or not arguments else 25
             return
         names = arguments[::2]

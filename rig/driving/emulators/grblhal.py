@@ -1,6 +1,8 @@
-"""grblHAL at the far end of a line: what its core (report.c, protocol.c, gcode.c) answers, for axes that move in straight lines.
+"""grblHAL at the far end of a line: what its core (report.c, protocol.c, gcode.c) answers, for axes that move in
+straight lines.
 
-An error stands until a `$` line or an empty one, as in grblHAL: lines of G-code in between are answered by it and not carried out.
+An error stands until a `$` line or an empty one, as in grblHAL: lines of G-code in between are answered by it and not
+carried out.
 """
 
 import re
@@ -23,16 +25,38 @@ MODAL = ("G0", "G1", "G20", "G21", "G90", "G91", "G94", "G54", "G17", "G61", "G8
 class GrblHAL(Emulator):
     """axes : letters; limits : (n, 2) m of the counters; settings : numbers as $$ lists them, on top of the usual"""
 
-    def __init__(self, machine: Machine, faults: Faults, clock: Clock, axes: str, limits: np.ndarray,
-                 settings: dict[int, float] | None = None) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        faults: Faults,
+        clock: Clock,
+        axes: str,
+        limits: np.ndarray,
+        settings: dict[int, float] | None = None,
+    ) -> None:
         super().__init__(machine, faults, clock)
         self.axes, self.limits = axes, np.asarray(limits, float)
         n = len(axes)
-        self.settings = {0: 5.0, 1: 25, 10: 511, 11: 0.01, 12: 0.002, 13: 0, 20: 0, 21: 0, 22: 1, 23: 0, 30: 1000.0, 32: 0,
-                         **{100 + i: 250.0 for i in range(n)},
-                         **{110 + i: MM * 60 * machine.axes.speed[i] for i in range(n)},
-                         **{120 + i: MM * machine.axes.acceleration[i] for i in range(n)},
-                         **{130 + i: MM * np.ptp(self.limits[i]) for i in range(n)}, 376: 0, **(settings or {})}
+        self.settings = {
+            0: 5.0,
+            1: 25,
+            10: 511,
+            11: 0.01,
+            12: 0.002,
+            13: 0,
+            20: 0,
+            21: 0,
+            22: 1,
+            23: 0,
+            30: 1000.0,
+            32: 0,
+            **{100 + i: 250.0 for i in range(n)},
+            **{110 + i: MM * 60 * machine.axes.speed[i] for i in range(n)},
+            **{120 + i: MM * machine.axes.acceleration[i] for i in range(n)},
+            **{130 + i: MM * np.ptp(self.limits[i]) for i in range(n)},
+            376: 0,
+            **(settings or {}),
+        }
         self._forget_modes()
         self.alarm, self.held, self._checking = 0, False, False
         self.offset = np.zeros(n)  # m, of the work coordinates
@@ -145,11 +169,17 @@ class GrblHAL(Emulator):
         if text == "$":
             self.say("[HLP:$$ $# $G $I $x=val $C $X $H ~ ! ? ctrl-x]\r\n")
         elif text == "$I":
-            self.say(f"[VER:1.1f.20260817:]\r\n[OPT:VNML,{BLOCKS},{self.buffer},{len(self.axes)},0]\r\n[AXS:{len(self.axes)}:{self.axes}]\r\n"
-                     "[FIRMWARE:grblHAL]\r\n")
+            self.say(
+                f"[VER:1.1f.20260817:]\r\n[OPT:VNML,{BLOCKS},{self.buffer},{len(self.axes)},0]\r\n"
+                f"[AXS:{len(self.axes)}:{self.axes}]\r\n"
+                "[FIRMWARE:grblHAL]\r\n"
+            )
         elif text == "$G":
-            self.say(f"[GC:G{self._motion} G54 G17 G{20 if self._inches else 21} G{91 if self._relative else 90} G94 G49 G98 G50 M5 M9 T0 "
-                     f"F{self._feed:g} S0.]\r\n")
+            self.say(
+                f"[GC:G{self._motion} G54 G17 G{20 if self._inches else 21} G{91 if self._relative else 90} "
+                "G94 G49 G98 G50 M5 M9 T0 "
+                f"F{self._feed:g} S0.]\r\n"
+            )
         elif text == "$#":
             zeros = self._figures(np.zeros(len(self.axes)))
             self.say(f"[G54:{self._figures(MM * self.offset)}]\r\n[G92:{zeros}]\r\n[TLO:{zeros}]\r\n")
@@ -162,8 +192,12 @@ class GrblHAL(Emulator):
         elif busy:
             return 8
         elif text == "$$":
-            self.say("".join(f"${number}={value:.3f}\r\n" if isinstance(value, float) else f"${number}={value}\r\n"
-                             for number, value in sorted(self.settings.items())))
+            self.say(
+                "".join(
+                    f"${number}={value:.3f}\r\n" if isinstance(value, float) else f"${number}={value}\r\n"
+                    for number, value in sorted(self.settings.items())
+                )
+            )
         elif text == "$H":
             return self._home()
         elif match := re.fullmatch(r"\$(\d+)=(-?\d+(?:\.\d+)?)", text):
@@ -202,7 +236,9 @@ class GrblHAL(Emulator):
         unknown = codes - {*MODAL, "G53", "G4"}
         if unknown or any(letter not in "GMFSTPN" + self.axes for letter, _ in words):
             return self._fail(20)
-        if len([letter for letter, _ in words if letter in self.axes]) != len({letter for letter, _ in words if letter in self.axes}):
+        if len([letter for letter, _ in words if letter in self.axes]) != len(
+            {letter for letter, _ in words if letter in self.axes}
+        ):
             return self._fail(25)
         if len(codes & {"G0", "G1"}) > 1:
             return self._fail(21)

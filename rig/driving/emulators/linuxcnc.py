@@ -1,4 +1,6 @@
-"""LinuxCNC's linuxcncrsh at the far end of a line: what emcrsh.cc answers, for axes or for poses that genhexkins would take."""
+"""LinuxCNC's linuxcncrsh at the far end of a line: what emcrsh.cc answers, for axes or for poses that genhexkins would
+take.
+"""
 
 import re
 
@@ -18,9 +20,19 @@ FREE = ("ECHO", "VERBOSE", "ENABLE")  # what may be set before control is enable
 
 
 class LinuxCNC(Emulator):
-    """axes : letters; limits : (n, 2) m of the joints; hexapod : the geometry where words are poses, None where they are joints"""
+    """axes : letters; limits : (n, 2) m of the joints; hexapod : the geometry where words are poses, None where they
+    are joints
+    """
 
-    def __init__(self, machine: Machine, faults: Faults, clock: Clock, axes: tuple[str, ...], limits: np.ndarray, hexapod: Hexapod | None) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        faults: Faults,
+        clock: Clock,
+        axes: tuple[str, ...],
+        limits: np.ndarray,
+        hexapod: Hexapod | None,
+    ) -> None:
         super().__init__(machine, faults, clock)
         self.axes, self.limits, self.hexapod = axes, np.asarray(limits, float), hexapod
         self.greet()
@@ -68,13 +80,19 @@ class LinuxCNC(Emulator):
             self._power = False
             self._errors.append(f"joint {int(fault.split()[-1]) - 1} amplifier fault")
         answers = {
-            "ECHO": "ON" if self._echo else "OFF", "VERBOSE": "ON" if self._verbose else "OFF", "ENABLE": "ON" if self._enabled else "OFF",
-            "PROGRAM_STATUS": "RUNNING" if self.machine.moving(t) and not self.machine.homing(t) else "IDLE", "MODE": self._mode,
-            "ESTOP": "ON" if self._estop else "OFF", "MACHINE": "ON" if self._power else "OFF",
+            "ECHO": "ON" if self._echo else "OFF",
+            "VERBOSE": "ON" if self._verbose else "OFF",
+            "ENABLE": "ON" if self._enabled else "OFF",
+            "PROGRAM_STATUS": "RUNNING" if self.machine.moving(t) and not self.machine.homing(t) else "IDLE",
+            "MODE": self._mode,
+            "ESTOP": "ON" if self._estop else "OFF",
+            "MACHINE": "ON" if self._power else "OFF",
             "JOINT_POS": " ".join(f"{value:.6f}" for value in MM * self.machine.counters(t)),
             "JOINT_HOMED": " ".join(["YES" if self.machine.homed else "NO"] * n),
             "JOINT_FAULT": " ".join("FAULT" if fault == f"motor {i + 1}" else "OK" for i in range(n)),
-            "KINEMATICS_TYPE": "1" if self.hexapod is None else "4", "USER_LINEAR_UNITS": "MM"}
+            "KINEMATICS_TYPE": "1" if self.hexapod is None else "4",
+            "USER_LINEAR_UNITS": "MM",
+        }
         if word == "ERROR":
             self.say(f"ERROR {self._errors.pop(0) if self._errors else 'OK'}{END}")
         else:
@@ -110,7 +128,9 @@ class LinuxCNC(Emulator):
 
     def _answer(self, word: str, accepted: bool) -> None:
         if not accepted or self._verbose:
-            self.say(f"SET {word} {'ACK' if accepted else 'NAK'}{SET_END}", acknowledges=accepted and word in ("MDI", "HOME"))
+            self.say(
+                f"SET {word} {'ACK' if accepted else 'NAK'}{SET_END}", acknowledges=accepted and word in ("MDI", "HOME")
+            )
 
     def _home(self) -> None:
         if not self._power or self._mode != "MANUAL":
@@ -123,7 +143,11 @@ class LinuxCNC(Emulator):
         return self._answer("HOME", True)
 
     def _mdi(self, text: str) -> None:
-        words = {letter: float(number) for letter, number in re.findall(r"([A-Z])(-?\d+(?:\.\d*)?)", text.upper()) if letter != "G"}
+        words = {
+            letter: float(number)
+            for letter, number in re.findall(r"([A-Z])(-?\d+(?:\.\d*)?)", text.upper())
+            if letter != "G"
+        }
         codes = {float(number) for number in re.findall(r"G(\d+(?:\.\d)?)", text.upper())}
         if not self._power or self._mode != "MDI" or not self.machine.homed:
             self._errors.append("can't do that (EMC_TASK_PLAN_EXECUTE:MDI) in this mode, or before homing")

@@ -9,7 +9,8 @@ FINE = 1e-7  # m by which straight lines between knots may leave the true motion
 
 
 class Axes:
-    """n axes and all that they did: pieces of constant acceleration, one after the other. May be asked from other threads.
+    """n axes and all that they did: pieces of constant acceleration, one after the other. May be asked from other
+    threads.
 
     t, start : s and (n,) m; speed : (n,) m/s and acceleration : (n,) m/s^2, each axis's limits
     """
@@ -43,7 +44,8 @@ class Axes:
     def go(self, t: float, target: np.ndarray, duration: float = 0.0) -> float:
         """Begin a straight move at t (s), or when what is told already is done; returns when it ends.
 
-        target : (n,) m; duration : s that it takes at least, without ramps. All axes start and arrive together, none beyond its limits.
+        target : (n,) m; duration : s that it takes at least, without ramps. All axes start and arrive together, none
+            beyond its limits.
         """
         t = max(t, self.until)
         start = self.at(t)
@@ -86,11 +88,13 @@ class Axes:
             p = self.at(t)
             keep = bisect.bisect_right(self._t, t)
             for each in (self._t, self._p, self._v, self._a):
-                del each[max(keep, 1):]
+                del each[max(keep, 1) :]
             self._piece_from(t, p, 0 * p, 0 * p)
 
     def knots(self, since: float = -np.inf) -> tuple[np.ndarray, np.ndarray]:
-        """(k,) s and (k, n) m from `since` on, between which straight lines leave the true motion by no more than FINE."""
+        """(k,) s and (k, n) m from `since` on, between which straight lines leave the true motion by no more than
+        FINE.
+        """
         with self._lock:
             begins, bends = np.array(self._t), np.abs(self._a).max(axis=1)
             t: list[float] = []

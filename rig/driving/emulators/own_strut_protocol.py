@@ -1,4 +1,6 @@
-"""Our own line protocol at the far end of a line (docs/protocol.md): what a sound firmware answers, and what the faults make of it."""
+"""Our own line protocol at the far end of a line (docs/protocol.md): what a sound firmware answers, and what the faults
+make of it.
+"""
 
 import re
 
@@ -95,7 +97,15 @@ class Struts(Emulator):
     def _state(self) -> str:
         t = self.now
         fault = self.machine.fault(t).split(" ")[0] or ("silent" if self._silent else "-")
-        activity = "homing" if self.machine.homing(t) else "moving" if self.machine.moving(t) else "alarm" if self.machine.deaf else "idle"
+        activity = (
+            "homing"
+            if self.machine.homing(t)
+            else "moving"
+            if self.machine.moving(t)
+            else "alarm"
+            if self.machine.deaf
+            else "idle"
+        )
         counters = " ".join(str(round(value)) for value in NM * self.machine.counters(t))
         return f"OK {activity} {int(self.machine.homed)} {self._boot} {fault} {counters}"
 
@@ -109,7 +119,9 @@ class Struts(Emulator):
         return "OK"
 
     def _move(self, arguments: list[str]) -> str | None:
-        if len(arguments) != 3 + len(self.limits) or not all(re.fullmatch(r"-?\d{1,12}", word) for word in arguments[1:]):
+        if len(arguments) != 3 + len(self.limits) or not all(
+            re.fullmatch(r"-?\d{1,12}", word) for word in arguments[1:]
+        ):
             return "ERR 2 MOVE BOOT CRUISE RAMP POSITIONS"
         if arguments[0] != self._boot:
             return "ERR 6"

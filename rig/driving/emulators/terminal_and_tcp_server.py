@@ -129,7 +129,9 @@ class Tcp:
         self._listening.close()
 
 
-def serve_emulator(emulator: Emulator, wire: Wire, going: Callable[[], bool], say: Callable[[str], None], record: Callable[[], None]) -> None:
+def serve_emulator(
+    emulator: Emulator, wire: Wire, going: Callable[[], bool], say: Callable[[str], None], record: Callable[[], None]
+) -> None:
     """Carry bytes between an emulator and a wire while going() says so.
 
     say : takes a line whenever the wire has a name to open; record : called after whatever may have moved the axes

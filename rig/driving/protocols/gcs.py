@@ -1,8 +1,8 @@
 """PI's General Command Set 2.0: struts as axes in closed loop; a command gets no answer, so each is followed by `ERR?`.
 
-Answers carry no number. After a silence the line is brought in step by `*IDN?`, whose answer cannot be taken for another. Source: PI
-GCS 2.0 manuals (e.g. SM151E, MS204E): `#5`, `#7`, `#24` are single bytes; an answer of several lines has a blank before all line feeds
-but the last.
+Answers carry no number. After a silence the line is brought in step by `*IDN?`, whose answer cannot be taken for
+another. Source: PI GCS 2.0 manuals (e.g. SM151E, MS204E): `#5`, `#7`, `#24` are single bytes; an answer of several
+lines has a blank before all line feeds but the last.
 """
 
 import re
@@ -19,13 +19,27 @@ REST = 20.0  # s that a halt may take
 STOPPED = 10  # the error that every stop leaves
 _AXIS = r"[A-Za-z0-9_-]+"
 _NUMBER = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?"
-ERRORS = {1: "parameter syntax", 2: "unknown command", 5: "not referenced, or servo off", 7: "position out of limits", 8: "velocity out of limits",
-          STOPPED: "stopped by command", 15: "invalid axis", 17: "parameter out of range", 23: "illegal axis", 24: "wrong number of parameters",
-          25: "invalid number", 216: "on a limit switch", -1024: "motion error: position error too large, servo switched off"}
+ERRORS = {
+    1: "parameter syntax",
+    2: "unknown command",
+    5: "not referenced, or servo off",
+    7: "position out of limits",
+    8: "velocity out of limits",
+    STOPPED: "stopped by command",
+    15: "invalid axis",
+    17: "parameter out of range",
+    23: "illegal axis",
+    24: "wrong number of parameters",
+    25: "invalid number",
+    216: "on a limit switch",
+    -1024: "motion error: position error too large, servo switched off",
+}
 
 
 class GCS:
-    """See rig.driving.protocols.protocol_interface.Protocol. axes : the controller's names, () for the first `count` that it lists itself."""
+    """See rig.driving.protocols.protocol_interface.Protocol. axes : the controller's names, () for the first `count`
+    that it lists itself.
+    """
 
     name = "gcs"
     urgent_stop = b"\x18"
@@ -47,7 +61,9 @@ class GCS:
         self.axes = self.axes or listed[: self._count]
         missing = [axis for axis in self.axes if axis not in listed]
         if missing or len(self.axes) != self._count:
-            raise ControllerFault(f"the controller has the axes {' '.join(listed)}; the rig needs {' '.join(missing) or self._count}")
+            raise ControllerFault(
+                f"the controller has the axes {' '.join(listed)}; the rig needs {' '.join(missing) or self._count}"
+            )
         yield from self._error()  # what was left by whoever came before
         yield from self._learn_unit()
         servo = yield from self._values("SVO?")
@@ -68,12 +84,21 @@ class GCS:
         fault = "" if error == 0 else _reason(error)
         if moving:
             return State("moving", positions, None, fault, f"moving {moving:X}")
-        on_target, servo, referenced = (yield from self._values("ONT?")), (yield from self._values("SVO?")), (yield from self._values("FRF?"))
+        on_target, servo, referenced = (
+            (yield from self._values("ONT?")),
+            (yield from self._values("SVO?")),
+            (yield from self._values("FRF?")),
+        )
         off = [axis for axis, on in zip(self.axes, servo) if not on]
         if off:
             fault = "; ".join(filter(None, (fault, f"the servo of {' '.join(off)} is off")))
-        said = f"ONT {on_target.astype(int).tolist()} SVO {servo.astype(int).tolist()} FRF {referenced.astype(int).tolist()} ERR {error}"
-        return State("off" if off else "idle" if on_target.all() else "moving", positions, bool(referenced.all()), fault, said)
+        said = (
+            f"ONT {on_target.astype(int).tolist()} SVO {servo.astype(int).tolist()} FRF "
+            f"{referenced.astype(int).tolist()} ERR {error}"
+        )
+        return State(
+            "off" if off else "idle" if on_target.all() else "moving", positions, bool(referenced.all()), fault, said
+        )
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
         going = segment.speed > 0
@@ -125,13 +150,21 @@ class GCS:
             yield from self._in_step()
             yield from self._error()
             return
-        units = {match[2].upper() for line in lines if (match := re.search(rf"({_AXIS})=(\S+)", line)) and match[1] in self.axes}
+        units = {
+            match[2].upper()
+            for line in lines
+            if (match := re.search(rf"({_AXIS})=(\S+)", line)) and match[1] in self.axes
+        }
         if len(units) != 1 or not units <= set(UNITS):
-            raise ControllerFault(f"the axes count in {' '.join(sorted(units))}; they must all count in one of {' '.join(UNITS)}")
+            raise ControllerFault(
+                f"the axes count in {' '.join(sorted(units))}; they must all count in one of {' '.join(UNITS)}"
+            )
         self._unit = UNITS[units.pop()]
 
     def _moving(self) -> Dialogue[int]:
-        lines = yield from self._ask(b"\x05", lambda lines: re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", lines[-1].strip()) is not None)
+        lines = yield from self._ask(
+            b"\x05", lambda lines: re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", lines[-1].strip()) is not None
+        )
         return int(lines[-1].strip(), 16)
 
     def _error(self) -> Dialogue[int]:
@@ -156,8 +189,10 @@ class GCS:
                 return lines
             yield from self._in_step()
         error = yield Exchange(b"ERR?\n", _is_error)
-        raise NoAnswer(f"no answer to {data!r}, asked {TRIES} times" + (f"; the controller's error is {_reason(int(error[-1].strip()))}" if error
-                                                                        else ""))
+        raise NoAnswer(
+            f"no answer to {data!r}, asked {TRIES} times"
+            + (f"; the controller's error is {_reason(int(error[-1].strip()))}" if error else "")
+        )
 
     def _command(self, line: str) -> Dialogue[Verdict]:
         """A command and the error that it leaves, sent together and once."""

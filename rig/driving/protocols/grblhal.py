@@ -1,8 +1,9 @@
-"""grblHAL and Grbl 1.1: struts as linear axes in mm, lines answered by `ok` or `error:N`, real-time bytes `?`, `!` and 0x18.
+"""grblHAL and Grbl 1.1: struts as linear axes in mm, lines answered by `ok` or `error:N`, real-time bytes `?`, `!` and
+0x18.
 
-Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. After `hello` the feed word is
-never 0; a controller that says F0 has started anew. Source: Grbl 1.1 Interface and Commands (gnea/grbl wiki); grblHAL core, report.c,
-gcode.c and system.c.
+Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. After
+`hello` the feed word is never 0; a controller that says F0 has started anew. Source: Grbl 1.1 Interface and Commands
+(gnea/grbl wiki); grblHAL core, report.c, gcode.c and system.c.
 """
 
 import re
@@ -27,21 +28,58 @@ _NUMBERS = r"-?\d+\.\d+(?:,-?\d+\.\d+)*"
 _END = re.compile(r"ok|error:\d+")
 _ALARM = re.compile(r"ALARM:(\d+)")
 _BANNER = re.compile(r"Grbl(HAL)? \d+\.\d+", re.IGNORECASE)
-_ACTIVITY = {"Idle": "idle", "Run": "moving", "Jog": "moving", "Home": "homing", "Hold": "held", "Tool": "held", "Door": "held",
-             "Alarm": "alarm", "Check": "off", "Sleep": "off"}
+_ACTIVITY = {
+    "Idle": "idle",
+    "Run": "moving",
+    "Jog": "moving",
+    "Home": "homing",
+    "Hold": "held",
+    "Tool": "held",
+    "Door": "held",
+    "Alarm": "alarm",
+    "Check": "off",
+    "Sleep": "off",
+}
 _PINS = {"M": "a motor driver is in fault", "E": "emergency stop is pressed"}
-_WAITS = {"Door": "a safety door is open", "Tool": "it waits for a tool change", "Check": "it checks what it is sent and moves nothing ($C): "
-          "rig stop ends that", "Sleep": "it sleeps: rig stop wakes it, and its position is not known then"}
+_WAITS = {
+    "Door": "a safety door is open",
+    "Tool": "it waits for a tool change",
+    "Check": "it checks what it is sent and moves nothing ($C): rig stop ends that",
+    "Sleep": "it sleeps: rig stop wakes it, and its position is not known then",
+}
 _DEAF = {"Hold", "Door", "Tool"}  # takes no line until it is told to go on
 _SLOWING = {"Run", "Jog", "Hold:1", "Door:2", "Door:3"}  # a reset then is an alarm, and the position is lost
-_HOMING_OFF = "homing is not enabled there: set $22=1, or state homing = false in [controller] where there are no switches"
-ERRORS = {5: _HOMING_OFF, 8: "not while it moves", 9: "locked by an alarm: home, or unlock", 10: "soft limits take homing: $22=1",
-          11: "line too long", 13: "a safety door is open", 14: "line too long", 15: "beyond the soft limits", 18: "no homing cycles are set",
-          45: "on a limit switch", 46: "it must be homed first, without unlocking", 50: "emergency stop is pressed", 51: "a motor driver is in fault",
-          79: "not while an alarm is critical"}
-ALARMS = {1: "a limit switch was hit, position lost", 2: "beyond the soft limits", 3: "reset while moving, position lost", 6: "homing was reset",
-          7: "door opened while homing", 8: "homing could not leave the switch", 9: "homing found no switch", 10: "emergency stop",
-          11: "homing is required", 17: "a motor driver is in fault"}
+_HOMING_OFF = (
+    "homing is not enabled there: set $22=1, or state homing = false in [controller] where there are no switches"
+)
+ERRORS = {
+    5: _HOMING_OFF,
+    8: "not while it moves",
+    9: "locked by an alarm: home, or unlock",
+    10: "soft limits take homing: $22=1",
+    11: "line too long",
+    13: "a safety door is open",
+    14: "line too long",
+    15: "beyond the soft limits",
+    18: "no homing cycles are set",
+    45: "on a limit switch",
+    46: "it must be homed first, without unlocking",
+    50: "emergency stop is pressed",
+    51: "a motor driver is in fault",
+    79: "not while an alarm is critical",
+}
+ALARMS = {
+    1: "a limit switch was hit, position lost",
+    2: "beyond the soft limits",
+    3: "reset while moving, position lost",
+    6: "homing was reset",
+    7: "door opened while homing",
+    8: "homing could not leave the switch",
+    9: "homing found no switch",
+    10: "emergency stop",
+    11: "homing is required",
+    17: "a motor driver is in fault",
+}
 
 
 class GrblHAL:
@@ -63,7 +101,9 @@ class GrblHAL:
     def hello(self) -> Dialogue[str]:
         report = _STATUS.search((yield from query(b"?", lambda lines: _STATUS.search(lines[-1]) is not None))[-1])
         if report is not None and report[1].split(":")[0] in _DEAF:
-            raise ControllerFault(f"the controller is held and takes nothing ({report[0]}): see why, then rig stop drops what is held")
+            raise ControllerFault(
+                f"the controller is held and takes nothing ({report[0]}): see why, then rig stop drops what is held"
+            )
         build = yield from _told(b"$I\n", patience=STANDS)
         version = next((line[5:-1].rstrip(":") for line in build if line.startswith("[VER:")), "unknown version")
         for line in build:
@@ -73,12 +113,22 @@ class GrblHAL:
                 self._letters = match[2]
         missing = [axis for axis in self.axes if axis not in self._letters]
         if missing:
-            raise ControllerFault(f"the controller has the axes {self._letters}, not {''.join(missing)}: [controller] axes names one for each strut "
-                                  "in their order, and the firmware must be built with so many")
+            raise ControllerFault(
+                f"the controller has the axes {self._letters}, not {''.join(missing)}: [controller] axes "
+                "names one for each strut "
+                "in their order, and the firmware must be built with so many"
+            )
         settings = yield from _told(b"$$\n", patience=STANDS)
-        self._settings = {int(match[1]): float(match[2]) for line in settings if (match := re.fullmatch(r"\$(\d+)=(-?\d+(?:\.\d+)?)", line))}
+        self._settings = {
+            int(match[1]): float(match[2])
+            for line in settings
+            if (match := re.fullmatch(r"\$(\d+)=(-?\d+(?:\.\d+)?)", line))
+        }
         if self._turning() and int(self._settings.get(680, 0)) & 1:
-            raise ControllerFault(f"the controller takes {self._turning()} for rotary axes whose feed is that of the others ($376, $680): set $376=0")
+            raise ControllerFault(
+                f"the controller takes {self._turning()} for rotary axes whose feed is that of the others "
+                "($376, $680): set $376=0"
+            )
         ready = yield from _told(READY.encode() + b"\n", locked=True)
         if _scaled((yield from _modes())):
             yield from _told(b"G50\n", locked=True)
@@ -88,7 +138,11 @@ class GrblHAL:
 
     def fence(self) -> Dialogue[bool]:
         words = yield from _modes()
-        return {"G21", "G90", "G94"} <= words and not _scaled(words) and not any(re.fullmatch(r"F0+(\.0*)?", word) for word in words)
+        return (
+            {"G21", "G90", "G94"} <= words
+            and not _scaled(words)
+            and not any(re.fullmatch(r"F0+(\.0*)?", word) for word in words)
+        )
 
     def state(self) -> Dialogue[State]:
         for _ in range(40):  # the work offset comes with every 30th report, at the latest
@@ -96,7 +150,10 @@ class GrblHAL:
             state = self._read(lines[-1])
             if state is not None and state.positions is not None:
                 return state
-        raise NoAnswer("status reports give work positions and never their offset WCO: set $10=511 (Grbl 1.1: $10=1) on the controller")
+        raise NoAnswer(
+            "status reports give work positions and never their offset WCO: set $10=511 (Grbl 1.1: $10=1) on "
+            "the controller"
+        )
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
         speed = MM * 60 * np.linalg.norm(segment.target - segment.start) / max(segment.duration, 1e-6)
@@ -118,7 +175,11 @@ class GrblHAL:
         if 22 in self._settings and not int(self._settings[22]) & 1:
             return Verdict(False, _HOMING_OFF)
         if left := self._never_homed():
-            return Verdict(False, f"its homing cycles ($44 .. $49) leave out {left}: give each a cycle, and set $376=0 where they are rotary")
+            return Verdict(
+                False,
+                f"its homing cycles ($44 .. $49) leave out {left}: give each a cycle, and set $376=0 where "
+                "they are rotary",
+            )
         self._homing = True
         verdict = yield from _command("$H", timeout)
         if verdict.accepted is None:
@@ -171,9 +232,15 @@ class GrblHAL:
         return "".join(axis for axis in self.axes if rotary >> self._letters.index(axis) & 1)
 
     def _never_homed(self) -> str:
-        """Letters of the struts' axes that no homing cycle holds; "" where all have one, or the controller states no cycles."""
+        """Letters of the struts' axes that no homing cycle holds; "" where all have one, or the controller states no
+        cycles.
+        """
         cycles = [int(self._settings[number]) for number in range(44, 50) if number in self._settings]
-        return "".join(axis for axis in self.axes if any(cycles) and not any(cycle >> self._letters.index(axis) & 1 for cycle in cycles))
+        return "".join(
+            axis
+            for axis in self.axes
+            if any(cycles) and not any(cycle >> self._letters.index(axis) & 1 for cycle in cycles)
+        )
 
     def _read(self, line: str) -> State | None:
         """State of a status report, positions None while the work offset is not known; None for what is no report."""
@@ -213,7 +280,8 @@ class GrblHAL:
 def _told(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[tuple[str, ...]]:
     """The lines of an answer that ends with ok. Raises ControllerFault for an error.
 
-    locked : error:9 will do; patience : s for which it is asked again where the axes still move (error:8), as whoever came before told them
+    locked : error:9 will do; patience : s for which it is asked again where the axes still move (error:8), as whoever
+        came before told them
     """
     for _ in range(1 + int(patience / AGAIN)):
         lines = yield from query(data, lambda lines: _END.fullmatch(lines[-1].strip()) is not None)
@@ -238,7 +306,11 @@ def _scaled(words: set[str]) -> bool:
 
 
 def _command(line: str, timeout: float | None = None) -> Dialogue[Verdict]:
-    lines = yield Exchange(line.encode() + b"\n", lambda lines: bool(_END.fullmatch(lines[-1].strip()) or _ALARM.search(lines[-1])), timeout)
+    lines = yield Exchange(
+        line.encode() + b"\n",
+        lambda lines: bool(_END.fullmatch(lines[-1].strip()) or _ALARM.search(lines[-1])),
+        timeout,
+    )
     if lines is None:
         return Verdict(None, f"no answer to {line}")
     end = lines[-1].strip()

@@ -1,8 +1,11 @@
-"""LinuxCNC through linuxcncrsh over TCP: moves as MDI lines, positions as joints; answers begin with the word that was asked for.
+"""LinuxCNC through linuxcncrsh over TCP: moves as MDI lines, positions as joints; answers begin with the word that was
+asked for.
 
-"joint": each axis word is a strut (trivkins, identity kinematics). "world": poses go through the controller's own inverse kinematics
-(genhexkins with this rig.toml's geometry); what is read back are the joints all the same. An emergency stop is never taken off by itself.
-Source: linuxcncrsh(1), genhexkins(9); G93 gives every move its time, whichever of its words are lengths and whichever angles.
+"joint": each axis word is a strut (trivkins, identity kinematics). "world": poses go through the controller's own
+inverse kinematics (genhexkins with this rig.toml's geometry); what is read back are the joints all the same. An
+emergency stop is never taken off by itself.
+Source: linuxcncrsh(1), genhexkins(9); G93 gives every move its time, whichever of its words are lengths and whichever
+    angles.
 """
 
 import re
@@ -24,7 +27,9 @@ _NUMBER = r"-?\d+\.\d+"
 
 
 class LinuxCNC:
-    """See rig.driving.protocols.protocol_interface.Protocol. axes : letters, in the struts' order; kinematics : "joint" or "world"."""
+    """See rig.driving.protocols.protocol_interface.Protocol. axes : letters, in the struts' order; kinematics : "joint"
+    or "world".
+    """
 
     name = "linuxcnc"
     urgent_stop = b"SET ABORT\r\n"
@@ -35,15 +40,22 @@ class LinuxCNC:
 
     def hello(self) -> Dialogue[str]:
         greeting = yield from self._greet()
-        yield Exchange(b"SET ECHO OFF\r\n", lambda lines: "ECHO" in lines[-1].upper(), ECHO)  # echoed, acknowledged, or neither
+        yield Exchange(
+            b"SET ECHO OFF\r\n", lambda lines: "ECHO" in lines[-1].upper(), ECHO
+        )  # echoed, acknowledged, or neither
         for line in ("SET VERBOSE ON", f"SET ENABLE {self._enable}"):
             verdict = yield from self._set(line, 4)
             if not verdict.accepted:
-                raise ControllerFault(f"{line.rpartition(' ')[0]} was not accepted ({verdict.reason}); is [controller] enable_password right?")
-        kind = (yield from self._get("KINEMATICS_TYPE", r"\d+"))
+                raise ControllerFault(
+                    f"{line.rpartition(' ')[0]} was not accepted ({verdict.reason}); is [controller] "
+                    "enable_password right?"
+                )
+        kind = yield from self._get("KINEMATICS_TYPE", r"\d+")
         if (kind == IDENTITY) != (self.kinematics == "joint"):
-            raise ControllerFault(f'the controller\'s kinematics are of type {kind} and [controller] kinematics is "{self.kinematics}"; '
-                                  '"joint" takes type 1 (identity: an axis word is a strut), "world" any other')
+            raise ControllerFault(
+                f'the controller\'s kinematics are of type {kind} and [controller] kinematics is "{self.kinematics}"; '
+                '"joint" takes type 1 (identity: an axis word is a strut), "world" any other'
+            )
         unit = yield from self._get("USER_LINEAR_UNITS", r"\w+")
         if unit not in UNITS:
             raise ControllerFault(f"the controller counts in {unit}; it must be one of {', '.join(UNITS)}")
@@ -65,7 +77,9 @@ class LinuxCNC:
         if running == "RUNNING":
             return State("moving", positions, None, fault, f"PROGRAM_STATUS {running}")
         power, stopped = (yield from self._get("MACHINE", "ON|OFF")), (yield from self._get("ESTOP", "ON|OFF"))
-        bad = [str(i) for i, word in enumerate((yield from self._words("JOINT_FAULT"))[: len(self.axes)]) if word != "OK"]
+        bad = [
+            str(i) for i, word in enumerate((yield from self._words("JOINT_FAULT"))[: len(self.axes)]) if word != "OK"
+        ]
         self._homed = (homed := (yield from self._all_homed())) or self._homed
         if stopped == "ON":
             fault = "; ".join(filter(None, (fault, "emergency stop")))
@@ -118,7 +132,11 @@ class LinuxCNC:
         last = None
         for _ in range(int(REST / POLL)):
             positions = yield from self._positions()
-            if last is not None and np.array_equal(positions, last) and (yield from self._get("PROGRAM_STATUS", r"\w+")) == "IDLE":
+            if (
+                last is not None
+                and np.array_equal(positions, last)
+                and (yield from self._get("PROGRAM_STATUS", r"\w+")) == "IDLE"
+            ):
                 return Verdict(True)
             last = positions
             yield Exchange(b"", _never, POLL)
@@ -134,23 +152,31 @@ class LinuxCNC:
         return ""
 
     def _greet(self) -> Dialogue[str]:
-        """The server's name and version; a greeting may be said again, and whatever was sent before has been dealt with then."""
-        lines = yield from query(f"HELLO {self._password} {CLIENT}\r\n".encode(),
-                               lambda lines: lines[-1].strip().startswith(("HELLO ACK", "HELLO NAK")))
+        """The server's name and version; a greeting may be said again, and whatever was sent before has been dealt with
+        then.
+        """
+        lines = yield from query(
+            f"HELLO {self._password} {CLIENT}\r\n".encode(),
+            lambda lines: lines[-1].strip().startswith(("HELLO ACK", "HELLO NAK")),
+        )
         if lines[-1].strip().startswith("HELLO NAK"):
             raise ControllerFault("the controller refuses the greeting; is [controller] password right?")
-        return lines[-1].strip()[len("HELLO ACK "):]
+        return lines[-1].strip()[len("HELLO ACK ") :]
 
     def _get(self, word: str, pattern: str) -> Dialogue[str]:
-        """What a question is answered with, without its word and in capitals where it is one word. Raises NoAnswer, ControllerFault."""
+        """What a question is answered with, without its word and in capitals where it is one word. Raises NoAnswer,
+        ControllerFault.
+        """
         whole = re.compile(rf"{word} (?:{pattern})", re.IGNORECASE)
         refused = f"GET {word} NAK"
-        lines = yield from query(f"GET {word}\r\n".encode(), _either(lambda line: whole.fullmatch(line)
-                                                                   or line.upper().startswith((refused, "GET NAK"))))
+        lines = yield from query(
+            f"GET {word}\r\n".encode(),
+            _either(lambda line: whole.fullmatch(line) or line.upper().startswith((refused, "GET NAK"))),
+        )
         answer = lines[-1].strip()
         if answer.upper().startswith((refused, "GET NAK")):
             raise ControllerFault(f"the controller does not answer GET {word}: {answer}")
-        text = answer[len(word) + 1:]
+        text = answer[len(word) + 1 :]
         return text.upper() if " " not in text else text
 
     def _words(self, word: str) -> Dialogue[list[str]]:
@@ -173,14 +199,18 @@ class LinuxCNC:
         return {*words[: len(self.axes)]} <= {"YES", "HOMED"}
 
     def _positions(self) -> Dialogue[np.ndarray]:
-        return np.array([float(word) for word in (yield from self._get("JOINT_POS", rf"{_NUMBER}(?: {_NUMBER})*")).split()])
+        return np.array(
+            [float(word) for word in (yield from self._get("JOINT_POS", rf"{_NUMBER}(?: {_NUMBER})*")).split()]
+        )
 
     def _set(self, line: str, tries: int) -> Dialogue[Verdict]:
         """A command; only those that move nothing may be tried more than once."""
         word = line.split()[1]
         ends = (f"SET {word} ACK", f"SET {word} NAK", "SET NAK")
         for _ in range(tries):
-            lines: Lines = yield Exchange(f"{line}\r\n".encode(), _either(lambda answer: answer.upper().startswith(ends)))
+            lines: Lines = yield Exchange(
+                f"{line}\r\n".encode(), _either(lambda answer: answer.upper().startswith(ends))
+            )
             if lines is not None:
                 accepted = "ACK" in lines[-1].upper()
                 return Verdict(accepted, "" if accepted else "; ".join(answer.strip() for answer in lines))

@@ -1,4 +1,6 @@
-"""Our own line protocol for one's own firmware: numbered, checked frames, a watchdog, exactly one execution. Described in docs/protocol.md."""
+"""Our own line protocol for one's own firmware: numbered, checked frames, a watchdog, exactly one execution. Described
+in docs/protocol.md.
+"""
 
 import binascii
 import re
@@ -16,9 +18,21 @@ NUMBERS = 65536  # sequence numbers, going round
 POLL = 0.05  # s between looks at a homing
 _FRAME = re.compile(r"([<>])(-|\d{1,5}) ([^*<>!]*)\*([0-9A-F]{4})")
 _ACTIVITY = {"idle": "idle", "moving": "moving", "homing": "homing", "alarm": "alarm"}
-ERRORS = {1: "unknown command", 2: "arguments that do not fit", 3: "not homed", 4: "beyond the limits", 5: "busy", 6: "started anew", 7: "in fault"}
-FAULTS = {"silent": "it stopped because it heard nothing for too long", "motor": "a motor driver is in fault", "home": "an axis could not be homed",
-          "critical": "only switching it off and on helps"}
+ERRORS = {
+    1: "unknown command",
+    2: "arguments that do not fit",
+    3: "not homed",
+    4: "beyond the limits",
+    5: "busy",
+    6: "started anew",
+    7: "in fault",
+}
+FAULTS = {
+    "silent": "it stopped because it heard nothing for too long",
+    "motor": "a motor driver is in fault",
+    "home": "an axis could not be homed",
+    "critical": "only switching it off and on helps",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +63,9 @@ def checksum(body: str) -> str:
 
 
 class Struts:
-    """See rig.driving.protocols.protocol_interface.Protocol. count : axes; watchdog : s of silence after which the controller stops."""
+    """See rig.driving.protocols.protocol_interface.Protocol. count : axes; watchdog : s of silence after which the
+    controller stops.
+    """
 
     name = "struts"
     urgent_stop = b"!"
@@ -79,13 +95,20 @@ class Struts:
     def move(self, segment: Segment) -> Dialogue[Verdict]:
         cruise, ramp = round(1e3 * segment.duration), 0
         if segment.acceleration is not None and segment.acceleration.any():
-            ramp = int(np.ceil(1e3 * (segment.speed[segment.acceleration > 0] / segment.acceleration[segment.acceleration > 0]).max()))
+            ramp = int(
+                np.ceil(
+                    1e3
+                    * (segment.speed[segment.acceleration > 0] / segment.acceleration[segment.acceleration > 0]).max()
+                )
+            )
             if ramp > cruise:  # a short way never comes to full speed
                 ramp = cruise = int(np.ceil(np.sqrt(float(ramp) * max(cruise, 1))))
         nm = " ".join(str(round(value)) for value in NM * segment.target)
         text = f"MOVE {self._boot} {max(cruise, 1)} {ramp} {nm}"
         if len(encode(">", NUMBERS - 1, text)) > self._line:
-            raise ControllerFault(f"the controller takes lines of {self._line} bytes, too few for {text!r}; nothing was sent")
+            raise ControllerFault(
+                f"the controller takes lines of {self._line} bytes, too few for {text!r}; nothing was sent"
+            )
         return (yield from self._command(text))
 
     def home(self, timeout: float) -> Dialogue[Verdict]:
@@ -124,14 +147,21 @@ class Struts:
         for _ in range(TRIES):
             text = yield from self._told("STATE")
             words = text.split()
-            if len(words) == 4 + self.count and words[0] in _ACTIVITY and words[1] in "01" and all(re.fullmatch(r"-?\d{1,12}", w) for w in words[4:]):
+            if (
+                len(words) == 4 + self.count
+                and words[0] in _ACTIVITY
+                and words[1] in "01"
+                and all(re.fullmatch(r"-?\d{1,12}", w) for w in words[4:])
+            ):
                 fault = "" if words[3] == "-" else FAULTS.get(words[3], words[3])
                 positions = np.array([int(word) for word in words[4:]]) / NM
                 return State(_ACTIVITY[words[0]], positions, words[1] == "1", fault, text), words[2]
         raise NoAnswer(f"a state that cannot be read: {text!r}")
 
     def _told(self, text: str) -> Dialogue[str]:
-        """What the controller answers to a request that moves nothing, asked again under a new number. Raises NoAnswer, ControllerFault."""
+        """What the controller answers to a request that moves nothing, asked again under a new number. Raises NoAnswer,
+        ControllerFault.
+        """
         for _ in range(TRIES):
             verdict, answer = yield from self._ask(text)
             if verdict.accepted:
@@ -160,7 +190,9 @@ class Struts:
 
 def _answers(line: str, number: int) -> bool:
     frame = decode("<", line)
-    return frame is not None and (frame.number == number and frame.text.split(" ")[0] in ("OK", "ERR") or frame == Frame(None, "NAK"))
+    return frame is not None and (
+        frame.number == number and frame.text.split(" ")[0] in ("OK", "ERR") or frame == Frame(None, "NAK")
+    )
 
 
 def _never(lines: Sequence[str]) -> bool:

@@ -1,4 +1,6 @@
-"""What every protocol offers: dialogues, which yield the bytes to send and take the lines that answer. Nothing here opens a port."""
+"""What every protocol offers: dialogues, which yield the bytes to send and take the lines that answer. Nothing here
+opens a port.
+"""
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
@@ -17,7 +19,9 @@ ACTIVITIES = ("idle", "moving", "homing", "held", "alarm", "off")
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """data : bytes to send; complete : whether the lines so far are a whole answer; timeout : s, None for the link's own."""
+    """data : bytes to send; complete : whether the lines so far are a whole answer; timeout : s, None for the link's
+    own.
+    """
 
     data: bytes
     complete: Callable[[Sequence[str]], bool]
@@ -54,7 +58,8 @@ class Segment:
     """One straight move of all axes, which start and arrive together.
 
     start, target : (n,) m as the controller counts; duration : s at the speeds asked for, without the ramps
-    speed : (n,) m/s; acceleration : (n,) m/s^2 in proportion, or None; pose : T_base_platform there, for controllers that take poses
+    speed : (n,) m/s; acceleration : (n,) m/s^2 in proportion, or None; pose : T_base_platform there, for controllers
+        that take poses
     """
 
     start: np.ndarray
@@ -78,7 +83,9 @@ class Protocol(Interface):
         """Its name and version; learns its units and sizes and readies it. Raises NoAnswer, ControllerFault."""
 
     def fence(self) -> Dialogue[bool]:
-        """Have all that was sent before dealt with; False where the controller has started anew since `hello`. Raises NoAnswer."""
+        """Have all that was sent before dealt with; False where the controller has started anew since `hello`. Raises
+        NoAnswer.
+        """
 
     def state(self) -> Dialogue[State]:
         """What it does, and where its axes stand. Raises NoAnswer."""
@@ -99,8 +106,12 @@ class Protocol(Interface):
         """What a line says that nobody asked for: "restarted", an alarm or an error in words, or "" for nothing."""
 
 
-def query(data: bytes, complete: Callable[[Sequence[str]], bool], timeout: float | None = None, tries: int = TRIES) -> Dialogue[tuple[str, ...]]:
-    """The lines that answer a question which moves nothing, asked again where no answer comes. Raises NoAnswer with the question."""
+def query(
+    data: bytes, complete: Callable[[Sequence[str]], bool], timeout: float | None = None, tries: int = TRIES
+) -> Dialogue[tuple[str, ...]]:
+    """The lines that answer a question which moves nothing, asked again where no answer comes. Raises NoAnswer with the
+    question.
+    """
     for _ in range(tries):
         lines = yield Exchange(data, complete, timeout)
         if lines is not None:

@@ -17,5 +17,10 @@ def of(controller: Controller, count: int) -> Protocol:
     if controller.protocol == "struts":
         return Struts(count, controller.watchdog)
     if controller.protocol == "linuxcnc":
-        return LinuxCNC(controller.axes or tuple("XYZABC"[:count]), controller.kinematics, controller.password, controller.enable_password)
+        return LinuxCNC(
+            controller.axes or tuple("XYZABC"[:count]),
+            controller.kinematics,
+            controller.password,
+            controller.enable_password,
+        )
     raise ValueError(f"no protocol {controller.protocol!r}")

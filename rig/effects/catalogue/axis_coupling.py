@@ -20,14 +20,24 @@ class AxisCoupling(Effect):
     name: ClassVar = "axis_coupling"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
-    parameters: ClassVar = (Parameter("scale", "", (-0.1, 0.1), (1e-5, 1e-2), signed=True), Parameter("other", "", (1, 100), (1, 6), role="choice"))
+    parameters: ClassVar = (
+        Parameter("scale", "", (-0.1, 0.1), (1e-5, 1e-2), signed=True),
+        Parameter("other", "", (1, 100), (1, 6), role="choice"),
+    )
     experiment: ClassVar = "move the other axis alone, over its whole travel"
-    action: ClassVar = "Enter the coupling in the controller, which can take it out by moving the {axis} along; or part the two drives."
+    action: ClassVar = (
+        "Enter the coupling in the controller, which can take it out by moving the {axis} along; or part the two "
+        "drives."
+    )
 
     def needs(self, motion: Motion) -> str | None:
         if not 1 <= self.other <= len(motion.places):
             return f"takes another axis, 1 to {len(motion.places)}, not {self.other:g}"
-        return "takes another axis than its own" if self.scale and self.place == motion.places[int(self.other) - 1] else None
+        return (
+            "takes another axis than its own"
+            if self.scale and self.place == motion.places[int(self.other) - 1]
+            else None
+        )
 
     def deviation(self, motion: Motion) -> np.ndarray:
         return self.axes(motion.places) * self.scale * motion.stroke[:, [int(self.other) - 1]]
@@ -35,7 +45,9 @@ class AxisCoupling(Effect):
     def covariate(self, motion: Motion) -> Covariate:
         other = int(self.other) - 1
         return travel_covariate(
-            np.repeat(motion.stroke[:, [other]], len(motion.places), axis=1), motion, f"stroke of {motion.places[other]} from home"
+            np.repeat(motion.stroke[:, [other]], len(motion.places), axis=1),
+            motion,
+            f"stroke of {motion.places[other]} from home",
         )
 
     @classmethod

@@ -12,16 +12,22 @@ from rig.effects.framework.play_operator import play_deviation
 
 @dataclass(frozen=True, slots=True)
 class Backlash(Effect):
-    """Play operator of width gap on the command, over the whole path. Positive: an axis driven outward stays half a gap short."""
+    """Play operator of width gap on the command, over the whole path. Positive: an axis driven outward stays half a gap
+    short.
+    """
 
     place: str
     gap: float = 0.0
     name: ClassVar = "backlash"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
-    parameters: ClassVar = (Parameter("gap", "m", (0, 1e-3), (5e-6, 2e-4), role="size", joint=((0, 5e-2), (2e-5, 5e-3))),)
+    parameters: ClassVar = (
+        Parameter("gap", "m", (0, 1e-3), (5e-6, 2e-4), role="size", joint=((0, 5e-2), (2e-5, 5e-3))),
+    )
     experiment: ClassVar = "a ladder of reversal amplitudes: every position approached from both sides"
-    action: ClassVar = "Preload or exchange nut, gear and bearings of the {axis}; until then approach every pose from the same side."
+    action: ClassVar = (
+        "Preload or exchange nut, gear and bearings of the {axis}; until then approach every pose from the same side."
+    )
 
     def forgets(self) -> float:
         return self.gap

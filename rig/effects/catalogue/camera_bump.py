@@ -20,17 +20,23 @@ class CameraBump(Effect):
     name: ClassVar = "camera_bump"
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
-    parameters: ClassVar = (Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6),
-                            Parameter("time", "s", (-np.inf, np.inf), (0, 1e5), role="moment"))
+    parameters: ClassVar = (
+        Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6),
+        Parameter("time", "s", (-np.inf, np.inf), (0, 1e5), role="moment"),
+    )
     sudden: ClassVar = True
     experiment: ClassVar = "fixed cubes in view of that camera before and after"
     action: ClassVar = "Clamp the mount; poses from before and after that moment need a camera pose of their own."
     view: ClassVar = "time"
 
     def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
-        return ((np.asarray(t) >= self.time) * float(self.at(f"camera {camera.name}")))[:, None] * np.asarray(self.motion, float)
+        return ((np.asarray(t) >= self.time) * float(self.at(f"camera {camera.name}")))[:, None] * np.asarray(
+            self.motion, float
+        )
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
         found = super(CameraBump, cls).sites(context)
-        return tuple(place for place in found if place.split(" ")[1] not in context.moving)  # a mount that moves has no place to leave
+        return tuple(
+            place for place in found if place.split(" ")[1] not in context.moving
+        )  # a mount that moves has no place to leave

@@ -20,8 +20,10 @@ class CameraDrift(Effect):
     name: ClassVar = "camera_drift"
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
-    parameters: ClassVar = (Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6),
-                            Parameter("time_constant", "s", (1, 1e5), (60, 7200), role="log"))
+    parameters: ClassVar = (
+        Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6),
+        Parameter("time_constant", "s", (1, 1e5), (60, 7200), role="log"),
+    )
     sudden: ClassVar = True
     experiment: ClassVar = "fixed cubes in view of that camera for as long"
     action: ClassVar = "Let the mount warm up and clamp it better; keep fixed cubes in that camera's view."
@@ -34,4 +36,6 @@ class CameraDrift(Effect):
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
         found = super(CameraDrift, cls).sites(context)
-        return tuple(place for place in found if place.split(" ")[1] not in context.moving)  # a mount that moves has no place to leave
+        return tuple(
+            place for place in found if place.split(" ")[1] not in context.moving
+        )  # a mount that moves has no place to leave

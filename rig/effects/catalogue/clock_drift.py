@@ -11,7 +11,9 @@ from rig.effects.framework.effect import Effect, Motion, Parameter
 
 @dataclass(frozen=True, slots=True)
 class ClockDrift(Effect):
-    """Exposures logged at t happened at t (1 + rate) on the commands' clock, both clocks set at the recording's start, t = 0."""
+    """Exposures logged at t happened at t (1 + rate) on the commands' clock, both clocks set at the recording's start,
+    t = 0.
+    """
 
     place: str
     rate: float = 0.0

@@ -13,17 +13,23 @@ from rig.effects.framework.random_effects import Drawing, draw_parameter, log_un
 from rig.errors import RigError
 
 FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
-HEAVIEST, LIGHTER, OFF_CENTRE = (4.0, 15.0), 0.7, 0.1  # kg of a first link, each next one's share of it, m: of links that are drawn
+HEAVIEST, LIGHTER, OFF_CENTRE = (
+    (4.0, 15.0),
+    0.7,
+    0.1,
+)  # kg of a first link, each next one's share of it, m: of links that are drawn
 GIVES = 1e-3  # rad RMS; real joints give a tenth of it under an arm's own weight
 RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
 
 
 @dataclass(frozen=True, slots=True)
 class Compliance(Effect):
-    """Deviation -f / stiffness: a strut that pushes is compressed and shorter, a joint gives way to what it holds. Infinite stiffness gives nothing.
+    """Deviation -f / stiffness: a strut that pushes is compressed and shorter, a joint gives way to what it holds.
+    Infinite stiffness gives nothing.
 
-    moments : where the weight of an arm's links is not stated, their masses and mass moments (kg and kg m, four for each link, along its
-    frame) over the stiffness, in place of f / stiffness: 1/(m/s^2), as far as they are not stated with the platform
+    moments : where the weight of an arm's links is not stated, their masses and mass moments (kg and kg m, four for
+    each link, along its frame) over the stiffness, in place of f / stiffness: 1/(m/s^2), as far as they are not stated
+    with the platform
     """
 
     place: str
@@ -32,10 +38,14 @@ class Compliance(Effect):
     name: ClassVar = "compliance"
     stage: ClassVar = "struts"
     places: ClassVar = ("rig", "axis")
-    parameters: ClassVar = (Parameter("stiffness", "N/m", (1e4, np.inf), (1e6, 1e8), role="inverse", joint=((1.0, np.inf), (1e3, 1e7))),
-                            Parameter("moments", "kg/(N m/rad), kg m/(N m/rad)", (-1.0, 1.0), (1e-7, 1e-3), 0))
+    parameters: ClassVar = (
+        Parameter("stiffness", "N/m", (1e4, np.inf), (1e6, 1e8), role="inverse", joint=((1.0, np.inf), (1e3, 1e7))),
+        Parameter("moments", "kg/(N m/rad), kg m/(N m/rad)", (-1.0, 1.0), (1e-7, 1e-3), 0),
+    )
     experiment: ClassVar = "change the payload: at constant load most of the sag hides in the joint geometry"
-    action: ClassVar = "Correct the {axis} by its load, or look for a soft mount; calibrate with the load that the machine will carry."
+    action: ClassVar = (
+        "Correct the {axis} by its load, or look for a soft mount; calibrate with the load that the machine will carry."
+    )
     on_pose: ClassVar = True
     form: ClassVar = "load"
     once: ClassVar = True
@@ -44,11 +54,19 @@ class Compliance(Effect):
         if not self.moments:
             return motion.no_loads()
         count = motion.links().shape[2]
-        return None if len(self.moments) == count else f"takes {count} moments, four for each link that the axes carry, not {len(self.moments)}"
+        return (
+            None
+            if len(self.moments) == count
+            else f"takes {count} moments, four for each link that the axes carry, not {len(self.moments)}"
+        )
 
     def deviation(self, motion: Motion) -> np.ndarray:
         mask = self.axes(motion.places)
-        out = np.zeros(motion.lengths.shape) if self.moments and np.isinf(self.stiffness) else -mask * motion.loads() / self.stiffness
+        out = (
+            np.zeros(motion.lengths.shape)
+            if self.moments and np.isinf(self.stiffness)
+            else -mask * motion.loads() / self.stiffness
+        )
         if self.moments:
             reason = self.needs(motion)
             if reason:
@@ -71,8 +89,10 @@ class Compliance(Effect):
         turn = values.get("rms", 0.0)
         if turn > GIVES:
             words = f"turn by {turn * 1e3:.2g} mrad" if kind_of(place) == "joint" else f"move by {turn * 1e3:.2g} mm"
-            return (f"{place} would {words} RMS under its load, ten times what gears and bearings give: something else may "
-                    "hide behind it")
+            return (
+                f"{place} would {words} RMS under its load, ten times what gears and bearings give: something else may "
+                "hide behind it"
+            )
         return super(Compliance, cls).unusual(place, values)
 
     @classmethod
@@ -112,13 +132,17 @@ class Compliance(Effect):
 
 
 def by_links(context: Context) -> tuple[str, ...]:
-    """The axes, where what they carry is not stated but their load is linear in the masses of the machine's own links; else none."""
+    """The axes, where what they carry is not stated but their load is linear in the masses of the machine's own links;
+    else none.
+    """
     motion = context.moved()
     return motion.places if motion is not None and motion.no_loads() and motion.links().shape[2] else ()
 
 
 def distinct(table: np.ndarray) -> np.ndarray:
-    """Indices of the columns of a joint's table (n, c) that others do not make up, and that the weight turns; a constant is the joint's zero."""
+    """Indices of the columns of a joint's table (n, c) that others do not make up, and that the weight turns; a
+    constant is the joint's zero.
+    """
     if not table.shape[1]:
         return np.zeros(0, int)
     _, r, order = qr((table - table.mean(axis=0)) / np.sqrt(len(table)), mode="economic", pivoting=True)

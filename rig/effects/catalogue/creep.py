@@ -19,11 +19,18 @@ class Creep(Effect):
     name: ClassVar = "creep"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis", "rig")
-    parameters: ClassVar = (Parameter("fraction", "", (0, 0.2), (1e-3, 1e-2)), Parameter("time_constant", "s", (0.05, 1e4), (1, 1000), role="log"))
+    parameters: ClassVar = (
+        Parameter("fraction", "", (0, 0.2), (1e-3, 1e-2)),
+        Parameter("time_constant", "s", (0.05, 1e4), (1, 1000), role="log"),
+    )
     experiment: ClassVar = "expose repeatedly during one long dwell after a large move"
-    action: ClassVar = "Dwell longer before measuring, by a few time constants; look for a soft joint or a drive that settles late."
+    action: ClassVar = (
+        "Dwell longer before measuring, by a few time constants; look for a soft joint or a drive that settles late."
+    )
 
     def deviation(self, motion: Motion) -> np.ndarray:
         path = motion.path
-        late = motion.once(("late", self.time_constant), lambda: (path.lengths - lagged_path(path, self.time_constant))[path.at])
+        late = motion.once(
+            ("late", self.time_constant), lambda: (path.lengths - lagged_path(path, self.time_constant))[path.at]
+        )
         return -self.axes(motion.places) * self.fraction * late

@@ -16,7 +16,9 @@ SLOWEST = 0.5  # of them, and half a cycle over the joint's travel
 
 @dataclass(frozen=True, slots=True)
 class CyclicError(Effect):
-    """Deviation amplitude * sin(2 pi order l / turn + phase), l the commanded value, turn the screw's lead or the joint's own turn."""
+    """Deviation amplitude * sin(2 pi order l / turn + phase), l the commanded value, turn the screw's lead or the
+    joint's own turn.
+    """
 
     place: str
     amplitude: float = 0.0
@@ -25,12 +27,19 @@ class CyclicError(Effect):
     name: ClassVar = "cyclic_error"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
-    parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-4), (2e-6, 3e-5), joint=((0, 5e-2), (1e-5, 5e-4))),
-                            Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"),
-                            Parameter("order", "", (0.05, 20), (1, 2), role="even", joint=((0.05, 1e4), (1, ORDERS))))
+    parameters: ClassVar = (
+        Parameter("amplitude", "m", (0, 5e-4), (2e-6, 3e-5), joint=((0, 5e-2), (1e-5, 5e-4))),
+        Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"),
+        Parameter("order", "", (0.05, 20), (1, 2), role="even", joint=((0.05, 1e4), (1, ORDERS))),
+    )
     experiment: ClassVar = "steps that are no whole part of the pitch, over several turns of one screw"
-    joint_experiment: ClassVar = "steps that are no whole part of a gear's or an encoder's turn, over the whole travel of that joint"
-    action: ClassVar = "Look at the {axis}'s bearings, gear and coupling for run-out; a table of one turn in the controller takes it out."
+    joint_experiment: ClassVar = (
+        "steps that are no whole part of a gear's or an encoder's turn, over the whole travel of that joint"
+    )
+    action: ClassVar = (
+        "Look at the {axis}'s bearings, gear and coupling for run-out; a table of one turn in the controller "
+        "takes it out."
+    )
     form: ClassVar = "sinusoid"
     own_axis: ClassVar = 2
 

@@ -20,11 +20,19 @@ class FaceMisplacement(Effect):
     name: ClassVar = "face_misplacement"
     stage: ClassVar = "targets"
     places: ClassVar = ("marker",)
-    parameters: ClassVar = (Parameter("offset", "m", (-0.1, 0.1), (5e-5, 1e-3), 3), Parameter("rotation", "rad", (-3.2, 3.2), (1e-3, 2e-2), 3))
+    parameters: ClassVar = (
+        Parameter("offset", "m", (-0.1, 0.1), (5e-5, 1e-3), 3),
+        Parameter("rotation", "rad", (-3.2, 3.2), (1e-3, 2e-2), 3),
+    )
     experiment: ClassVar = "see that face from several cameras and poses"
     action: ClassVar = "Glue that face anew or leave its marker out of rig.toml."
     view: ClassVar = "markers"
 
     def attach(self, markers: Any) -> Any:
         rows = np.array([self.at(f"marker {number}") for number in markers.id])
-        return replace(markers, T_body_marker=displace_markers(markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])))
+        return replace(
+            markers,
+            T_body_marker=displace_markers(
+                markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])
+            ),
+        )

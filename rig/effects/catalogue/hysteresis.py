@@ -22,17 +22,24 @@ class Hysteresis(Effect):
     name: ClassVar = "hysteresis"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
-    parameters: ClassVar = (Parameter("range", "m", (1e-5, 0.1), (1e-3, 2e-2), role="log", joint=((1e-5, 10), (1e-3, 1.0))),
-                            Parameter("weight", "", (0, 1), (1e-3, 1e-2)))
+    parameters: ClassVar = (
+        Parameter("range", "m", (1e-5, 0.1), (1e-3, 2e-2), role="log", joint=((1e-5, 10), (1e-3, 1.0))),
+        Parameter("weight", "", (0, 1), (1e-3, 1e-2)),
+    )
     experiment: ClassVar = "reversals of growing amplitude: a backlash saturates at its gap, nested loops keep widening"
-    action: ClassVar = "Look for friction with elastic wind-up in the {axis}'s drive train; until then approach every pose from the same side."
+    action: ClassVar = (
+        "Look for friction with elastic wind-up in the {axis}'s drive train; until then approach every pose from "
+        "the same side."
+    )
 
     def forgets(self) -> float:
         return 2 * self.range if self.weight else 0.0
 
     def deviation(self, motion: Motion) -> np.ndarray:
         halves = self.range * (np.arange(PLAYS) + 0.5) / PLAYS
-        lag = motion.once(("loops", self.range), lambda: np.mean([play_deviation(motion, half) for half in halves], axis=0))
+        lag = motion.once(
+            ("loops", self.range), lambda: np.mean([play_deviation(motion, half) for half in halves], axis=0)
+        )
         return self.axes(motion.places) * self.weight * lag
 
     def covariate(self, motion: Motion) -> Covariate:

@@ -16,8 +16,9 @@ SIDES = 8  # exposures that must lie on either side
 
 @dataclass(frozen=True, slots=True)
 class JointClearance(Effect):
-    """Deviation -gap / 2 * sign(f), f > 0 where the axis pushes. moment : where the weight of an arm's links is not stated, which of their
-    masses and mass moments alone is taken to make f (from 0; see Compliance); none by default: what is stated"""
+    """Deviation -gap / 2 * sign(f), f > 0 where the axis pushes. moment : where the weight of an arm's links is not
+    stated, which of their masses and mass moments alone is taken to make f (from 0; see Compliance); none by default:
+    what is stated"""
 
     place: str
     gap: float = 0.0
@@ -25,8 +26,10 @@ class JointClearance(Effect):
     name: ClassVar = "joint_clearance"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
-    parameters: ClassVar = (Parameter("gap", "m", (0, 1e-3), (5e-6, 1.2e-4), joint=((0, 5e-2), (2e-5, 1e-3))),
-                            Parameter("moment", "", (-np.inf, 1e3), (0, 20), role="choice"))
+    parameters: ClassVar = (
+        Parameter("gap", "m", (0, 1e-3), (5e-6, 1.2e-4), joint=((0, 5e-2), (2e-5, 1e-3))),
+        Parameter("moment", "", (-np.inf, 1e3), (0, 20), role="choice"),
+    )
     experiment: ClassVar = "poses or payloads in which that axis changes from pushing to pulling"
     action: ClassVar = "Preload or exchange that {axis}'s bearings; until then keep its load from changing sign."
     on_pose: ClassVar = True
@@ -46,7 +49,11 @@ class JointClearance(Effect):
         return -self.axes(motion.places) * self.gap / 2 * side
 
     def covariate(self, motion: Motion) -> Covariate:
-        return load_covariate(self._load(motion), motion, "{unit} (positive: the {axis} pushes)" if self.moment < 0 else "of one kg or kg m")
+        return load_covariate(
+            self._load(motion),
+            motion,
+            "{unit} (positive: the {axis} pushes)" if self.moment < 0 else "of one kg or kg m",
+        )
 
     def _load(self, motion: Motion) -> np.ndarray:
         return motion.loads() if self.moment < 0 else motion.links()[:, :, int(self.moment)]

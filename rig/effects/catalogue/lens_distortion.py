@@ -10,15 +10,20 @@ from rig.effects.framework.effect import COUNT, Candidate, Context, Effect, Line
 from rig.effects.framework.random_effects import Drawing, log_uniform
 from rig.model.design import Camera
 
-LACKING = {"thin prism": (8, 9, 10, 11), "radial": (5, 6, 7), "both": (5, 6, 7, 8, 9, 10, 11)}  # terms that a lens may lack
+LACKING = {
+    "thin prism": (8, 9, 10, 11),
+    "radial": (5, 6, 7),
+    "both": (5, 6, 7, 8, 9, 10, 11),
+}  # terms that a lens may lack
 SIZES = (0.05, 2.0)  # px RMS over the image, of what lenses lack
 WARPS = (3, 5, 7)  # degrees of a smooth warp
 
 
 @dataclass(frozen=True, slots=True)
 class LensDistortion(Effect):
-    """terms (12): what is added to OpenCV's k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 of the stated lens; warp (2 m) px: a smooth
-    displacement fixed in the image, the coefficients in u, then in v, of the Chebyshev products of `products`."""
+    """terms (12): what is added to OpenCV's k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 of the stated lens; warp (2 m) px: a
+    smooth displacement fixed in the image, the coefficients in u, then in v, of the Chebyshev products of
+    `products`."""
 
     place: str
     terms: tuple[float, ...] = (0.0,) * 12
@@ -26,14 +31,21 @@ class LensDistortion(Effect):
     name: ClassVar = "lens_distortion"
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
-    parameters: ClassVar = (Parameter("terms", "", (-10, 10), (1e-4, 0.5), 12), Parameter("warp", "px", (-1e3, 1e3), (2e-2, 2), 0))
+    parameters: ClassVar = (
+        Parameter("terms", "", (-10, 10), (1e-4, 0.5), 12),
+        Parameter("warp", "px", (-1e3, 1e3), (2e-2, 2), 0),
+    )
     experiment: ClassVar = "cover the whole image with corners: a lens is fixed in the frame, whatever the pose"
     action: ClassVar = "Calibrate that lens with more terms; what is fitted here already corrects this recording."
     view: ClassVar = "map"
 
     def problem(self) -> str | None:
         sizes = [0, *(count(degree) for degree in range(2, 31))]
-        return None if len(self.warp) in sizes else f"warp has {', '.join(map(str, sizes[:5]))} .. numbers, those of a degree, not {len(self.warp)}"
+        return (
+            None
+            if len(self.warp) in sizes
+            else f"warp has {', '.join(map(str, sizes[:5]))} .. numbers, those of a degree, not {len(self.warp)}"
+        )
 
     def camera(self, camera: Camera) -> Camera:
         if not self.at(f"camera {camera.name}") or not any(self.terms):
@@ -76,17 +88,25 @@ class LensDistortion(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         have = len(context.design.camera(place.split(" ")[1]).distortion)
-        lacking = [Candidate(cls, place, [{}], [Linear("terms", j, 1e-4) for j in terms], label) for label, terms in LACKING.items()
-                   if min(terms) >= have]
-        return lacking + [Candidate(cls, place, [{COUNT: count(d)}], [Linear("warp", j, 1e-2) for j in range(count(d))], f"warp {d}") for d in WARPS]
+        lacking = [
+            Candidate(cls, place, [{}], [Linear("terms", j, 1e-4) for j in terms], label)
+            for label, terms in LACKING.items()
+            if min(terms) >= have
+        ]
+        return lacking + [
+            Candidate(cls, place, [{COUNT: count(d)}], [Linear("warp", j, 1e-2) for j in range(count(d))], f"warp {d}")
+            for d in WARPS
+        ]
 
 
 def products(camera: Camera, uv: np.ndarray, degree: int) -> np.ndarray:
-    """(..., m) Chebyshev products of image position (..., 2) px, 1 at the image's left and right edge, from the second degree to
-    `degree`: what is linear is the camera's own pose and lens."""
+    """(..., m) Chebyshev products of image position (..., 2) px, 1 at the image's left and right edge, from the second
+    degree to `degree`: what is linear is the camera's own pose and lens."""
     x = np.clip((np.asarray(uv) - [camera.width / 2, camera.height / 2]) / (camera.width / 2), -1, 1)
     T = [np.polynomial.chebyshev.chebvander(x[..., c], degree) for c in range(2)]
-    return np.stack([T[0][..., i] * T[1][..., j] for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 1], axis=-1)
+    return np.stack(
+        [T[0][..., i] * T[1][..., j] for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 1], axis=-1
+    )
 
 
 def _degree(numbers: int) -> int:

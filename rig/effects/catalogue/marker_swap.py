@@ -13,8 +13,8 @@ from rig.model.pose import exp
 
 @dataclass(frozen=True, slots=True)
 class MarkerSwap(Effect):
-    """The marker sits where `other` should and the other way round (other < 0: with none), and is turned by quarter turns,
-    counter-clockwise seen from outside."""
+    """The marker sits where `other` should and the other way round (other < 0: with none), and is turned by quarter
+    turns, counter-clockwise seen from outside."""
 
     place: str
     other: float = -1.0
@@ -22,7 +22,10 @@ class MarkerSwap(Effect):
     name: ClassVar = "marker_swap"
     stage: ClassVar = "targets"
     places: ClassVar = ("marker",)
-    parameters: ClassVar = (Parameter("other", "", (-1, 1e5), (0, 100), role="choice"), Parameter("turn", "", (0, 3), (0, 3), role="choice"))
+    parameters: ClassVar = (
+        Parameter("other", "", (-1, 1e5), (0, 100), role="choice"),
+        Parameter("turn", "", (0, 3), (0, 3), role="choice"),
+    )
     experiment: ClassVar = "look at the cube"
     action: ClassVar = "Correct the faces of that cube in rig.toml."
     discrete: ClassVar = True
@@ -36,14 +39,26 @@ class MarkerSwap(Effect):
         return cls(place, turn=float(rng.integers(1, 4)))
 
     def problem(self) -> str | None:
-        return None if self.other == int(self.other) and self.turn == int(self.turn) else "other and turn are whole numbers"
+        return (
+            None
+            if self.other == int(self.other) and self.turn == int(self.turn)
+            else "other and turn are whole numbers"
+        )
 
     def attach(self, markers: Any) -> Any:
         a = np.flatnonzero(markers.id == int(self.place.split(" ")[1]))
         b = np.flatnonzero(markers.id == int(self.other)) if self.other >= 0 else a
-        order, both = np.arange(len(markers.id)), min(len(a), len(b))  # a print of a cube that was put back turned has a row for each seat
+        order, both = (
+            np.arange(len(markers.id)),
+            min(len(a), len(b)),
+        )  # a print of a cube that was put back turned has a row for each seat
         order[a[:both]], order[b[:both]] = b[:both], a[:both]
         spin = exp(np.r_[np.zeros(5), int(self.turn) * np.pi / 2])
         poses = displace_markers(markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin)
-        return replace(markers, T_body_marker=poses, on_platform=markers.on_platform[order], target=[markers.target[k] for k in order],
-                       stage=markers.stage[order])
+        return replace(
+            markers,
+            T_body_marker=poses,
+            on_platform=markers.on_platform[order],
+            target=[markers.target[k] for k in order],
+            stage=markers.stage[order],
+        )

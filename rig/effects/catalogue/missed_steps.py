@@ -20,12 +20,16 @@ class MissedSteps(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
     lasting: ClassVar = False
-    parameters: ClassVar = (Parameter("jump", "m", (-5e-3, 5e-3), (5e-6, 1.2e-4), signed=True, joint=((-0.2, 0.2), (2e-5, 2e-3))),
-                            Parameter("time", "s", (-np.inf, np.inf), (0, 1e5), role="moment"))
+    parameters: ClassVar = (
+        Parameter("jump", "m", (-5e-3, 5e-3), (5e-6, 1.2e-4), signed=True, joint=((-0.2, 0.2), (2e-5, 2e-3))),
+        Parameter("time", "s", (-np.inf, np.inf), (0, 1e5), role="moment"),
+    )
     sudden: ClassVar = True
     form: ClassVar = "step"
     experiment: ClassVar = "return to one pose again and again, and home the axis: homing takes a lost step away"
-    action: ClassVar = "Home the {axis}; then look for an overload, a loose coupling or a current set too low at that moment."
+    action: ClassVar = (
+        "Home the {axis}; then look for an overload, a loose coupling or a current set too low at that moment."
+    )
 
     def deviation(self, motion: Motion) -> np.ndarray:
         return self.axes(motion.places) * self.jump * (motion.t >= self.time)[:, None]

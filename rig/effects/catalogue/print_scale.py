@@ -16,7 +16,9 @@ class PrintScale(Effect):
     stage: ClassVar = "targets"
     places: ClassVar = ("markers",)
     parameters: ClassVar = (Parameter("scale", "", (-0.1, 0.1), (1e-4, 5e-3), signed=True),)
-    experiment: ClassVar = "measure a printed sheet, or vary the range: an edge bias is constant in pixels, this in millimetres"
+    experiment: ClassVar = (
+        "measure a printed sheet, or vary the range: an edge bias is constant in pixels, this in millimetres"
+    )
     action: ClassVar = "Measure a printed sheet with a caliper and state the true side of the markers."
     view: ClassVar = "outward"
 

@@ -13,13 +13,16 @@ from rig.model.design import Camera
 INDEX = 1.5  # of the window's glass against air
 SQUARE, MOST = 0.5, np.radians(45)  # of drawn windows: share that is not tilted, greatest tilt of the others
 STEEPEST = np.radians(60)  # to which a window may be tilted
-TILTS, TOWARDS = np.radians([30.0]), np.arange(8) * np.pi / 4  # of windows that are looked for besides a square one; a fit does the rest
+TILTS, TOWARDS = (
+    np.radians([30.0]),
+    np.arange(8) * np.pi / 4,
+)  # of windows that are looked for besides a square one; a fit does the rest
 
 
 @dataclass(frozen=True, slots=True)
 class Refraction(Effect):
-    """A window of a thickness (m) whose normal (3, camera frame, of any length) leads away from the camera: what lies behind it seems
-    nearer along it, the more the more obliquely. How far away the window stands makes no difference."""
+    """A window of a thickness (m) whose normal (3, camera frame, of any length) leads away from the camera: what lies
+    behind it seems nearer along it, the more the more obliquely. How far away the window stands makes no difference."""
 
     place: str
     thickness: float = 0.0
@@ -27,15 +30,20 @@ class Refraction(Effect):
     name: ClassVar = "refraction"
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
-    parameters: ClassVar = (Parameter("thickness", "m", (0, 0.2), (1e-3, 3e-2)), Parameter("normal", "", (-10, 10), (0.1, 1), 3, role="direction"))
+    parameters: ClassVar = (
+        Parameter("thickness", "m", (0, 0.2), (1e-3, 3e-2)),
+        Parameter("normal", "", (-10, 10), (0.1, 1), 3, role="direction"),
+    )
     experiment: ClassVar = "a sweep in depth: no lens depends on the range"
     action: ClassVar = "Take the window away, or set it square to the camera and state it."
     view: ClassVar = "map"
 
     def __post_init__(self) -> None:
         if not np.linalg.norm(self.normal) > 0 or self.normal[2] < np.cos(STEEPEST) * np.linalg.norm(self.normal):
-            raise ValueError(f"a window's normal leads away from the camera, tilted by at most {np.degrees(STEEPEST):.0f} degrees, "
-                             f"not along {list(self.normal)}")
+            raise ValueError(
+                f"a window's normal leads away from the camera, tilted by at most {np.degrees(STEEPEST):.0f} degrees, "
+                f"not along {list(self.normal)}"
+            )
 
     def bend(self, camera: Camera, points: np.ndarray) -> np.ndarray:
         if self.thickness <= 0 or not self.at(f"camera {camera.name}"):
@@ -71,10 +79,17 @@ class Refraction(Effect):
         if rng.random() < SQUARE:
             return cls(place, thickness)
         tilt, toward = rng.uniform(0, MOST), rng.uniform(0, 2 * np.pi)
-        return cls(place, thickness, (float(np.sin(tilt) * np.cos(toward)), float(np.sin(tilt) * np.sin(toward)), float(np.cos(tilt))))
+        return cls(
+            place,
+            thickness,
+            (float(np.sin(tilt) * np.cos(toward)), float(np.sin(tilt) * np.sin(toward)), float(np.cos(tilt))),
+        )
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        tilted = [{"normal": (float(np.sin(a) * np.cos(b)), float(np.sin(a) * np.sin(b)), float(np.cos(a)))} for a, b in product(TILTS, TOWARDS)]
+        tilted = [
+            {"normal": (float(np.sin(a) * np.cos(b)), float(np.sin(a) * np.sin(b)), float(np.cos(a)))}
+            for a, b in product(TILTS, TOWARDS)
+        ]
         linear = cls.linear(place)
         return [Candidate(cls, place, [{}], linear), Candidate(cls, place, tilted, linear, "tilted", extra=2)]

@@ -18,10 +18,19 @@ class ScaleError(Effect):
     name: ClassVar = "scale_error"
     stage: ClassVar = "struts"
     places: ClassVar = ("rig", "axis")
-    parameters: ClassVar = (Parameter("scale", "", (-5e-3, 5e-3), (5e-5, 1e-3), signed=True, joint=((-5e-2, 5e-2), (5e-5, 2e-3))),)
-    experiment: ClassVar = "a certified length along the {axis}, or a target of certified size: all scales equal look like a print scale"
-    joint_experiment: ClassVar = "an angle of that joint certified by another instrument, or poses over more of its travel"
-    action: ClassVar = "Enter the {axis}'s scale in the controller (steps per unit of travel), or have its drive's transmission certified."
+    parameters: ClassVar = (
+        Parameter("scale", "", (-5e-3, 5e-3), (5e-5, 1e-3), signed=True, joint=((-5e-2, 5e-2), (5e-5, 2e-3))),
+    )
+    experiment: ClassVar = (
+        "a certified length along the {axis}, or a target of certified size: all scales equal look like a print scale"
+    )
+    joint_experiment: ClassVar = (
+        "an angle of that joint certified by another instrument, or poses over more of its travel"
+    )
+    action: ClassVar = (
+        "Enter the {axis}'s scale in the controller (steps per unit of travel), or have its drive's transmission "
+        "certified."
+    )
     form: ClassVar = "slope"
     own_axis: ClassVar = 1
     once: ClassVar = True

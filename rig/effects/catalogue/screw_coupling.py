@@ -14,7 +14,9 @@ from rig.model.mechanism_kinds import hexapod_of
 
 @dataclass(frozen=True, slots=True)
 class ScrewCoupling(Effect):
-    """Deviation gain * lead / 2 pi * twist of the platform-side cardan against the base-side one, less the twist at home."""
+    """Deviation gain * lead / 2 pi * twist of the platform-side cardan against the base-side one, less the twist at
+    home.
+    """
 
     place: str
     gain: float = 0.0
@@ -31,7 +33,11 @@ class ScrewCoupling(Effect):
             return "takes a hexapod, whose struts end in cardans"
         if motion.actuator.screw_lead is None or motion.actuator.joints is None:
             return "needs [actuator] screw_lead and joints in rig.toml"
-        return "takes cardans at both ends: a ball turns freely and cannot turn the nut" if motion.actuator.joints != "cardan-cardan" else None
+        return (
+            "takes cardans at both ends: a ball turns freely and cannot turn the nut"
+            if motion.actuator.joints != "cardan-cardan"
+            else None
+        )
 
     def deviation(self, motion: Motion) -> np.ndarray:
         return self.axes(motion.places) * self.gain * motion.turn() / (2 * np.pi) * self._twist(motion)

@@ -23,15 +23,19 @@ class ServoLag(Effect):
     places: ClassVar = ("axis", "rig")
     parameters: ClassVar = (Parameter("time_constant", "s", (0, 1), (1e-3, 5e-2), role="size"),)
     moving: ClassVar = True
-    experiment: ClassVar = ("expose soon after reversals at full speed (plan zigzag), or time the cameras by an external clock: "
-                            "all {axis}s alike is also a time offset")
+    experiment: ClassVar = (
+        "expose soon after reversals at full speed (plan zigzag), or time the cameras by an external clock: "
+        "all {axis}s alike is also a time offset"
+    )
     action: ClassVar = "Raise the drive's gain or feed its speed forward; poses at rest are not touched."
 
     def follow(self, path: Path, places: tuple[str, ...]) -> Path:
         if self.time_constant <= 0:
             return path
         path = path.with_knots((path.t[:, None] + AFTER * self.time_constant).ravel())
-        return replace(path, lengths=np.where(self.axes(places) > 0, lagged_path(path, self.time_constant), path.lengths))
+        return replace(
+            path, lengths=np.where(self.axes(places) > 0, lagged_path(path, self.time_constant), path.lengths)
+        )
 
     def covariate(self, motion: Motion) -> Covariate:
         return travel_covariate(motion.path.speed, motion, "speed of the axis", "/s")
@@ -43,7 +47,9 @@ def lagged_path(path: Path, time_constant: float) -> np.ndarray:
 
 
 def first_order_lag(t: np.ndarray, x: np.ndarray, time_constant: float) -> np.ndarray:
-    """(m, axes) first-order lag of x (m, axes), linear between knots t (m,); it starts at rest, y = x. Exact at the knots."""
+    """(m, axes) first-order lag of x (m, axes), linear between knots t (m,); it starts at rest, y = x. Exact at the
+    knots.
+    """
     return _lag(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(x, dtype=float), float(time_constant))
 
 

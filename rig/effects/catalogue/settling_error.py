@@ -11,7 +11,9 @@ from rig.effects.framework.effect import Effect, Motion, Parameter
 
 @dataclass(frozen=True, slots=True)
 class SettlingError(Effect):
-    """Deviation -fraction * step, the signed travel of the last straight move before the exposure, whatever its pace and the wait after it."""
+    """Deviation -fraction * step, the signed travel of the last straight move before the exposure, whatever its pace
+    and the wait after it.
+    """
 
     place: str
     fraction: float = 0.0
@@ -19,8 +21,13 @@ class SettlingError(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
     parameters: ClassVar = (Parameter("fraction", "", (-0.1, 0.2), (1e-4, 2e-3)),)
-    experiment: ClassVar = "small and large steps to the same poses, from both sides: lost motion does not grow with the step"
-    action: ClassVar = "Wait longer before reading, or tighten the {axis}'s window for being in position; until then approach by small last steps."
+    experiment: ClassVar = (
+        "small and large steps to the same poses, from both sides: lost motion does not grow with the step"
+    )
+    action: ClassVar = (
+        "Wait longer before reading, or tighten the {axis}'s window for being in position; until then approach "
+        "by small last steps."
+    )
 
     def deviation(self, motion: Motion) -> np.ndarray:
         return -self.axes(motion.places) * self.fraction * motion.once(("last step",), lambda: motion.path.last_step)

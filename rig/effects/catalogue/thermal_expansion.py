@@ -13,7 +13,9 @@ AMBIENT = "ambient_temperature_C"
 
 @dataclass(frozen=True, slots=True)
 class ThermalExpansion(Effect):
-    """Share coefficient * (T - 20 C) by which a strut is longer, or the link behind a joint; T its own channel, for a link else the room's."""
+    """Share coefficient * (T - 20 C) by which a strut is longer, or the link behind a joint; T its own channel, for a
+    link else the room's.
+    """
 
     place: str
     coefficient: float = 0.0
@@ -25,7 +27,9 @@ class ThermalExpansion(Effect):
     action: ClassVar = "Let the machine reach its temperature, or correct lengths by the logged temperatures."
 
     def needs(self, motion: Motion) -> str | None:
-        return next(filter(None, (motion.no_channel(*_channels(place)) for place in motion.places if self.at(place))), None)
+        return next(
+            filter(None, (motion.no_channel(*_channels(place)) for place in motion.places if self.at(place))), None
+        )
 
     def deviation(self, motion: Motion) -> np.ndarray:
         return self._grown(motion)[0]
@@ -40,7 +44,9 @@ class ThermalExpansion(Effect):
         return motion.kind.grown(motion.T, motion.lengths, motion.mechanism, share)
 
     def covariate(self, motion: Motion) -> Covariate:
-        warm = [motion.channel(*_channels(place)) if self.at(place) else np.zeros(len(motion.t)) for place in motion.places]
+        warm = [
+            motion.channel(*_channels(place)) if self.at(place) else np.zeros(len(motion.t)) for place in motion.places
+        ]
         return temperature_covariate(np.stack(warm, axis=1), f"the {motion.kind.AXIS}")
 
     @classmethod
@@ -51,7 +57,9 @@ class ThermalExpansion(Effect):
     def sites(cls, context: Context) -> tuple[str, ...]:
         found = super(ThermalExpansion, cls).sites(context)
         own = any(context.logged(_channels(place)[0]) for place in context.moved().places)
-        return found if context.moved().kind.AXIS == "strut" or own else ("rig",)  # one temperature tells of no link by itself
+        return (
+            found if context.moved().kind.AXIS == "strut" or own else ("rig",)
+        )  # one temperature tells of no link by itself
 
 
 def _channels(place: str) -> tuple[str, ...]:

@@ -20,11 +20,15 @@ class TimeOffset(Effect):
     stage: ClassVar = "command"
     places: ClassVar = ("clock",)
     lasting: ClassVar = False
-    parameters: ClassVar = (Parameter("offset", "s", (-5, 5), (1e-3, 6e-2), signed=True),
-                            Parameter("since", "s", (-np.inf, np.inf), (0, 1e5), role="moment"))
+    parameters: ClassVar = (
+        Parameter("offset", "s", (-5, 5), (1e-3, 6e-2), signed=True),
+        Parameter("since", "s", (-np.inf, np.inf), (0, 1e5), role="moment"),
+    )
     moving: ClassVar = True
-    experiment: ClassVar = ("expose while moving, at several speeds; reversals at full speed (plan zigzag) or an external clock "
-                            "tell it from a lag of all drives")
+    experiment: ClassVar = (
+        "expose while moving, at several speeds; reversals at full speed (plan zigzag) or an external clock "
+        "tell it from a lag of all drives"
+    )
     action: ClassVar = "Trigger cameras and controller from one clock, or shift the exposures' times."
 
     def times(self, t: np.ndarray) -> np.ndarray:

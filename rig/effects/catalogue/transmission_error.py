@@ -20,8 +20,8 @@ SHARE = 0.125  # of the exposures: more knots than that are no profile
 
 @dataclass(frozen=True, slots=True)
 class TransmissionError(Effect):
-    """Deviation: a natural cubic spline through profile (m or rad), evenly spaced over span (m or rad), by default the axis' whole travel;
-    beyond its ends it stays what it was there. rms tells its size."""
+    """Deviation: a natural cubic spline through profile (m or rad), evenly spaced over span (m or rad), by default the
+    axis' whole travel; beyond its ends it stays what it was there. rms tells its size."""
 
     place: str
     profile: tuple[float, ...] = (0.0, 0.0)
@@ -29,10 +29,14 @@ class TransmissionError(Effect):
     name: ClassVar = "transmission_error"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
-    parameters: ClassVar = (Parameter("profile", "m", (-1e-3, 1e-3), (5e-6, 5e-5), 0, joint=((-0.1, 0.1), (5e-5, 5e-4))),
-                            Parameter("span", "m", (-1e3, 1e3), (0, 10), 0, role="choice", joint=((-1e3, 1e3), (-3, 3))))
+    parameters: ClassVar = (
+        Parameter("profile", "m", (-1e-3, 1e-3), (5e-6, 5e-5), 0, joint=((-0.1, 0.1), (5e-5, 5e-4))),
+        Parameter("span", "m", (-1e3, 1e3), (0, 10), 0, role="choice", joint=((-1e3, 1e3), (-3, 3))),
+    )
     experiment: ClassVar = "the whole stroke of that axis in small steps, from both sides"
-    action: ClassVar = "Put the profile into the controller's table of the {axis}'s errors, or exchange its screw, gear or encoder."
+    action: ClassVar = (
+        "Put the profile into the controller's table of the {axis}'s errors, or exchange its screw, gear or encoder."
+    )
     form: ClassVar = "profile"
     own_axis: ClassVar = 3
     once: ClassVar = True
@@ -64,29 +68,47 @@ class TransmissionError(Effect):
             return [cls._of(place, {COUNT: count}, p) for count in KNOTS]
         q = context.moved().lengths[:, context.moved().places.index(place)]
         span = (float(q.min()), float(max(q.max(), q.min() + 1e-6)))
-        counts = sorted({max(FEWEST, int(np.ceil((span[1] - span[0]) / spacing)) + 1) for spacing in SPACINGS}
-                        ) if kind_of(place) == "joint" else list(KNOTS)
+        counts = (
+            sorted({max(FEWEST, int(np.ceil((span[1] - span[0]) / spacing)) + 1) for spacing in SPACINGS})
+            if kind_of(place) == "joint"
+            else list(KNOTS)
+        )
         return [cls._of(place, {COUNT: count, "span": span}, p) for count in counts if count <= SHARE * len(q)]
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         profile = np.cumsum(rng.normal(size=rng.integers(6, 12)))
         profile -= profile.mean()
-        return cls(place, tuple((profile * log_uniform(rng, *cls.parameters[0].at(place).usual) / np.sqrt(np.mean(profile**2))).tolist()))
+        return cls(
+            place,
+            tuple(
+                (profile * log_uniform(rng, *cls.parameters[0].at(place).usual) / np.sqrt(np.mean(profile**2))).tolist()
+            ),
+        )
 
     @classmethod
     def _of(cls, place: str, node: dict, p: Parameter) -> Candidate:
-        return Candidate(cls, place, [node], [Linear(p.name, j, derivative_step(p)) for j in range(node[COUNT])], f"{node[COUNT]} knots")
+        return Candidate(
+            cls,
+            place,
+            [node],
+            [Linear(p.name, j, derivative_step(p)) for j in range(node[COUNT])],
+            f"{node[COUNT]} knots",
+        )
 
     @classmethod
     def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
         i = motion.places.index(candidate.place)
         out = np.zeros((*motion.lengths.shape, node[COUNT]))
-        out[:, i] = basis(motion.lengths[:, i], node.get("span") or motion.kind.travel(motion.mechanism)[i], np.eye(node[COUNT]))
+        out[:, i] = basis(
+            motion.lengths[:, i], node.get("span") or motion.kind.travel(motion.mechanism)[i], np.eye(node[COUNT])
+        )
         return out
 
 
 def basis(q: np.ndarray, span: tuple[float, ...] | np.ndarray, values: np.ndarray) -> np.ndarray:
     """(n, ...) natural cubic splines through values (knots, ...) at even knots over a span, at q (n,)."""
     low, high = span
-    return scipy.interpolate.CubicSpline(np.linspace(low, high, len(values)), values, bc_type="natural")(np.clip(q, low, high))
+    return scipy.interpolate.CubicSpline(np.linspace(low, high, len(values)), values, bc_type="natural")(
+        np.clip(q, low, high)
+    )

@@ -14,8 +14,9 @@ ROUNDS = 30  # of one factor after the other; each brings them nearer
 
 @dataclass(frozen=True, slots=True)
 class Vibration(Effect):
-    """Displacement amplitude * sin(2 pi frequency t + phase) along mode, a tangent (x y z, rx ry rz) whose translation counts as one unit
-    long whatever its numbers; without a translation they count as they are. A whole number 0 to 2 stands for x, y or z."""
+    """Displacement amplitude * sin(2 pi frequency t + phase) along mode, a tangent (x y z, rx ry rz) whose translation
+    counts as one unit long whatever its numbers; without a translation they count as they are. A whole number 0 to 2
+    stands for x, y or z."""
 
     place: str
     amplitude: float = 0.0
@@ -26,12 +27,16 @@ class Vibration(Effect):
     stage: ClassVar = "structure"
     places: ClassVar = ("rig",)
     lasting: ClassVar = False
-    parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-3), (1e-6, 1e-4)),
-                            Parameter("frequency", "Hz", (1e-4, 1e3), (0.1, 50), role="frequency"),
-                            Parameter("mode", "1, 1/m", (-1e3, 1e3), (0.5, 2), 6, role="direction"),
-                            Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"))
+    parameters: ClassVar = (
+        Parameter("amplitude", "m", (0, 5e-3), (1e-6, 1e-4)),
+        Parameter("frequency", "Hz", (1e-4, 1e3), (0.1, 50), role="frequency"),
+        Parameter("mode", "1, 1/m", (-1e3, 1e3), (0.5, 2), 6, role="direction"),
+        Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"),
+    )
     experiment: ClassVar = "many exposures of one pose at irregular times"
-    action: ClassVar = "Find what shakes at that frequency (pump, fan, floor) and decouple the rig, or expose for whole periods."
+    action: ClassVar = (
+        "Find what shakes at that frequency (pump, fan, floor) and decouple the rig, or expose for whole periods."
+    )
 
     def __post_init__(self) -> None:
         if np.size(self.mode) == 1:
@@ -62,7 +67,9 @@ class Vibration(Effect):
 
     def written(self) -> Self:
         mode = self.direction_
-        turned = mode[np.argmax(np.abs(mode[:3]) if np.any(mode[:3]) else np.abs(mode))] < 0  # its greatest number is written positive
+        turned = (
+            mode[np.argmax(np.abs(mode[:3]) if np.any(mode[:3]) else np.abs(mode))] < 0
+        )  # its greatest number is written positive
         phase = np.remainder(self.phase + (2 if turned else 1) * np.pi, 2 * np.pi) - np.pi
         return replace(self, mode=tuple((-mode if turned else mode).tolist()), phase=float(phase))
 
@@ -76,19 +83,29 @@ class Vibration(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         columns = [Linear(name, j, 1e-6) for name in ("mode", QUADRATURE) for j in range(6)]
-        return [Candidate(cls, place, [{}], columns, extra=1, tied=5)]  # of twelve, a direction (6) and a phase are free
+        return [
+            Candidate(cls, place, [{}], columns, extra=1, tied=5)
+        ]  # of twelve, a direction (6) and a phase are free
 
     @classmethod
     def composed(cls, candidate: Candidate, node: dict, coefficients: np.ndarray) -> "Vibration":
-        """Of twelve coefficients (six directions of the sine, then of the cosine), the one direction and phase that make most of them up."""
+        """Of twelve coefficients (six directions of the sine, then of the cosine), the one direction and phase that
+        make most of them up.
+        """
         u, s, vt = np.linalg.svd(np.reshape(coefficients, (2, 6)), full_matrices=False)
         size = np.linalg.norm(vt[0, :3]) or 1.0
-        return cls(candidate.place, float(s[0] * size), mode=tuple(vt[0].tolist()), phase=float(np.arctan2(u[1, 0], u[0, 0])), **node).written()
+        return cls(
+            candidate.place,
+            float(s[0] * size),
+            mode=tuple(vt[0].tolist()),
+            phase=float(np.arctan2(u[1, 0], u[0, 0])),
+            **node,
+        ).written()
 
 
 def one_direction(b: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:
-    """(drop, coefficients (12,)) of least squares with normal equations G (12, 12) x = b (12,), x the outer product of a phase (2) and a
-    direction (6): one factor after the other, from the greatest part of what is free."""
+    """(drop, coefficients (12,)) of least squares with normal equations G (12, 12) x = b (12,), x the outer product of
+    a phase (2) and a direction (6): one factor after the other, from the greatest part of what is free."""
     scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
     whole = np.linalg.pinv(G / scale[:, None] / scale, rcond=1e-9, hermitian=True) @ (b / scale) / scale
     weight = np.maximum(scale.reshape(2, 6).max(axis=0), 1e-300)

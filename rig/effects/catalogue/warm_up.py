@@ -19,11 +19,17 @@ class WarmUp(Effect):
     name: ClassVar = "warm_up"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis", "rig")
-    parameters: ClassVar = (Parameter("amplitude", "m", (-2e-3, 2e-3), (5e-6, 1.2e-4), joint=((-0.2, 0.2), (1e-5, 1e-3))),
-                            Parameter("time_constant", "s", (60, 1e5), (600, 7200), role="log"))
+    parameters: ClassVar = (
+        Parameter("amplitude", "m", (-2e-3, 2e-3), (5e-6, 1.2e-4), joint=((-0.2, 0.2), (1e-5, 1e-3))),
+        Parameter("time_constant", "s", (60, 1e5), (600, 7200), role="log"),
+    )
     sudden: ClassVar = True
-    experiment: ClassVar = "the same poses from a cold start to hours later, with fixed cubes in view: a camera's drift moves those too"
-    action: ClassVar = "Let the machine warm up before use, and log the {axis}s' temperatures so that it can be corrected."
+    experiment: ClassVar = (
+        "the same poses from a cold start to hours later, with fixed cubes in view: a camera's drift moves those too"
+    )
+    action: ClassVar = (
+        "Let the machine warm up before use, and log the {axis}s' temperatures so that it can be corrected."
+    )
 
     def deviation(self, motion: Motion) -> np.ndarray:
         elapsed = motion.t - motion.path.began

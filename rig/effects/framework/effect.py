@@ -1,8 +1,9 @@
 """What an effect is: a name, a place, parameters with units and bounds, and a hook at the stage where it acts.
 
-Stages, in the order in which a command becomes a corner: `command` (what the axes are told, and when), `struts` (what the axes,
-struts or joints, do beyond that), `structure` (what the frame and platform do), `targets` (where markers sit), `view` (what a
-camera makes of it). Every hook of the base class changes nothing; an effect overrides the ones that it needs.
+Stages, in the order in which a command becomes a corner: `command` (what the axes are told, and when), `struts` (what
+the axes, struts or joints, do beyond that), `structure` (what the frame and platform do), `targets` (where markers
+sit), `view` (what a camera makes of it). Every hook of the base class changes nothing; an effect overrides the ones
+that it needs.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,16 +33,20 @@ SELDOM = 0.25  # share of draws in which an effect that may start at a moment do
 class Effect:
     """Base of all effects.
 
-    name, stage; places : kinds of place it can sit at ("axis": a strut or a joint); parameters; experiment : what would expose it
-    joint_experiment : the same of a joint, where it differs; action : what an owner can do about it; "{axis}" stands for strut, joint or slide in all
+    name, stage; places : kinds of place it can sit at ("axis": a strut or a joint); parameters; experiment : what would
+    expose it
+    joint_experiment : the same of a joint, where it differs; action : what an owner can do about it; "{axis}" stands
+        for strut, joint or slide in all
     on_pose : its deviation depends on the pose; sudden : it happens at one time, and may be over soon
-    discrete : found by looking at what corners were set aside, not by its derivative; moving : shows only in exposures on the way
+    discrete : found by looking at what corners were set aside, not by its derivative; moving : shows only in exposures
+        on the way
     rolls : rows of an image are exposed one after the other
-    form : what the model is a function of, where that is simple: the axis' own travel ("slope", "sinusoid" or "profile"), its "load", or
-    a moment ("step")
-    own_axis : depends on the axis' own position alone, 1 for the simplest such model; once : a second at a place would be the first
-    lasting : the machine does it again the next time, as found, so that commands can undo it; what happened at one moment, or swings with a
-    phase of its own, it does not
+    form : what the model is a function of, where that is simple: the axis' own travel ("slope", "sinusoid" or
+    "profile"), its "load", or a moment ("step")
+    own_axis : depends on the axis' own position alone, 1 for the simplest such model; once : a second at a place would
+        be the first
+    lasting : the machine does it again the next time, as found, so that commands can undo it; what happened at one
+    moment, or swings with a phase of its own, it does not
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """
 
@@ -71,7 +76,9 @@ class Effect:
         def __init__(self, place: str, **values: Any) -> None: ...
 
     def needs(self, motion: Motion) -> str | None:
-        """What a machine or its recording lacks for this effect, in words that follow its name; None where it has all."""
+        """What a machine or its recording lacks for this effect, in words that follow its name; None where it has
+        all.
+        """
         return None
 
     def times(self, t: np.ndarray) -> np.ndarray:
@@ -88,7 +95,9 @@ class Effect:
         return cls.times is not Effect.times or cls.follow is not Effect.follow
 
     def forgets(self) -> float:
-        """m or rad that an axis must travel one way until it no longer matters how it stood before; 0 for what remembers no way."""
+        """m or rad that an axis must travel one way until it no longer matters how it stood before; 0 for what
+        remembers no way.
+        """
         return 0.0
 
     def deviation(self, motion: Motion) -> np.ndarray:
@@ -108,7 +117,9 @@ class Effect:
         return camera
 
     def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
-        """(n, 6) tangent by which a camera's mount has moved at t (n,) s, on the right; channel(name) -> (n,) sensor values."""
+        """(n, 6) tangent by which a camera's mount has moved at t (n,) s, on the right; channel(name) -> (n,) sensor
+        values.
+        """
         return np.zeros((len(t), 6))
 
     def focal(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
@@ -129,7 +140,9 @@ class Effect:
 
     @classmethod
     def bending(cls, camera: Camera, quads: np.ndarray, columns: Sequence[Linear]) -> np.ndarray | None:
-        """(..., 4, 2, q) px that `print_` moves corners (..., 4, 2) px by, per unit of each column, where it is linear in them and says so."""
+        """(..., 4, 2, q) px that `print_` moves corners (..., 4, 2) px by, per unit of each column, where it is linear
+        in them and says so.
+        """
         return None
 
     def covariate(self, motion: Motion) -> Covariate:
@@ -158,12 +171,16 @@ class Effect:
 
     @classmethod
     def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
-        """Temperatures that it follows at a place, the channels any one of which tells each; none for what follows no temperature."""
+        """Temperatures that it follows at a place, the channels any one of which tells each; none for what follows no
+        temperature.
+        """
         return ()
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
-        """The places at which a recording can be asked for it. Raises RigError where the recording lacks what it needs."""
+        """The places at which a recording can be asked for it. Raises RigError where the recording lacks what it
+        needs.
+        """
         commanded = cls.stage in MOTION_STAGES
         if commanded and context.motion is None:
             raise RigError("nothing was commanded")
@@ -179,7 +196,9 @@ class Effect:
 
     @classmethod
     def lacking(cls, context: Context) -> dict[str, str]:
-        """{place: why not} of the axes, or the rig, at which it cannot be asked for, for what the recording lacks there: a slide without a lead."""
+        """{place: why not} of the axes, or the rig, at which it cannot be asked for, for what the recording lacks
+        there: a slide without a lead.
+        """
         places = (place for kind in cls.places for place in cls._of_kind(kind, context))
         return {place: reason for place in places if (reason := cls(place).needs(context.moved()))}
 
@@ -196,9 +215,13 @@ class Effect:
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        """Candidates at a place: by default every linear parameter a column, and a grid of what its roles leave to be searched."""
+        """Candidates at a place: by default every linear parameter a column, and a grid of what its roles leave to be
+        searched.
+        """
         parameters = [p.at(place) for p in cls.parameters]
-        grids = {p.name: parameter_grid(p, context.t) for p in parameters if p.role in ("size", "log", "even", "moment")}
+        grids = {
+            p.name: parameter_grid(p, context.t) for p in parameters if p.role in ("size", "log", "even", "moment")
+        }
         nodes = [dict(zip(grids, values)) for values in product(*grids.values())]
         return [Candidate(cls, place, nodes, cls.linear(place), extra=len(grids))]
 
@@ -213,7 +236,9 @@ class Effect:
             for j in range(p.size)
         ]
         return columns + [
-            Linear(QUADRATURE, None, derivative_step(next(q for q in parameters if q.role == "linear"))) for p in parameters if p.role == "phase"
+            Linear(QUADRATURE, None, derivative_step(next(q for q in parameters if q.role == "linear")))
+            for p in parameters
+            if p.role == "phase"
         ]
 
     @classmethod
@@ -223,7 +248,9 @@ class Effect:
 
     @classmethod
     def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
-        """(n, axes, q): see Candidate.deviation. The model is linear in these, so that a small step of each tells all."""
+        """(n, axes, q): see Candidate.deviation. The model is linear in these, so that a small step of each tells
+        all.
+        """
         if not candidate.linear:
             return candidate.effect(node, np.zeros(0)).deviation(motion)[..., None]
         out = []
@@ -235,11 +262,17 @@ class Effect:
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
-        """One of a plausible size at a place. What starts at a moment only if need be (its default is that of no moment) does so now and then."""
+        """One of a plausible size at a place. What starts at a moment only if need be (its default is that of no
+        moment) does so now and then.
+        """
         values = {}
         for p in cls.parameters_at(place):
             default = getattr(cls(place), p.name)
-            if p.role == "choice" or p.size == 0 or (p.role == "moment" and np.isinf(default) and rng.random() >= SELDOM):
+            if (
+                p.role == "choice"
+                or p.size == 0
+                or (p.role == "moment" and np.isinf(default) and rng.random() >= SELDOM)
+            ):
                 continue
             values[p.name] = draw_parameter(p, drawing, rng)
         return cls(place, **values)
@@ -253,11 +286,15 @@ class Effect:
     def experiment_at(cls, place: str) -> str:
         """What would expose it at a place, in words."""
         joint = kind_of(place) == "joint"
-        return (cls.joint_experiment if joint and cls.joint_experiment else cls.experiment).format(axis=axis_word(place))
+        return (cls.joint_experiment if joint and cls.joint_experiment else cls.experiment).format(
+            axis=axis_word(place)
+        )
 
     @classmethod
     def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
-        """Which of {parameter name: number} at a place is far beyond what rigs show, in a sentence; None where none is."""
+        """Which of {parameter name: number} at a place is far beyond what rigs show, in a sentence; None where none
+        is.
+        """
         return next((text for p in cls.parameters_at(place) if (text := p.unusual(values.get(p.name)))), None)
 
     @classmethod
@@ -283,11 +320,27 @@ class Effect:
         return includes_place(self.place, kind)
 
     def axes(self, places: tuple[str, ...]) -> np.ndarray:
-        """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis that the machine does not have."""
+        """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis that the machine
+        does not have.
+        """
         if kind_of(self.place) in AXES and self.place not in places:
             raise RigError(f"{self.name} sits at {self.place}, and the machine's axes are {places[0]} to {places[-1]}")
         return axis_mask(self.place, places).copy()
 
 
-__all__ = ["AXES", "COUNT", "MOTION_STAGES", "QUADRATURE", "REFERENCE_TEMPERATURE", "SOON", "Candidate", "Context", "Covariate", "Effect", "Linear",
-           "Motion", "Parameter", "Path"]
+__all__ = [
+    "AXES",
+    "COUNT",
+    "MOTION_STAGES",
+    "QUADRATURE",
+    "REFERENCE_TEMPERATURE",
+    "SOON",
+    "Candidate",
+    "Context",
+    "Covariate",
+    "Effect",
+    "Linear",
+    "Motion",
+    "Parameter",
+    "Path",
+]

@@ -17,16 +17,30 @@ def check_effect(effect: Effect) -> Effect:
     kind = kind_of(effect.place)
     if kind not in effect.places and not ("axis" in effect.places and kind in AXES):
         raise ValueError(f"{effect.name} cannot sit at {effect.place!r}; it takes {', '.join(effect.places)}")
-    name = {**dict.fromkeys(AXES, NUMBER), "marker": f"0|{NUMBER}", "camera": NAME.pattern, "target": NAME.pattern}.get(kind)
-    if name is not None and not re.fullmatch(f"{kind} (?:{name})", split_stage(effect.place)[1]) or name is None and kind != effect.place:
-        raise ValueError(f"{effect.name}: which {kind}? write for example '{kind} {'1' if kind in (*AXES, 'marker') else 'name'}'")
+    name = {**dict.fromkeys(AXES, NUMBER), "marker": f"0|{NUMBER}", "camera": NAME.pattern, "target": NAME.pattern}.get(
+        kind
+    )
+    if (
+        name is not None
+        and not re.fullmatch(f"{kind} (?:{name})", split_stage(effect.place)[1])
+        or name is None
+        and kind != effect.place
+    ):
+        raise ValueError(
+            f"{effect.name}: which {kind}? write for example '{kind} {'1' if kind in (*AXES, 'marker') else 'name'}'"
+        )
     for parameter in effect.parameters_at(effect.place):
         value = np.atleast_1d(np.asarray(getattr(effect, parameter.name), float))
         if value.ndim != 1 or (parameter.size and len(value) != parameter.size) or len(value) > MOST:
-            raise ValueError(f"{effect.name}: {parameter.name} has {parameter.size or f'at most {MOST}'} numbers, got {value.size}")
+            raise ValueError(
+                f"{effect.name}: {parameter.name} has {parameter.size or f'at most {MOST}'} numbers, got {value.size}"
+            )
         low, high = parameter.bounds
         if not ((value >= low).all() and (value <= high).all()):  # false for what is not a number, too
-            raise ValueError(f"{effect.name}: {parameter.name} must lie in {low:g} .. {high:g} {parameter.unit}, got {value_text(value.tolist())}")
+            raise ValueError(
+                f"{effect.name}: {parameter.name} must lie in {low:g} .. {high:g} {parameter.unit}, got "
+                f"{value_text(value.tolist())}"
+            )
     problem = effect.problem()
     if problem:
         raise ValueError(f"{effect.name}: {problem}")

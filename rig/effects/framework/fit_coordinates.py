@@ -12,7 +12,8 @@ SWALLOWED = 0.15  # the same for a lens, whose terms and warps a camera's pose a
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """One continuous parameter of one admitted effect: index of a vector or None; role as the parameter's; bounds : of the parameter
+    """One continuous parameter of one admitted effect: index of a vector or None; role as the parameter's; bounds : of
+    the parameter
     step : of the coordinate, for derivatives; loose : 1 / standard deviation that it is given beforehand"""
 
     effect: int
@@ -56,14 +57,20 @@ class Coordinate:
         return _changed(effect, self.name, tuple(vector))
 
     def around(self, effect: Effect) -> tuple[float, float]:
-        """The coordinate's values a step above and below an effect's, or at its bounds, between which a difference tells a derivative."""
+        """The coordinate's values a step above and below an effect's, or at its bounds, between which a difference
+        tells a derivative.
+        """
         value, (low, high) = self.read(effect), self.ends
         return min(value + self.step, high), max(value - self.step, low)
 
-    def ends_of(self, effects: tuple[Effect, ...], acting: tuple[Effect, ...]) -> tuple[tuple[tuple[Effect, ...], tuple[Effect, ...]], float]:
-        """((effects above, below), how far apart) between which a difference tells what the axes do with it, without those that only add to it.
+    def ends_of(
+        self, effects: tuple[Effect, ...], acting: tuple[Effect, ...]
+    ) -> tuple[tuple[tuple[Effect, ...], tuple[Effect, ...]], float]:
+        """((effects above, below), how far apart) between which a difference tells what the axes do with it, without
+        those that only add to it.
 
-        effects : of which it is one of the parameters; acting : those at work, of which clocks and paths matter to the others
+        effects : of which it is one of the parameters; acting : those at work, of which clocks and paths matter to the
+            others
         """
         own = effects[self.effect]
         others, (high, low) = tuple(e for e in acting if e is not own and e.retimes()), self.around(own)
@@ -82,25 +89,41 @@ def _changed(effect: Effect, name: str, value: float | tuple[float, ...]) -> Eff
 
 def coordinates_of(effects: tuple[Effect, ...]) -> list[Coordinate]:
     """[Coordinate] of what a fit may move of effects, in order."""
-    return [Coordinate(number, p.name, index, p.role, _step(p), p.bounds, prior_precision(p, index))
-            for number, effect in enumerate(effects) for p in effect.parameters_at(effect.place) for index in effect.fitted(p)]
+    return [
+        Coordinate(number, p.name, index, p.role, _step(p), p.bounds, prior_precision(p, index))
+        for number, effect in enumerate(effects)
+        for p in effect.parameters_at(effect.place)
+        for index in effect.fitted(p)
+    ]
 
 
 def constrained_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
     """(k, c) sums of coordinates that effects ask to be kept."""
-    rows = [[row.get((c.name, c.index), 0.0) * (c.effect == number) for c in coordinates]
-            for number, effect in enumerate(effects) for row in effect.kept()]
+    rows = [
+        [row.get((c.name, c.index), 0.0) * (c.effect == number) for c in coordinates]
+        for number, effect in enumerate(effects)
+        for row in effect.kept()
+    ]
     rows = [row for row in rows if any(row)]
     return np.array(rows).reshape(len(rows), len(coordinates))
 
 
 def _step(p: Parameter) -> float:
     size = np.sqrt(p.usual[0] * p.usual[1]) if p.usual[0] > 0 else 0.1
-    return {"inverse": 1e-3 / size, "log": 1e-3, "size": 1e-2 * size, "phase": 1e-3, "even": 1e-5, "frequency": 1e-8}.get(p.role, 1e-2 * size)
+    return {
+        "inverse": 1e-3 / size,
+        "log": 1e-3,
+        "size": 1e-2 * size,
+        "phase": 1e-3,
+        "even": 1e-5,
+        "frequency": 1e-8,
+    }.get(p.role, 1e-2 * size)
 
 
 def prior_precision(p: Parameter, index: int | None) -> float:
-    """1 / standard deviation that a parameter is given beforehand: vectors have directions that nothing sees, a number alone is free."""
+    """1 / standard deviation that a parameter is given beforehand: vectors have directions that nothing sees, a number
+    alone is free.
+    """
     if index is None or p.role == "direction":
         return 0.0
     return 1 / ((SWALLOWED if p.name in ("terms", "warp") else LOOSE) * p.usual[1])
@@ -108,5 +131,11 @@ def prior_precision(p: Parameter, index: int | None) -> float:
 
 def priors_cost(effects: tuple[Effect, ...]) -> float:
     """What the priors on vectors cost."""
-    return float(sum(np.sum((np.asarray(getattr(e, p.name)) * prior_precision(p, 0)) ** 2) for e in effects for p in e.parameters
-                     if p.role == "linear" and isinstance(getattr(e, p.name), tuple) and len(getattr(e, p.name))))
+    return float(
+        sum(
+            np.sum((np.asarray(getattr(e, p.name)) * prior_precision(p, 0)) ** 2)
+            for e in effects
+            for p in e.parameters
+            if p.role == "linear" and isinstance(getattr(e, p.name), tuple) and len(getattr(e, p.name))
+        )
+    )

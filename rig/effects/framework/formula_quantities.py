@@ -1,4 +1,6 @@
-"""What a formula may look at of a machine's motion: each quantity by its name, with its unit, its values and the Python that gives them."""
+"""What a formula may look at of a machine's motion: each quantity by its name, with its unit, its values and the Python
+that gives them.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,9 +16,12 @@ OWN = ("own travel", "own step", "own direction", "own speed", "own way", "own l
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quantity:
-    """name : as people read it; symbol : as Python does; unit : "" for a sign; code : Python that gives it of a `motion`
-    values : the same as a function, (n, axes) where each axis has its own, else (n, 1); apart : how to see what depends on it, in words
-    powers : the greatest that makes sense; waves : whether a sinusoid of it does; posed : whether it depends on the pose
+    """name : as people read it; symbol : as Python does; unit : "" for a sign; code : Python that gives it of a
+    `motion`
+    values : the same as a function, (n, axes) where each axis has its own, else (n, 1); apart : how to see what depends
+        on it, in words
+    powers : the greatest that makes sense; waves : whether a sinusoid of it does; posed : whether it depends on the
+        pose
     lacking : Python that says why a `motion` lacks it, or None, "" for what none lacks"""
 
     name: str
@@ -32,47 +37,117 @@ class Quantity:
 
 
 def quantity(name: str, word: str) -> Quantity:
-    """The Quantity of a name at machines whose axes are called a word: strut, joint or slide; what is none of those known is a sensor's channel."""
+    """The Quantity of a name at machines whose axes are called a word: strut, joint or slide; what is none of those
+    known is a sensor's channel.
+    """
     unit = "rad" if word == "joint" else "m"
     if name in OWN:
         return _own(name, unit, word)
     if name in POSE:
         i = POSE.index(name)
-        return Quantity(name, name, "m" if i < 3 else "rad", f"motion.displaced[:, [{i}]]", lambda m: m.displaced[:, [i]],
-                        f"move the platform {'along' if i < 3 else 'about'} {name[-1]} alone", waves=True, posed=True)
+        return Quantity(
+            name,
+            name,
+            "m" if i < 3 else "rad",
+            f"motion.displaced[:, [{i}]]",
+            lambda m: m.displaced[:, [i]],
+            f"move the platform {'along' if i < 3 else 'about'} {name[-1]} alone",
+            waves=True,
+            posed=True,
+        )
     if name == "time":
-        return Quantity(name, "t", "s", "motion.t[:, None]", lambda m: m.t[:, None], "come back to the same poses again and again", waves=True)
+        return Quantity(
+            name,
+            "t",
+            "s",
+            "motion.t[:, None]",
+            lambda m: m.t[:, None],
+            "come back to the same poses again and again",
+            waves=True,
+        )
     kind, _, number = name.removeprefix("travel of ").partition(" ")
     if name.startswith("travel of ") and kind in AXES and number.isdigit():
         i = int(number) - 1
-        return Quantity(name, f"q{i + 1}", "m" if kind != "joint" else "rad", f"motion.stroke[:, [{i}]]", lambda m: m.stroke[:, [i]],
-                        f"move {kind} {number} over its whole travel, the others still", waves=True,
-                        lacking=f'None if len(motion.places) > {i} else "takes {i + 1} axes"')
+        return Quantity(
+            name,
+            f"q{i + 1}",
+            "m" if kind != "joint" else "rad",
+            f"motion.stroke[:, [{i}]]",
+            lambda m: m.stroke[:, [i]],
+            f"move {kind} {number} over its whole travel, the others still",
+            waves=True,
+            lacking=f'None if len(motion.places) > {i} else "takes {i + 1} axes"',
+        )
     warm = name.endswith("temperature_C")
     zero = REFERENCE_TEMPERATURE if warm else 0.0
     code = f"motion.channel({name!r})[:, None]" + (" - REFERENCE_TEMPERATURE" if warm else "")
-    return Quantity(name, _symbol(name), "K" if warm else "kg" if name.endswith("_kg") else "unit", code, lambda m: m.channel(name)[:, None] - zero,
-                    f"let {name} change while the poses repeat", 2, lacking=f"motion.no_channel({name!r})")
+    return Quantity(
+        name,
+        _symbol(name),
+        "K" if warm else "kg" if name.endswith("_kg") else "unit",
+        code,
+        lambda m: m.channel(name)[:, None] - zero,
+        f"let {name} change while the poses repeat",
+        2,
+        lacking=f"motion.no_channel({name!r})",
+    )
 
 
 def _own(name: str, unit: str, word: str) -> Quantity:
     if name == "own travel":
-        return Quantity(name, "q", unit, "motion.stroke", lambda m: m.stroke, f"move that {word} over its whole travel", waves=True)
+        return Quantity(
+            name, "q", unit, "motion.stroke", lambda m: m.stroke, f"move that {word} over its whole travel", waves=True
+        )
     if name == "own step":
-        return Quantity(name, "step", unit, "motion.path.last_step", lambda m: m.path.last_step, "come by small and by large steps", 2)
+        return Quantity(
+            name,
+            "step",
+            unit,
+            "motion.path.last_step",
+            lambda m: m.path.last_step,
+            "come by small and by large steps",
+            2,
+        )
     if name == "own direction":
-        return Quantity(name, "direction", "", "motion.path.direction", lambda m: m.path.direction, "come from both sides", 1)
+        return Quantity(
+            name, "direction", "", "motion.path.direction", lambda m: m.path.direction, "come from both sides", 1
+        )
     if name == "own speed":
-        return Quantity(name, "speed", f"{unit}/s", "motion.path.speed", lambda m: m.path.speed, "expose on the way at several speeds", 2)
+        return Quantity(
+            name,
+            "speed",
+            f"{unit}/s",
+            "motion.path.speed",
+            lambda m: m.path.speed,
+            "expose on the way at several speeds",
+            2,
+        )
     if name == "own way":
-        return Quantity(name, "way", unit, "motion.path.way", lambda m: m.path.way, f"move that {word} to and fro between the same poses", 2)
-    return Quantity(name, "load", "N m" if unit == "rad" else "N", "motion.loads()", lambda m: m.loads(), "change the payload", 2, posed=True,
-                    lacking="motion.no_loads()")
+        return Quantity(
+            name,
+            "way",
+            unit,
+            "motion.path.way",
+            lambda m: m.path.way,
+            f"move that {word} to and fro between the same poses",
+            2,
+        )
+    return Quantity(
+        name,
+        "load",
+        "N m" if unit == "rad" else "N",
+        "motion.loads()",
+        lambda m: m.loads(),
+        "change the payload",
+        2,
+        posed=True,
+        lacking="motion.no_loads()",
+    )
 
 
 def quantities(motion: Motion, own: bool) -> list[Quantity]:
-    """[Quantity] of a Motion at its poses: those that each axis has of its own (own), of a platform its pose, the travel of every axis, time and
-    all that was logged; without own ones the travel of axes is left to the pose."""
+    """[Quantity] of a Motion at its poses: those that each axis has of its own (own), of a platform its pose, the
+    travel of every axis, time and all that was logged; without own ones the travel of axes is left to the pose."""
     word = motion.kind.AXIS
     names = [name for name in OWN if name != "own load" or motion.no_loads() is None] if own else []
     names += [f"travel of {place}" for place in motion.places] if own else []

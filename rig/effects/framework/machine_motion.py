@@ -19,7 +19,8 @@ STEADY = 1e-6  # of the greatest speed, by which two speeds are the same
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
-    """Commanded values through time, linear between knots: t (m,) s, lengths (m, axes) m or rad; at : (n,) the knots of the exposures
+    """Commanded values through time, linear between knots: t (m,) s, lengths (m, axes) m or rad; at : (n,) the knots of
+    the exposures
     starts : (k,) s, knots at which history begins anew: another recording of the same machine."""
 
     t: np.ndarray
@@ -39,7 +40,9 @@ class Path:
         return np.r_[0, np.searchsorted(self.t, self.starts)]
 
     def walked(self, walk: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-        """(m, axes) of walk(t (r,), lengths (r, axes)) -> (r, axes), which remembers, along each stretch from where history begins."""
+        """(m, axes) of walk(t (r,), lengths (r, axes)) -> (r, axes), which remembers, along each stretch from where
+        history begins.
+        """
         edges = [*self.firsts.tolist(), len(self.t)]
         return np.concatenate([walk(self.t[a:b], self.lengths[a:b]) for a, b in zip(edges[:-1], edges[1:])])
 
@@ -77,7 +80,9 @@ class Path:
 
     @property
     def last_step(self) -> np.ndarray:
-        """(n, axes) m or rad of the last straight move that led to each exposure: knots on its way and rests after it do not count."""
+        """(n, axes) m or rad of the last straight move that led to each exposure: knots on its way and rests after it
+        do not count.
+        """
         speeds, ends = self.speeds, self._ends
         moving = np.flatnonzero(speeds.any(axis=1))
         starts = np.arange(len(self.t))  # the knot at which the move that ends at a knot began
@@ -107,7 +112,11 @@ class Path:
         step = self._steps
         out, fresh = np.zeros_like(step), set(self.firsts.tolist())
         for j in range(1, len(step)):
-            out[j] = 0 if j in fresh else np.where(step[j] == 0, out[j - 1], np.where(step[j] * out[j - 1] >= 0, out[j - 1], 0) + step[j])
+            out[j] = (
+                0
+                if j in fresh
+                else np.where(step[j] == 0, out[j - 1], np.where(step[j] * out[j - 1] >= 0, out[j - 1], 0) + step[j])
+            )
         return out[self.at]
 
 
@@ -115,7 +124,8 @@ class Path:
 class Motion:
     """All that an effect of the axes or the structure may look at, at the n exposures.
 
-    mechanism : Hexapod, Planar2 or Arm as it really is; platform : Platform; actuator : Actuator; gravity : (3,) m/s^2, frame of poses
+    mechanism : Hexapod, Planar2 or Arm as it really is; platform : Platform; actuator : Actuator; gravity : (3,) m/s^2,
+        frame of poses
     t : (n,) s from the recording's start, on the commands' clock; path : Path of the commands, clock and lags applied
     sensors : Sensors or None; home : (axes,) m or rad, commanded values from which strokes count
     T : T_base_platform (n,), the present estimate, for effects that depend on the pose
@@ -160,13 +170,19 @@ class Motion:
 
     @property
     def displaced(self) -> np.ndarray:
-        """(n, 6) m and rad of the platform, or the hand, from home: translation and rotation vector in the frame of poses."""
+        """(n, 6) m and rad of the platform, or the hand, from home: translation and rotation vector in the frame of
+        poses.
+        """
         home = self.kind.forward(self.home[None], self.mechanism)
         T = self.posed()
-        return np.concatenate([T.translation - home.translation, (T.rotation * home.rotation.inv()).as_rotvec()], axis=1)
+        return np.concatenate(
+            [T.translation - home.translation, (T.rotation * home.rotation.inv()).as_rotvec()], axis=1
+        )
 
     def tangents(self, moved: np.ndarray) -> np.ndarray:
-        """(n, 6) tangents, on the right, of what moves by (n, 6) m and rad along the axes of the frame of poses and, at its origin, about them."""
+        """(n, 6) tangents, on the right, of what moves by (n, 6) m and rad along the axes of the frame of poses and, at
+        its origin, about them.
+        """
         back = np.swapaxes(self.posed().rotation.as_matrix(), 1, 2)
         return (back[:, None] @ moved.reshape(-1, 2, 3, 1)).reshape(-1, 6)
 
@@ -177,7 +193,9 @@ class Motion:
         return self.kept[key]
 
     def turn(self) -> np.ndarray:
-        """(axes,) m or rad of travel for one turn of what drives an axis: the screw's lead, a joint's own turn; NaN where no lead is stated."""
+        """(axes,) m or rad of travel for one turn of what drives an axis: the screw's lead, a joint's own turn; NaN
+        where no lead is stated.
+        """
         lead = np.nan if self.actuator.screw_lead is None else self.actuator.screw_lead
         return np.array([lead if unit == "m" else 2 * np.pi for unit in self.units])
 
@@ -186,7 +204,9 @@ class Motion:
         return "needs [actuator] screw_lead in rig.toml" if np.isnan(self.turn()[sits > 0]).any() else None
 
     def channel(self, *names: str) -> np.ndarray:
-        """(n,) the first of these sensor channels that there is, at the exposures. Raises RigError where the recording lacks them all."""
+        """(n,) the first of these sensor channels that there is, at the exposures. Raises RigError where the recording
+        lacks them all.
+        """
         reason = self.no_channel(*names)
         if reason or self.sensors is None:
             raise RigError(f"the model {reason}")
@@ -230,7 +250,9 @@ class Motion:
 
     def _loads(self) -> np.ndarray:
         platform, payload = self.platform, self.payload()
-        down = np.swapaxes(self.posed().rotation.as_matrix(), 1, 2) @ self.gravity  # acceleration in the platform's axes
+        down = (
+            np.swapaxes(self.posed().rotation.as_matrix(), 1, 2) @ self.gravity
+        )  # acceleration in the platform's axes
         wrench = np.concatenate([platform.mass * down, _moment(platform.centre_of_mass, platform.mass * down)], axis=1)
         if payload.any():
             weight = payload[:, None] * down
@@ -238,7 +260,9 @@ class Motion:
         return self.kind.loads(self.T, self.lengths, self.mechanism, wrench)
 
     def links(self) -> np.ndarray:
-        """(n, axes, c) load of the axes per kg and kg m of the machine's own members, worked out once: see mechanisms.kind."""
+        """(n, axes, c) load of the axes per kg and kg m of the machine's own members, worked out once: see
+        mechanisms.kind.
+        """
         return self.once(("links",), lambda: self.kind.links(self.T, self.lengths, self.mechanism, self.gravity))
 
 

@@ -6,7 +6,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 
-def displace_markers(poses: RigidTransform, rows: np.ndarray, motion: Callable[[RigidTransform], RigidTransform]) -> RigidTransform:
+def displace_markers(
+    poses: RigidTransform, rows: np.ndarray, motion: Callable[[RigidTransform], RigidTransform]
+) -> RigidTransform:
     """RigidTransform (m,) with motion(T) in place of T at the rows (m,) bool."""
     if not rows.any():
         return poses

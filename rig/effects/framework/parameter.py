@@ -16,14 +16,15 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """name; unit; bounds : (low, high) that make sense, beyond any value that nature prefers; usual : (low, high) that rigs show
+    """name; unit; bounds : (low, high) that make sense, beyond any value that nature prefers; usual : (low, high) that
+    rigs show
     size : numbers it has, 0 for any; signed : whether minus what is usual is as usual
     joint : (bounds, usual) at a joint, whose travel is rad, where these are not those of a strut
 
-    role : how the effect depends on it, for those who search: "linear", "inverse" (its reciprocal enters linearly), "size"
-    (nothing at zero, but not linear), "phase" (of a sinusoid that a linear parameter scales), "log" or "even" (a node's
-    parameter, to be searched over `usual` on a scale of that kind), "moment" (a time, s from the recording's start), "frequency",
-    "direction" (of which only the direction counts), "choice" (given or chosen, never fitted)
+    role : how the effect depends on it, for those who search: "linear", "inverse" (its reciprocal enters linearly),
+    "size" (nothing at zero, but not linear), "phase" (of a sinusoid that a linear parameter scales), "log" or "even" (a
+    node's parameter, to be searched over `usual` on a scale of that kind), "moment" (a time, s from the recording's
+    start), "frequency", "direction" (of which only the direction counts), "choice" (given or chosen, never fitted)
     """
 
     name: str
@@ -45,7 +46,8 @@ class Parameter:
             return None
         end = "least" if inverse else "most"
         return (
-            f"{self.name.replace('_', ' ')} {quantity_text(value, self.unit)} is far beyond what rigs show, {quantity_text(most, self.unit)} at the "
+            f"{self.name.replace('_', ' ')} {quantity_text(value, self.unit)} is far beyond what rigs show, "
+            f"{quantity_text(most, self.unit)} at the "
             f"{end}: "
             "something else may hide behind it"
         )
@@ -54,7 +56,9 @@ class Parameter:
         """The same as it is at a place: in rad in place of m at a joint."""
         if self.joint is None or kind_of(place) != "joint":
             return self
-        return replace(self, unit=TURNED.get(self.unit, self.unit), bounds=self.joint[0], usual=self.joint[1], joint=None)
+        return replace(
+            self, unit=TURNED.get(self.unit, self.unit), bounds=self.joint[0], usual=self.joint[1], joint=None
+        )
 
     def said(self, value: float | tuple[float, ...]) -> str:
         """Its name and a value, in a unit that people read."""

@@ -1,4 +1,6 @@
-"""Values of a nonlinear parameter among which to search: from its role, its usual size and what the exposures resolve."""
+"""Values of a nonlinear parameter among which to search: from its role, its usual size and what the exposures
+resolve.
+"""
 
 import numpy as np
 

@@ -1,4 +1,6 @@
-"""What a place is called: an axis of a machine or of a stage of a chain, a camera, a marker, a target, or the whole of something."""
+"""What a place is called: an axis of a machine or of a stage of a chain, a camera, a marker, a target, or the whole of
+something.
+"""
 
 import re
 from collections.abc import Collection
@@ -15,7 +17,9 @@ SHORT = re.compile(rf"stage[ _]?({NUMBER})[ _]?({'|'.join(AXES)})[ _]?({NUMBER})
 
 @cache
 def kind_of(place: str) -> str:
-    """The kind of a place, its first word: "strut" of "strut 3" as of "stage 2 strut 3", "camera" of "camera left", "rig"."""
+    """The kind of a place, its first word: "strut" of "strut 3" as of "stage 2 strut 3", "camera" of "camera left",
+    "rig".
+    """
     return split_stage(place)[1].split(" ")[0]
 
 
@@ -37,7 +41,9 @@ def split_stage(place: str) -> tuple[str, str]:
 
 
 def parse_stage_place(text: str, kinds: Collection[str]) -> str | None:
-    """The place in a chain that a text means ("stage2strut3"), where axes are among the kinds of place; None for any other text."""
+    """The place in a chain that a text means ("stage2strut3"), where axes are among the kinds of place; None for any
+    other text.
+    """
     found = SHORT.fullmatch(text) if "axis" in kinds else None
     return None if found is None else f"stage {found[1]} {found[2]} {found[3]}"
 

@@ -9,8 +9,8 @@ from rig.effects.framework.machine_motion import Motion
 def play_operator(lengths: np.ndarray, half: float) -> np.ndarray:
     """(m, axes) where the output of a play of half width `half` stands after each knot of a path (m, axes), m or rad.
 
-    The output starts in the middle of the gap and is dragged along at its ends. Between knots the input is monotonic, so the
-    knots are all that matters. Source: Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, ch. 2
+    The output starts in the middle of the gap and is dragged along at its ends. Between knots the input is monotonic,
+    so the knots are all that matters. Source: Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, ch. 2
     """
     return _walk(np.ascontiguousarray(lengths, dtype=float), float(half))
 
@@ -18,7 +18,9 @@ def play_operator(lengths: np.ndarray, half: float) -> np.ndarray:
 def play_deviation(motion: Motion, half: float) -> np.ndarray:
     """(n, axes) m or rad that a play of half width `half` adds to the command at the exposures."""
     path = motion.path
-    return motion.once(("behind", half), lambda: (path.walked(lambda _, lengths: play_operator(lengths, half)) - path.lengths)[path.at])
+    return motion.once(
+        ("behind", half), lambda: (path.walked(lambda _, lengths: play_operator(lengths, half)) - path.lengths)[path.at]
+    )
 
 
 @njit(cache=True)

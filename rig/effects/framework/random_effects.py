@@ -16,7 +16,8 @@ EARLY, LATE = 0.1, 0.9  # shares of the exposures between which moments are draw
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawing:
     """design : Design; t : (n,) s, the exposures; motion : Motion of its commands, everything logged that can be
-    displaced : (how a camera is to be looked through : Effect -> px RMS by which corners all over its image move), see synthetic.blind_cases
+    displaced : (how a camera is to be looked through : Effect -> px RMS by which corners all over its image move), see
+        synthetic.blind_cases
     """
 
     design: Design

@@ -14,7 +14,8 @@ from rig.recording.recording_folder import Sensors
 class Context:
     """design : Design as its owner states it; t : (n,) s, the exposures; sensors : Sensors or None
     motion : Motion at the measured poses, no effects; None where nothing was commanded
-    cameras : names of those that saw something; moving : of those on a mount that moves; markers : ids seen; targets : names seen
+    cameras : names of those that saw something; moving : of those on a mount that moves; markers : ids seen;
+        targets : names seen
     """
 
     design: Design

@@ -1,4 +1,6 @@
-"""What a search may ask of a recording: an effect at a place, with the values of its nonlinear parameters to be tried."""
+"""What a search may ask of a recording: an effect at a place, with the values of its nonlinear parameters to be
+tried.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +19,9 @@ COUNT = "_count"  # in a node: how many numbers a vector of any length has
 
 
 class Linear(NamedTuple):
-    """A column of the model: a parameter's name (or QUADRATURE), which number of a vector or None, and a small step of it."""
+    """A column of the model: a parameter's name (or QUADRATURE), which number of a vector or None, and a small step of
+    it.
+    """
 
     name: str
     entry: int | None
@@ -46,7 +50,7 @@ class Candidate:
 
     @property
     def plane(self) -> str:
-        """"struts" for what moves the platform, "view" for what changes only what is seen."""
+        """Plane "struts" for what moves the platform, "view" for what changes only what is seen."""
         return "view" if self.kind.stage in ("targets", "view") else "struts"
 
     def effect(self, node: dict, coefficients: np.ndarray) -> "Effect":
@@ -54,20 +58,28 @@ class Candidate:
         return self.kind.composed(self, node, coefficients)
 
     def deviation(self, node: dict, motion: Motion) -> np.ndarray:
-        """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole where the size
-        is part of the node. For effects that neither shift time nor change the path: see Effect.follow."""
+        """(n, axes, q) m or rad per unit of each linear parameter that the axes deviate at a Motion; (n, axes, 1) whole
+        where the size is part of the node. For effects that neither shift time nor change the path: see
+        Effect.follow."""
         return self.kind.columns(self, node, motion)
 
 
-def parameter_values(linear: Sequence[Linear], node: dict, coefficients: np.ndarray, parameters: Sequence[Parameter]) -> dict[str, Any]:
-    """{parameter name: number or tuple} of an effect with such parameters: a node's values, and coefficients (q,) of its linear columns."""
+def parameter_values(
+    linear: Sequence[Linear], node: dict, coefficients: np.ndarray, parameters: Sequence[Parameter]
+) -> dict[str, Any]:
+    """{parameter name: number or tuple} of an effect with such parameters: a node's values, and coefficients (q,) of
+    its linear columns.
+    """
     values, by = dict(node), {p.name: p for p in parameters}
     vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in linear if index is not None}
     for (name, index, _), c in zip(linear, coefficients):
         if name == QUADRATURE:
             amplitude = next(p.name for p in parameters if p.role == "linear")
             phase = next(p.name for p in parameters if p.role == "phase")
-            values[amplitude], values[phase] = float(np.hypot(values[amplitude], c)), float(np.arctan2(c, values[amplitude]))
+            values[amplitude], values[phase] = (
+                float(np.hypot(values[amplitude], c)),
+                float(np.arctan2(c, values[amplitude])),
+            )
         elif index is not None:
             vectors[name][index] = c
         elif by[name].role == "inverse":

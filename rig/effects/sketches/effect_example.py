@@ -1,4 +1,6 @@
-"""What a sketch of an effect is made with: one of a size that rigs show, on one rig and one way that bring out what any effect does."""
+"""What a sketch of an effect is made with: one of a size that rigs show, on one rig and one way that bring out what any
+effect does.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -19,13 +21,22 @@ from rig.model.design import Design
 from rig.planning.layout import hexapod_layout
 from rig.recording.recording_folder import PAYLOAD, Commands, Sensors
 
-RADIUS, LEAD, PAYLOAD_AT = 0.3, 0.01, (0.12, -0.42, 0.1)  # m, of the rig, its screws and on its platform: so far out that struts come to pull
+RADIUS, LEAD, PAYLOAD_AT = (
+    0.3,
+    0.01,
+    (0.12, -0.42, 0.1),
+)  # m, of the rig, its screws and on its platform: so far out that struts come to pull
 AXIS = 2  # the strut that is looked at, number 3
 FAR = 0.02  # m of travel to either side of home
 LADDER = (0, 1 / 3, -1 / 3, 2 / 3, -2 / 3, 1, -1, 0)  # of FAR, where that strut rests: reversals that grow
 REST = 0.5  # of each leg
 SPAN = 40.0  # s of a way that nothing about the effect times
-PERIODS = {"log": 8.0, "frequency": 8.0, "size": 100.0, "linear": 100.0}  # of an effect's own time that the way lasts otherwise, by its role
+PERIODS = {
+    "log": 8.0,
+    "frequency": 8.0,
+    "size": 100.0,
+    "linear": 100.0,
+}  # of an effect's own time that the way lasts otherwise, by its role
 COUNT = 401  # exposures
 SEED = 4  # of what has several numbers, which are drawn
 WARM, LOADED = 20.0, 6.0  # K and kg, by which temperatures and the payload rise
@@ -33,7 +44,9 @@ WARM, LOADED = 20.0, 6.0  # K and kg, by which temperatures and the payload rise
 
 @dataclass(frozen=True, slots=True)
 class Sketch:
-    """What an effect does. words : where it sits and how large it is; figures : one or two, as rig.report.pages.svg_elements makes them."""
+    """What an effect does. words : where it sits and how large it is; figures : one or two, as
+    rig.report.pages.svg_elements makes them.
+    """
 
     words: str
     figures: tuple[str, ...]
@@ -41,7 +54,8 @@ class Sketch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Way:
-    """An Effect, and what it is looked at on. t : (n,) s, the exposures; commands : of a hexapod; sensors : all that is known to be logged
+    """An Effect, and what it is looked at on. t : (n,) s, the exposures; commands : of a hexapod; sensors : all that is
+    known to be logged
     motion : of the commands without it, with its poses"""
 
     effect: Effect
@@ -53,12 +67,16 @@ class Way:
 
 
 def effect_example(
-    kind: type[Effect], place: str, factor: float = 1.0, of: Design | None = None, displaced: Callable = lambda effect, camera: 1.0
+    kind: type[Effect],
+    place: str,
+    factor: float = 1.0,
+    of: Design | None = None,
+    displaced: Callable = lambda effect, camera: 1.0,
 ) -> Way:
     """A Way with an effect of a kind at a place, `factor` times as large as the largest that rigs show.
 
-    of : the Design with the cameras and targets that it may sit at, by default none; displaced : see Drawing. Raises RigError for an effect that
-    cannot be shown on this rig
+    of : the Design with the cameras and targets that it may sit at, by default none; displaced : see Drawing. Raises
+    RigError for an effect that cannot be shown on this rig
     """
     base = sketch_hexapod()
     seen = base if of is None else replace(base, cameras=of.cameras, targets=of.targets)
@@ -79,7 +97,9 @@ def effect_example(
 @cache
 def sketch_hexapod() -> Design:
     """The hexapod of all sketches, with a payload that sits far out."""
-    design = design_file.design_of(design_file.entries_of(hexapod_layout.hexapod_layout(RADIUS, cameras=1, cubes=1), Path("layout")))
+    design = design_file.design_of(
+        design_file.entries_of(hexapod_layout.hexapod_layout(RADIUS, cameras=1, cubes=1), Path("layout"))
+    )
     platform = replace(design.platform, payload_centre_of_mass=np.array(PAYLOAD_AT))
     return replace(design, platform=platform, actuator=replace(design.actuator, screw_lead=LEAD))
 
@@ -87,17 +107,35 @@ def sketch_hexapod() -> Design:
 def effect_text(effect: Effect) -> str:
     """Where an effect sits, and its single numbers that are not what they are by default, in words."""
     default = {field.name: field.default for field in fields(effect)}
-    shown = [(p, getattr(effect, p.name)) for p in effect.parameters_at(effect.place) if p.role not in ("moment", "phase")]
-    return ", ".join([effect.place, *(p.said(value) for p, value in shown if isinstance(value, float) and np.isfinite(value)
-                                      and value != default[p.name])])
+    shown = [
+        (p, getattr(effect, p.name)) for p in effect.parameters_at(effect.place) if p.role not in ("moment", "phase")
+    ]
+    return ", ".join(
+        [
+            effect.place,
+            *(
+                p.said(value)
+                for p, value in shown
+                if isinstance(value, float) and np.isfinite(value) and value != default[p.name]
+            ),
+        ]
+    )
 
 
 def _size(p: Parameter, span: float, drawn: float | tuple[float, ...], factor: float) -> float | tuple[float, ...]:
-    """A parameter's value in a sketch: as large as rigs show; what only shapes the model in the middle of it; what was drawn for several."""
+    """A parameter's value in a sketch: as large as rigs show; what only shapes the model in the middle of it; what was
+    drawn for several.
+    """
     if isinstance(drawn, tuple):
         return tuple(factor * v for v in drawn) if p.role == "linear" else drawn
     low, high = p.usual
-    middle = {"log": np.sqrt(abs(low * high)), "even": (low + high) / 2, "frequency": np.sqrt(abs(low * high)), "phase": 0.0, "moment": span / 2}
+    middle = {
+        "log": np.sqrt(abs(low * high)),
+        "even": (low + high) / 2,
+        "frequency": np.sqrt(abs(low * high)),
+        "phase": 0.0,
+        "moment": span / 2,
+    }
     if p.role in middle:
         return drawn if np.isinf(drawn) else float(middle[p.role])
     if p.role == "choice" or np.isinf(drawn):
@@ -107,7 +145,11 @@ def _size(p: Parameter, span: float, drawn: float | tuple[float, ...], factor: f
 
 def _span(kind: type[Effect], place: str) -> float:
     """s that the way lasts: so many of the longest time that the effect itself knows."""
-    own = [_own_time(p) * PERIODS[p.role] for p in kind.parameters_at(place) if p.size == 1 and p.unit in ("s", "Hz") and p.role in PERIODS]
+    own = [
+        _own_time(p) * PERIODS[p.role]
+        for p in kind.parameters_at(place)
+        if p.size == 1 and p.unit in ("s", "Hz") and p.role in PERIODS
+    ]
     return max(own, default=SPAN)
 
 
@@ -118,7 +160,9 @@ def _own_time(p: Parameter) -> float:
 
 
 def _commands(design: Design, span: float) -> Commands:
-    """The way: one strut rests at the rungs of a ladder, the others swing, each at a pace of its own, so that the platform tilts and turns."""
+    """The way: one strut rests at the rungs of a ladder, the others swing, each at a pace of its own, so that the
+    platform tilts and turns.
+    """
     t = np.linspace(0.0, span, COUNT)
     leg = span / len(LADDER[1:])
     knots = np.concatenate([[k * leg, (k + 1 - REST) * leg] for k in range(len(LADDER) - 1)] + [[span]])
@@ -126,12 +170,18 @@ def _commands(design: Design, span: float) -> Commands:
     swings = [FAR / 2 * np.sin(2 * np.pi * (i + 1) / 2 * t / span) for i in range(6)]
     swings[AXIS] = np.interp(t, knots, rungs)
     return Commands(
-        t, motion_simulation.motion_of_commands(design, Commands(np.zeros(1), np.zeros((1, 6))), np.zeros(1)).home + np.stack(swings, axis=1)
+        t,
+        motion_simulation.motion_of_commands(design, Commands(np.zeros(1), np.zeros((1, 6))), np.zeros(1)).home
+        + np.stack(swings, axis=1),
     )
 
 
 def _sensors(span: float, cameras: tuple[str, ...]) -> Sensors:
     """All channels that effects know: everything warms, and the payload is put on in the middle."""
-    warm = ("ambient_temperature_C", *(f"strut{i + 1}_temperature_C" for i in range(6)), *(f"camera_{name}_temperature_C" for name in cameras))
+    warm = (
+        "ambient_temperature_C",
+        *(f"strut{i + 1}_temperature_C" for i in range(6)),
+        *(f"camera_{name}_temperature_C" for name in cameras),
+    )
     t = np.array([0.0, 0.3, 0.7, 1.0]) * span
     return Sensors(t, {**{name: 20 + WARM * t / span for name in warm}, PAYLOAD: np.array([0.0, 0.0, LOADED, LOADED])})

@@ -1,4 +1,6 @@
-"""What an effect does to a machine, as figures: a strut's length told and done through time, or the platform; and the error over its covariate."""
+"""What an effect does to a machine, as figures: a strut's length told and done through time, or the platform; and the
+error over its covariate.
+"""
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -21,7 +23,9 @@ TIMES = {1e-3: "ms", 1.0: "s", 60.0: "min", 3600.0: "h"}
 
 
 def drawn(kind: type[Effect], factor: float = 1.0) -> Sketch:
-    """Sketch of an effect of a kind, `factor` times as large as the largest that rigs show. Raises RigError for one that a hexapod cannot have"""
+    """Sketch of an effect of a kind, `factor` times as large as the largest that rigs show. Raises RigError for one
+    that a hexapod cannot have
+    """
     place = f"strut {AXIS + 1}" if "axis" in kind.places else kind.places[0]
     way = effect_example(kind, place, factor)
     error = strut_errors(way)
@@ -42,8 +46,10 @@ def _through_time(way: Way, error: np.ndarray) -> str:
     told = way.motion.stroke[:, AXIS]
     much = enlargement(np.abs(error).max(), SHARE * FAR)
     scale, unit = unit_of(way.t[-1], TIMES)
-    series = [Series(way.t / scale, told * 1e3, "told", "line", -1),
-              Series(way.t / scale, (told + much * error) * 1e3, enlargement_text("done", much), "line", 1)]
+    series = [
+        Series(way.t / scale, told * 1e3, "told", "line", -1),
+        Series(way.t / scale, (told + much * error) * 1e3, enlargement_text("done", much), "line", 1),
+    ]
     return plot_panel(f"Strut {AXIS + 1}", (f"time, {unit}", "stroke, mm"), series, high=HIGH)
 
 
@@ -54,12 +60,17 @@ def _over_covariate(way: Way, error: np.ndarray) -> str:
     scale, unit = unit_of(np.abs(error).max(), UNITS)
     values = across[:, AXIS] if across.ndim == 2 else across
     return plot_panel(
-        "What gives it away", (shown.label, f"error of strut {AXIS + 1}, {unit}"), [Series(values, error / scale, "", "dots", 1)], high=HIGH
+        "What gives it away",
+        (shown.label, f"error of strut {AXIS + 1}, {unit}"),
+        [Series(values, error / scale, "", "dots", 1)],
+        high=HIGH,
     )
 
 
 def _displaced(way: Way) -> str:
-    """The platform where it should stand and where it does, at the exposure at which these lie farthest apart, enlarged."""
+    """The platform where it should stand and where it does, at the exposure at which these lie farthest apart,
+    enlarged.
+    """
     T = way.motion.T
     assert T is not None
     found = motion_simulation.run_machine(way.design, way.commands, way.t, [way.effect], way.sensors).T_base_platform
@@ -75,9 +86,14 @@ def _displaced(way: Way) -> str:
     scale = SIZE / max(high - low)
     top, left = 2 * TEXT + 22.0, (WIDTH - scale * (high - low)[0]) / 2
     base, tips = ((points - low) * scale + [left, top] for points in (base, tips))
-    parts = [text(4, 14, "The platform", style="name"), text(4, 34, f"grey: told; {enlargement_text('orange: done', much)}")]
+    parts = [
+        text(4, 14, "The platform", style="name"),
+        text(4, 34, f"grey: told; {enlargement_text('orange: done', much)}"),
+    ]
     for k, style in enumerate(("line grey", "line c1")):
-        struts = "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in zip(base[k].tolist(), tips[k].tolist()))
+        struts = "".join(
+            f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in zip(base[k].tolist(), tips[k].tolist())
+        )
         parts.append(f'<path class="{style}" d="{struts}{_ring(tips[k])}"/>')
     parts.append(f'<path class="axis" d="{_ring(base[0])}"/>')
     return svg(int(top + scale * (high - low)[1] + 12), f"the platform displaced, {effect_text(way.effect)}", parts)
@@ -110,4 +126,6 @@ def enlargement_text(words: str, much: float) -> str:
 
 def unit_of(size: float, units: dict[float, str]) -> tuple[float, str]:
     """(value, name) of the largest unit in which a size is 2 or more."""
-    return next(((value, name) for value, name in sorted(units.items(), reverse=True) if size >= 2 * value), min(units.items()))
+    return next(
+        ((value, name) for value, name in sorted(units.items(), reverse=True) if size >= 2 * value), min(units.items())
+    )

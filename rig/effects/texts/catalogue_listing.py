@@ -16,8 +16,15 @@ NARROWEST = 100  # characters, below which columns are no longer read
 
 def effect_dict(effect: type[Effect]) -> dict[str, Any]:
     """One effect as a tree of plain values; a parameter's usual size and bounds are in its unit."""
-    return {"name": effect.name, "stage": effect.stage, "places": list(effect.places), "model": _flat(effect.__doc__ or ""),
-            "parameters": [_parameter(p) for p in effect.parameters], "exposed_by": _said(effect.experiment), "action": _said(effect.action)}
+    return {
+        "name": effect.name,
+        "stage": effect.stage,
+        "places": list(effect.places),
+        "model": _flat(effect.__doc__ or ""),
+        "parameters": [_parameter(p) for p in effect.parameters],
+        "exposed_by": _said(effect.experiment),
+        "action": _said(effect.action),
+    }
 
 
 def effect_table(effects: Iterable[type[Effect]], width: int) -> str:
@@ -26,7 +33,20 @@ def effect_table(effects: Iterable[type[Effect]], width: int) -> str:
     lines = _row(HEADS, widths)
     for effect in effects:
         sizes = "; ".join(_size(p) for p in effect.parameters)
-        lines += ["", *_row((effect.name, effect.stage, ", ".join(effect.places), sizes, _said(effect.experiment), _said(effect.action)), widths)]
+        lines += [
+            "",
+            *_row(
+                (
+                    effect.name,
+                    effect.stage,
+                    ", ".join(effect.places),
+                    sizes,
+                    _said(effect.experiment),
+                    _said(effect.action),
+                ),
+                widths,
+            ),
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -34,16 +54,33 @@ def effect_description(effect: type[Effect], width: int) -> str:
     """All of one effect, for a terminal. width : characters of a line"""
     parts = [f"{effect.name}, stage {effect.stage}, sits at {', '.join(effect.places)}", _flat(effect.__doc__ or "")]
     for p in effect.parameters:
-        joint, ends = p.at(f"{AXES[1]} 1"), f", bounds {range_text(*p.bounds, p.unit)}" if p.bounds[0] > -float("inf") else ""
-        parts.append(f"  {_written(p)}{ends}" + (f"; at a joint{_written(joint).removeprefix(p.name)}" if joint is not p else ""))
+        joint, ends = (
+            p.at(f"{AXES[1]} 1"),
+            f", bounds {range_text(*p.bounds, p.unit)}" if p.bounds[0] > -float("inf") else "",
+        )
+        parts.append(
+            f"  {_written(p)}{ends}" + (f"; at a joint{_written(joint).removeprefix(p.name)}" if joint is not p else "")
+        )
     first = f"--effect {effect.name}:PLACE:" + ",".join(f"{p.name}=.." for p in effect.parameters)
-    parts += [f"Exposed by: {_said(effect.experiment)}", f"What to do: {_said(effect.action)}", f"To simulate it: rig simulate RIG.toml {first}"]
-    return "\n".join(textwrap.fill(part, width, subsequent_indent="    ", break_on_hyphens=False) for part in parts) + "\n"
+    parts += [
+        f"Exposed by: {_said(effect.experiment)}",
+        f"What to do: {_said(effect.action)}",
+        f"To simulate it: rig simulate RIG.toml {first}",
+    ]
+    return (
+        "\n".join(textwrap.fill(part, width, subsequent_indent="    ", break_on_hyphens=False) for part in parts) + "\n"
+    )
 
 
 def _parameter(p: Parameter) -> dict[str, Any]:
-    return {"name": p.name, "unit": p.unit, "usual": list(p.usual) if _has_usual(p) else None, "bounds": list(p.bounds), "numbers": p.size,
-            "role": p.role}
+    return {
+        "name": p.name,
+        "unit": p.unit,
+        "usual": list(p.usual) if _has_usual(p) else None,
+        "bounds": list(p.bounds),
+        "numbers": p.size,
+        "role": p.role,
+    }
 
 
 def _has_usual(p: Parameter) -> bool:
@@ -56,13 +93,18 @@ def _size(p: Parameter) -> str:
 
 def _written(p: Parameter) -> str:
     """A parameter with the unit in which it is written, and its usual size."""
-    return p.name + (f", in {p.unit}" if p.unit else "") + (f": {range_text(*p.usual, p.unit)}" if _has_usual(p) else "")
+    return (
+        p.name + (f", in {p.unit}" if p.unit else "") + (f": {range_text(*p.usual, p.unit)}" if _has_usual(p) else "")
+    )
 
 
 def _row(cells: Iterable[str], widths: list[int]) -> list[str]:
     wrapped = [textwrap.wrap(cell, wide, break_on_hyphens=False) for cell, wide in zip(cells, widths)]
     deep = max(map(len, wrapped))
-    return ["  ".join((column[k] if k < len(column) else "").ljust(wide) for column, wide in zip(wrapped, widths)).rstrip() for k in range(deep)]
+    return [
+        "  ".join((column[k] if k < len(column) else "").ljust(wide) for column, wide in zip(wrapped, widths)).rstrip()
+        for k in range(deep)
+    ]
 
 
 def _said(text: str) -> str:

@@ -10,21 +10,32 @@ from rig.effects.framework.parameter import Parameter
 from rig.effects.framework.place_names import axis_neutral_text
 from rig.formats.number_rounding import range_text
 
-STAGES = {"command": "what the axes are told, and when", "struts": "what the axes do beyond their command",
-          "structure": "what the frame and the platform do", "targets": "where markers sit", "view": "what a camera makes of it"}
+STAGES = {
+    "command": "what the axes are told, and when",
+    "struts": "what the axes do beyond their command",
+    "structure": "what the frame and the platform do",
+    "targets": "where markers sit",
+    "view": "what a camera makes of it",
+}
 HEAD = """# The catalogue of left-out physics
 
 This page is made from the effects themselves (`rig catalogue`). An effect is one file in `rig/effects`: its model, its
-parameters, the places where it can sit, what is tried of it, what shows it, the experiment that would expose it and what to do about it.
-A value of `rig simulate --effect` reads `NAME:PLACE:PARAMETER=VALUE,..` in the parameter's unit, the numbers of a vector parted by slashes. An
+parameters, the places where it can sit, what is tried of it, what shows it, the experiment that would expose it and \
+what to do about it.
+A value of `rig simulate --effect` reads `NAME:PLACE:PARAMETER=VALUE,..` in the parameter's unit, the numbers of a \
+vector parted by slashes. An
 axis is a strut (m) or a joint (rad); `rig` stands for all axes, `cameras` for all cameras, `markers` for all markers.
 """
 
 SKETCHED = """
-A sketch is drawn by the effect's own model, as large as rigs show at the most. What moves the machine does so on a hexapod of 0.3 m radius:
-strut 3 goes to and fro, farther every time, and rests in between, the other struts swing, all warms by 20 K, and halfway a payload is put on
-that makes struts pull. Grey is what was told, orange what is done, with errors enlarged; below, the error over what gives the effect away, as a
-diagnosis draws residuals. What a camera sees is drawn over its whole image, at the end of the time below it: grey the markers as stated, orange
+A sketch is drawn by the effect's own model, as large as rigs show at the most. What moves the machine does so on a \
+hexapod of 0.3 m radius:
+strut 3 goes to and fro, farther every time, and rests in between, the other struts swing, all warms by 20 K, and \
+halfway a payload is put on
+that makes struts pull. Grey is what was told, orange what is done, with errors enlarged; below, the error over what \
+gives the effect away, as a
+diagnosis draws residuals. What a camera sees is drawn over its whole image, at the end of the time below it: grey the \
+markers as stated, orange
 as seen, near ones (large) and farther ones, a stroke at each marker's first corner.
 """
 
@@ -44,10 +55,15 @@ def catalogue_markdown(effects: Iterable[type[Effect]] = ALL, sketches: Mapping[
 def effect_markdown(effect: type[Effect], sketch: str = "") -> str:
     """One effect's part of the page. sketch : Markdown"""
     rows = [parameter_markdown_row(p, effect) for p in effect.parameters]
-    return (f"\n### {effect.name}\n\n{_prose(effect.__doc__ or '')}\n\n"
-            f"Sits at: {', '.join(_place(kind) for kind in effect.places)}.\n\n" + (f"{sketch}\n\n" if sketch else "") +
-            "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
-            f"Shown by: {axis_neutral_text(effect.experiment)}.\n\nWhat to do: {axis_neutral_text(effect.action)}\n")
+    return (
+        f"\n### {effect.name}\n\n{_prose(effect.__doc__ or '')}\n\n"
+        f"Sits at: {', '.join(_place(kind) for kind in effect.places)}.\n\n"
+        + (f"{sketch}\n\n" if sketch else "")
+        + "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n"
+        + "\n".join(rows)
+        + "\n\n"
+        f"Shown by: {axis_neutral_text(effect.experiment)}.\n\nWhat to do: {axis_neutral_text(effect.action)}\n"
+    )
 
 
 def parameter_markdown_row(p: Parameter, effect: type[Effect]) -> str:
@@ -61,7 +77,12 @@ def parameter_markdown_row(p: Parameter, effect: type[Effect]) -> str:
 
 
 def _place(kind: str) -> str:
-    return {"axis": "`strut N` or `joint N`", "camera": "`camera NAME`", "marker": "`marker ID`", "target": "`target NAME`"}.get(kind, f"`{kind}`")
+    return {
+        "axis": "`strut N` or `joint N`",
+        "camera": "`camera NAME`",
+        "marker": "`marker ID`",
+        "target": "`target NAME`",
+    }.get(kind, f"`{kind}`")
 
 
 def _prose(text: str) -> str:

@@ -21,9 +21,11 @@ Kinds = Mapping[str, type[Effect]]  # effects by their names
 
 
 def parse_effect(text: str, known: Kinds = BY_NAME) -> Effect:
-    """An effect from NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are parted by slashes. known : all that there are
+    """An effect from NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are parted by slashes. known : all that there
+    are
 
-    The place may leave out its kind where there is no doubt ("strut3", "3", "cam1", "P2"), or stand alone ("rig", "cameras").
+    The place may leave out its kind where there is no doubt ("strut3", "3", "cam1", "P2"), or stand alone ("rig",
+    "cameras").
     Raises RigError naming what is not known.
     """
     name, _, rest = text.partition(":")
@@ -35,7 +37,10 @@ def parse_effect(text: str, known: Kinds = BY_NAME) -> Effect:
         key, equals, value = assignment.partition("=")
         key = key.strip()
         if not equals or key not in own:
-            raise RigError(f"effect {value_text(text)}: {value_text(assignment)} is no PARAMETER=VALUE; {name} has {', '.join(own)}")
+            raise RigError(
+                f"effect {value_text(text)}: {value_text(assignment)} is no PARAMETER=VALUE; {name} has "
+                f"{', '.join(own)}"
+            )
         try:
             numbers = tuple(parse_number(part) for part in value.split("/"))
         except ValueError:
@@ -68,15 +73,25 @@ def _place(text: str, kind: type[Effect]) -> str:
 
 def effect_to_dict(effect: Effect) -> dict:
     """{"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
-    return {"effect": effect.name, "place": effect.place,
-            "parameters": {key: list(value) if isinstance(value, tuple) else value for key, value in effect.values().items()
-                           if isinstance(value, tuple) or np.isfinite(value)}}  # what is infinite is its default
+    return {
+        "effect": effect.name,
+        "place": effect.place,
+        "parameters": {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in effect.values().items()
+            if isinstance(value, tuple) or np.isfinite(value)
+        },
+    }  # what is infinite is its default
 
 
 def effect_from_dict(tree: dict, known: Kinds = BY_NAME) -> Effect:
     """The effect of such a dict, of those known. Raises RigError for one that is none."""
-    if not isinstance(tree, dict) or not isinstance(tree.get("effect"), str) or not isinstance(tree.get("place"), str) \
-            or not isinstance(tree.get("parameters"), dict):
+    if (
+        not isinstance(tree, dict)
+        or not isinstance(tree.get("effect"), str)
+        or not isinstance(tree.get("place"), str)
+        or not isinstance(tree.get("parameters"), dict)
+    ):
         raise RigError(f"{value_text(tree)} is no effect: it takes effect, place and parameters")
     kind = _named(tree["effect"], tree["effect"], known)
     own = {parameter.name for parameter in kind.parameters}
@@ -85,7 +100,8 @@ def effect_from_dict(tree: dict, known: Kinds = BY_NAME) -> Effect:
         numbers = value if isinstance(value, list) else [value]
         if key not in own or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
             raise RigError(
-                f"{value_text(tree)} is no effect: {value_text(key)} = {value_text(value)}; {kind.name} has {', '.join(sorted(own))}, numbers"
+                f"{value_text(tree)} is no effect: {value_text(key)} = {value_text(value)}; {kind.name} has "
+                f"{', '.join(sorted(own))}, numbers"
             )
         values[key] = tuple(value) if isinstance(value, list) else value
     try:
@@ -107,14 +123,22 @@ def require_size(effect: Effect) -> Effect:
     """The effect itself. Raises RigError for one whose parameters are all as where there is none."""
     if effect.parameters and effect == type(effect)(effect.place):
         p = effect.parameters_at(effect.place)[0]
-        usual = f", from {p.usual[0]:g} to {p.usual[1]:g}{f' {p.unit}' if p.unit else ''} where rigs show it" if p.role != "choice" else ""
-        raise RigError(f"effect {effect.name} at {effect.place} has no size and would change nothing: write "
-                       f"{effect.name}:{effect.place.replace(' ', '')}:{p.name}=..{usual}")
+        usual = (
+            f", from {p.usual[0]:g} to {p.usual[1]:g}{f' {p.unit}' if p.unit else ''} where rigs show it"
+            if p.role != "choice"
+            else ""
+        )
+        raise RigError(
+            f"effect {effect.name} at {effect.place} has no size and would change nothing: write "
+            f"{effect.name}:{effect.place.replace(' ', '')}:{p.name}=..{usual}"
+        )
     return effect
 
 
 def require_known_effect(text: str, design: Design, known: Kinds = BY_NAME) -> str:
-    """The text "EFFECT" or "EFFECT PLACE" itself, as a diagnosis is asked for it, of those known. Raises RigError for what can never be asked."""
+    """The text "EFFECT" or "EFFECT PLACE" itself, as a diagnosis is asked for it, of those known. Raises RigError for
+    what can never be asked.
+    """
     name, _, place = text.partition(" ")
     kind = _named(name, name, known)
     if not place:
@@ -131,7 +155,9 @@ def parse_place(text: str, design: Design, known: Kinds = BY_NAME) -> tuple[str,
     name, _, place = text.partition(" ")
     kind = _named(name, text, known)
     if kind.discrete:
-        raise RigError(f"{value_text(text)}: a {name} is looked for before all else and cannot be assumed; state it in rig.toml")
+        raise RigError(
+            f"{value_text(text)}: a {name} is looked for before all else and cannot be assumed; state it in rig.toml"
+        )
     try:
         effect = require_place(check_effect(kind(_place(place.strip(), kind))), design)
     except ValueError as error:
@@ -140,7 +166,9 @@ def parse_place(text: str, design: Design, known: Kinds = BY_NAME) -> tuple[str,
 
 
 def require_place(effect: Effect, design: Design) -> Effect:
-    """The effect itself; at an arm's slide that is called a joint, at the slide. Raises RigError where a design has no such place."""
+    """The effect itself; at an arm's slide that is called a joint, at the slide. Raises RigError where a design has no
+    such place.
+    """
     stage, own = split_stage(effect.place)
     kind, _, name = own.partition(" ")
     places = mechanisms.axis_places(design.mechanism)
@@ -151,11 +179,18 @@ def require_place(effect: Effect, design: Design) -> Effect:
             raise RigError(str(error)) from None
     if kind in AXES and isinstance(design.mechanism, Chain) and effect.place not in places:
         near = slip(effect.place, places)
-        raise RigError(f"{effect.name} at {effect.place}: this rig has no such axis" + (f"; is {near!r} meant?" if near else "")
-                       + f"; it has {', '.join(places)}")
+        raise RigError(
+            f"{effect.name} at {effect.place}: this rig has no such axis"
+            + (f"; is {near!r} meant?" if near else "")
+            + f"; it has {', '.join(places)}"
+        )
     axes = [split_stage(place)[1].split(" ") for place in places]
-    there = {**{word: [name for own, name in axes if own == word] for word in AXES}, "camera": [c.name for c in design.cameras],
-             "target": [t.name for t in design.targets], "marker": [str(i) for t in design.targets for i in t.ids]}
+    there = {
+        **{word: [name for own, name in axes if own == word] for word in AXES},
+        "camera": [c.name for c in design.cameras],
+        "target": [t.name for t in design.targets],
+        "marker": [str(i) for t in design.targets for i in t.ids],
+    }
     asked = [(kind, name)] if name and kind in there else []
     other = getattr(effect, "other", -1.0) if effect.discrete else -1.0
     if other >= 0:
@@ -163,6 +198,9 @@ def require_place(effect: Effect, design: Design) -> Effect:
     for what, one in asked:
         if one not in there[what]:
             near = slip(one, there[what])
-            raise RigError(f"{effect.name} at {effect.place}: this rig has no {what} {value_text(one)}"
-                           + (f"; is {near!r} meant?" if near else "") + f"; it has {', '.join(there[what]) or 'none'}")
+            raise RigError(
+                f"{effect.name} at {effect.place}: this rig has no {what} {value_text(one)}"
+                + (f"; is {near!r} meant?" if near else "")
+                + f"; it has {', '.join(there[what]) or 'none'}"
+            )
     return effect

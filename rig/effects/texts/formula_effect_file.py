@@ -16,7 +16,9 @@ from rig.formats.checked_entries import Entries
 WIDTH = 145  # characters of a line
 MOST = {"m": 1e-2, "rad": 0.1}  # that a term may come to
 WIDER = 10.0  # times a value either way, that is taken as usual of it
-TURNS = 0.25  # share of a frequency either way, at most, that is taken as usual of it; one turn over its quantity's range
+TURNS = (
+    0.25  # share of a frequency either way, at most, that is taken as usual of it; one turn over its quantity's range
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +26,8 @@ class Term:
     """Of a formula: a product of powers of quantities, times a sinusoid, times what is fitted.
 
     powers : ((name of a quantity, power), ..); wave : (name, rad per its unit) of a sinusoid, or None
-    along : of POSE, which way the platform goes, None where axes lengthen; values : one coefficient, or a sine's and a cosine's
+    along : of POSE, which way the platform goes, None where axes lengthen; values : one coefficient, or a sine's and a
+        cosine's
     greatest : of the product without coefficients; turns : of the sinusoid over what was seen of its quantity
     """
 
@@ -43,7 +46,8 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A formula of what axes (word: strut, joint or slide) or the platform do. terms : (Term, ..), the platform's all along something or none
+    """A formula of what axes (word: strut, joint or slide) or the platform do. terms : (Term, ..), the platform's all
+    along something or none
     alike : whether it holds of all axes alike, else of one."""
 
     word: str
@@ -62,8 +66,16 @@ class Written:
             if wave is not None and not (_paired(wave) and isinstance(wave[1], float) and 0 < wave[1] < np.inf):
                 entry.fail(f"{entry.name('wave')} must be a name and a frequency above 0, not {wave}", "wave")
             along = None if entry.get("along", None) is None else entry.text("along", POSE)
-            terms.append(Term(tuple((name, power) for name, power in powers), None if wave is None else (wave[0], wave[1]), along, values,
-                              entry.number("greatest", above=0), entry.number("turns", least=0)))
+            terms.append(
+                Term(
+                    tuple((name, power) for name, power in powers),
+                    None if wave is None else (wave[0], wave[1]),
+                    along,
+                    values,
+                    entry.number("greatest", above=0),
+                    entry.number("turns", least=0),
+                )
+            )
         if not terms or len({term.along is None for term in terms}) > 1:
             table.fail(f"{table.name('terms')} must be terms of axes, or all of the platform", "terms")
         return Written(table.text("word", AXES), tuple(terms), table.flag("alike"))
@@ -71,7 +83,9 @@ class Written:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """Those that it looks at, in order."""
-        return tuple(quantity(name, self.word) for name in dict.fromkeys(name for term in self.terms for name in term.names))
+        return tuple(
+            quantity(name, self.word) for name in dict.fromkeys(name for term in self.terms for name in term.names)
+        )
 
     @property
     def moves_platform(self) -> bool:
@@ -99,9 +113,13 @@ class Written:
         parts: dict[str | None, list[str]] = {}
         for n, term in enumerate(self.terms):
             turn = "" if term.wave is None else f"{prefix}{self.waves[term.wave]} * {self._symbol(term.wave[0])}"
-            product = "".join(f" * {self._symbol(name)}" + (f"**{power}" if power > 1 else "") for name, power in term.powers)
+            product = "".join(
+                f" * {self._symbol(name)}" + (f"**{power}" if power > 1 else "") for name, power in term.powers
+            )
             for name, function in zip(_names(term, n), ("np.sin", "np.cos") if turn else ("",)):
-                parts.setdefault(term.along, []).append(f"{prefix}{name}{product}" + (f" * {function}({turn})" if turn else ""))
+                parts.setdefault(term.along, []).append(
+                    f"{prefix}{name}{product}" + (f" * {function}({turn})" if turn else "")
+                )
         return {way: " + ".join(terms) for way, terms in parts.items()}
 
     def _symbol(self, name: str) -> str:
@@ -109,8 +127,12 @@ class Written:
 
     def where(self) -> str:
         """What the symbols stand for, in words."""
-        return ", ".join(f"{q.symbol} is {q.name}" + (" of the platform from home" if q.name in POSE else "") + (f" ({q.unit})" if q.unit else "")
-                         for q in self.quantities)
+        return ", ".join(
+            f"{q.symbol} is {q.name}"
+            + (" of the platform from home" if q.name in POSE else "")
+            + (f" ({q.unit})" if q.unit else "")
+            for q in self.quantities
+        )
 
     def kind(self, name: str) -> type[Effect]:
         """The class of the effect, as its file makes it."""
@@ -121,19 +143,43 @@ class Written:
         title = "".join(part.capitalize() for part in name.split("_"))
         what = "The platform goes" if self.moves_platform else "Deviation"
         model = f"{what} {self.text().replace('np.', '')}; {_plain(self.where())}."
-        apart, many = (_plain(words) for words in ("; ".join(q.apart for q in self.quantities), " and ".join(q.name for q in self.quantities)))
+        apart, many = (
+            _plain(words)
+            for words in ("; ".join(q.apart for q in self.quantities), " and ".join(q.name for q in self.quantities))
+        )
         uses = "REFERENCE_TEMPERATURE" in "".join(q.code for q in self.quantities)
-        lines = ['"""An effect of your own: a formula to be edited, and to be named after what it is once that is known."""', "",
-                 "from dataclasses import dataclass", "from typing import ClassVar", "", "import numpy as np", "",
-                 f"from rig.effects.base import {'REFERENCE_TEMPERATURE, ' if uses else ''}Effect, Motion, Parameter", "", "",
-                 "@dataclass(frozen=True, slots=True)", f"class {title}(Effect):", *_told(model), "", "    place: str",
-                 *(f"    {p}: float = {_number(v) if p in self.waves.values() else 0.0}" for p, v in self.values.items()),
-                 f'    name: ClassVar = "{name}"', f'    stage: ClassVar = "{"structure" if self.moves_platform else "struts"}"',
-                 f'    places: ClassVar = ("{"rig" if self.moves_platform or self.alike else "axis"}",)', "    parameters: ClassVar = (",
-                 *(f"        {line}," for line in self._parameters()), "    )", f'    experiment: ClassVar = "{apart}"',
-                 f'    action: ClassVar = "A formula, not a cause: look for what makes the {"platform" if self.moves_platform else "{axis}"} follow '
-                 f'{many}."', *(["    on_pose: ClassVar = True"] if any(q.posed for q in self.quantities) or self.moves_platform else []),
-                 *self._needs(), "", *self._model()]
+        lines = [
+            '"""An effect of your own: a formula to be edited, and to be named after what it is once that is known."""',
+            "",
+            "from dataclasses import dataclass",
+            "from typing import ClassVar",
+            "",
+            "import numpy as np",
+            "",
+            f"from rig.effects.base import {'REFERENCE_TEMPERATURE, ' if uses else ''}Effect, Motion, Parameter",
+            "",
+            "",
+            "@dataclass(frozen=True, slots=True)",
+            f"class {title}(Effect):",
+            *_told(model),
+            "",
+            "    place: str",
+            *(f"    {p}: float = {_number(v) if p in self.waves.values() else 0.0}" for p, v in self.values.items()),
+            f'    name: ClassVar = "{name}"',
+            f'    stage: ClassVar = "{"structure" if self.moves_platform else "struts"}"',
+            f'    places: ClassVar = ("{"rig" if self.moves_platform or self.alike else "axis"}",)',
+            "    parameters: ClassVar = (",
+            *(f"        {line}," for line in self._parameters()),
+            "    )",
+            f'    experiment: ClassVar = "{apart}"',
+            '    action: ClassVar = "A formula, not a cause: look for what makes the '
+            f"{'platform' if self.moves_platform else '{axis}'} follow "
+            f'{many}."',
+            *(["    on_pose: ClassVar = True"] if any(q.posed for q in self.quantities) or self.moves_platform else []),
+            *self._needs(),
+            "",
+            *self._model(),
+        ]
         return "\n".join(lines) + "\n"
 
     def _parameters(self) -> list[str]:
@@ -143,13 +189,17 @@ class Written:
             own = base if term.along is None else "rad" if term.along.startswith("r") else "m"
             size, most = float(np.linalg.norm(term.values)), MOST[own] / term.greatest
             for name in _names(term, n):
-                out.append(f'Parameter("{name}", "{_unit(own, self._factors(term))}", ({_number(-max(most, 2 * size))}, '
-                           f"{_number(max(most, 2 * size))}), ({_number(size / WIDER)}, {_number(size * WIDER)}), signed=True)")
+                out.append(
+                    f'Parameter("{name}", "{_unit(own, self._factors(term))}", ({_number(-max(most, 2 * size))}, '
+                    f"{_number(max(most, 2 * size))}), ({_number(size / WIDER)}, {_number(size * WIDER)}), signed=True)"
+                )
         for wave, name in self.waves.items():
             turns = max(term.turns for term in self.terms if term.wave == wave)
             share, unit = min(TURNS, 1 / max(turns, 1.0)), quantity(wave[0], self.word).unit
-            out.append(f'Parameter("{name}", "rad/{unit}", ({_number(wave[1] / 10)}, {_number(wave[1] * 10)}), '
-                       f'({_number(wave[1] * (1 - share))}, {_number(wave[1] * (1 + share))}), role="log")')
+            out.append(
+                f'Parameter("{name}", "rad/{unit}", ({_number(wave[1] / 10)}, {_number(wave[1] * 10)}), '
+                f'({_number(wave[1] * (1 - share))}, {_number(wave[1] * (1 + share))}), role="log")'
+            )
         return out
 
     def _factors(self, term: Term) -> list[tuple[str, int]]:
@@ -166,13 +216,22 @@ class Written:
         given = [f"        {q.symbol} = {q.code}" for q in self.quantities]
         if not self.moves_platform:
             total = textwrap.wrap(self.text("self."), WIDTH - 45, break_on_hyphens=False)
-            body = [f"        return self.axes(motion.places) * ({total[0]}", *(f"{' ' * 43}{line}" for line in total[1:])]
+            body = [
+                f"        return self.axes(motion.places) * ({total[0]}",
+                *(f"{' ' * 43}{line}" for line in total[1:]),
+            ]
             body[-1] += ")"
             return ["    def deviation(self, motion: Motion) -> np.ndarray:", *given, *body]
-        rows = [f"        moved[:, [{POSE.index(way)}]] = {total}" for way, total in self._totals("self.").items() if way]
-        return ["    def sway(self, motion: Motion) -> np.ndarray:", *given,
-                "        moved = np.zeros((len(motion.t), 6))  # along and about the base's axes, m and rad", *rows,
-                "        return motion.tangents(moved)"]
+        rows = [
+            f"        moved[:, [{POSE.index(way)}]] = {total}" for way, total in self._totals("self.").items() if way
+        ]
+        return [
+            "    def sway(self, motion: Motion) -> np.ndarray:",
+            *given,
+            "        moved = np.zeros((len(motion.t), 6))  # along and about the base's axes, m and rad",
+            *rows,
+            "        return motion.tangents(moved)",
+        ]
 
 
 def _paired(entry: object) -> bool:
@@ -193,8 +252,13 @@ def _told(text: str) -> list[str]:
 
 def _unit(base: str, factors: Iterable[tuple[str, int]]) -> str:
     """Unit of a coefficient: that of the deviation over those of the quantities."""
-    below = [unit + (f"^{power}" if power > 1 else "") if "/" not in unit else f"({unit})" + (f"^{power}" if power > 1 else "")
-             for unit, power in factors if unit]
+    below = [
+        unit + (f"^{power}" if power > 1 else "")
+        if "/" not in unit
+        else f"({unit})" + (f"^{power}" if power > 1 else "")
+        for unit, power in factors
+        if unit
+    ]
     return base if not below else f"{base}/{below[0]}" if len(below) == 1 else f"{base}/({' '.join(below)})"
 
 
@@ -207,4 +271,6 @@ def _number(value: float) -> str:
     return f"{value:.6g}"
 
 
-EXAMPLE = Written("strut", (Term((), ("travel of strut 2", 90.0), None, (2e-5, 0.0), 1.0, 1.5),))  # a strut that follows another one's travel
+EXAMPLE = Written(
+    "strut", (Term((), ("travel of strut 2", 90.0), None, (2e-5, 0.0), 1.0, 1.5),)
+)  # a strut that follows another one's travel

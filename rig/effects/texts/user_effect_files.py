@@ -1,7 +1,8 @@
-"""Effects of a user's own, each a file of Python like those of this folder: read, checked, and asked for beside the catalogue.
+"""Effects of a user's own, each a file of Python like those of this folder: read, checked, and asked for beside the
+catalogue.
 
-The file is run: it is a program, to be trusted as one. What is wrong with it, when it is read or while its model is worked out, is told with
-file and line.
+The file is run: it is a program, to be trusted as one. What is wrong with it, when it is read or while its model is
+worked out, is told with file and line.
 """
 
 import ast
@@ -29,8 +30,15 @@ KINDS = ("axis", *AXES, "rig", "clock", "camera", "cameras", "marker", "markers"
 ROLES = ("linear", "inverse", "size", "phase", "log", "even", "moment", "direction", "choice")  # of a parameter
 ARRAYS = ("times", "deviation", "sway", "mount", "focal", "late")  # hooks whose answer has a shape
 HOOKS = (*ARRAYS, "needs", "follow", "attach", "camera", "bend", "print_", "covariate")
-EXAMPLE = {"axis": "strut 1", "strut": "strut 1", "joint": "joint 1", "slide": "slide 1", "camera": "camera one", "marker": "marker 1",
-           "target": "target one"}
+EXAMPLE = {
+    "axis": "strut 1",
+    "strut": "strut 1",
+    "joint": "joint 1",
+    "slide": "slide 1",
+    "camera": "camera one",
+    "marker": "marker 1",
+    "target": "target one",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +51,9 @@ class Plugin:
 
 
 def load_effect_file(path: Path) -> Plugin:
-    """Plugin of a file. Raises FileError, with the line, for one that cannot be read or run, or whose effects are none."""
+    """Plugin of a file. Raises FileError, with the line, for one that cannot be read or run, or whose effects are
+    none.
+    """
     try:
         raw = path.read_bytes()
         text = raw.decode("utf-8")
@@ -55,20 +65,27 @@ def load_effect_file(path: Path) -> Plugin:
 
 
 def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
-    """{name: class} of the whole catalogue and what files add to it. Raises FileError for a name that two files have."""
+    """{name: class} of the whole catalogue and what files add to it. Raises FileError for a name that two files
+    have.
+    """
     out: dict[str, type[Effect]] = dict(BY_NAME)
     where: dict[str, Path] = {}
     for plugin in plugins:
         for kind in plugin.kinds:
             if kind.name in out:
-                raise FileError(plugin.path, f"there is an effect {kind.name!r} already, in {where[kind.name]}",
-                                _line(plugin.path.read_text(encoding="utf-8"), kind))
+                raise FileError(
+                    plugin.path,
+                    f"there is an effect {kind.name!r} already, in {where[kind.name]}",
+                    _line(plugin.path.read_text(encoding="utf-8"), kind),
+                )
             out[kind.name], where[kind.name] = kind, plugin.path
     return out
 
 
 def of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
-    """The classes of effects that a source text defines. path : by which it is called. Raises FileError for one that defines none."""
+    """The classes of effects that a source text defines. path : by which it is called. Raises FileError for one that
+    defines none.
+    """
     module = ModuleType(f"effects_of_{sha256(text.encode()).hexdigest()[:16]}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses look their module up by its name
@@ -78,7 +95,11 @@ def of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
         raise FileError(path, f"is no Python: {error.msg}", error.lineno, error.offset) from None
     except Exception as error:
         raise FileError(path, f"cannot be run: {type(error).__name__}: {error}", _within(error, path)) from None
-    found = [kind for kind in vars(module).values() if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__]
+    found = [
+        kind
+        for kind in vars(module).values()
+        if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__
+    ]
     if not found:
         raise FileError(path, "defines no effect: a dataclass that stands on rig.effects.base.Effect")
     for kind in found:
@@ -119,11 +140,18 @@ def _problem(kind: type[Effect]) -> str | None:
 
 def _parameters_problem(kind: type[Effect]) -> str | None:
     own = [f for f in fields(kind) if f.name != "place"]
-    if not isinstance(kind.parameters, tuple) or not kind.parameters or not all(isinstance(p, Parameter) for p in kind.parameters):
+    if (
+        not isinstance(kind.parameters, tuple)
+        or not kind.parameters
+        or not all(isinstance(p, Parameter) for p in kind.parameters)
+    ):
         return "must list its parameters, a tuple of Parameter"
     if [f.name for f in own] != [p.name for p in kind.parameters] or fields(kind)[0].name != "place":
-        return (f"has the fields {', '.join(f.name for f in fields(kind))}; they are place and its parameters in their order, "
-                f"{', '.join(p.name for p in kind.parameters)}")
+        return (
+            f"has the fields {', '.join(f.name for f in fields(kind))}; they are place and its parameters in "
+            "their order, "
+            f"{', '.join(p.name for p in kind.parameters)}"
+        )
     for f, p in zip(own, kind.parameters):
         if f.default is MISSING:
             return f"gives {p.name} no default, with which it changes nothing"
@@ -159,7 +187,11 @@ def _guard(kind: type[Effect], path: Path, line: int | None) -> None:
         if found and cls.stage in MOTION_STAGES:
             motion, zero = context.moved(), cls(found[0])
             if zero.deviation(motion).any() or zero.sway(motion).any():
-                raise FileError(path, f"{cls.name} changes something with its parameters at their defaults, where it must change nothing", line)
+                raise FileError(
+                    path,
+                    f"{cls.name} changes something with its parameters at their defaults, where it must change nothing",
+                    line,
+                )
         return found
 
     setattr(kind, "sites", classmethod(lawful))  # noqa: B010  of a class, which is not to be assigned to
@@ -173,13 +205,20 @@ def _guarded(hook: Callable[..., Any], name: str, path: Path) -> Callable[..., A
         except RigError:
             raise
         except Exception as error:
-            raise FileError(path, f"{effect.name}.{name} fails: {type(error).__name__}: {error}", _within(error, path)) from None
+            raise FileError(
+                path, f"{effect.name}.{name} fails: {type(error).__name__}: {error}", _within(error, path)
+            ) from None
         if name in ARRAYS:
             expected = np.shape(getattr(Effect, name)(effect, *given))
             if np.shape(found) != expected or not np.isfinite(found).all():
-                said = f"numbers of shape {np.shape(found)}" if np.shape(found) != expected else "what is no finite number"
-                raise FileError(path, f"{effect.name}.{name} answers {said}; it takes finite numbers of shape {expected}",
-                                hook.__code__.co_firstlineno)
+                said = (
+                    f"numbers of shape {np.shape(found)}" if np.shape(found) != expected else "what is no finite number"
+                )
+                raise FileError(
+                    path,
+                    f"{effect.name}.{name} answers {said}; it takes finite numbers of shape {expected}",
+                    hook.__code__.co_firstlineno,
+                )
         return found
 
     return guarded
@@ -193,4 +232,7 @@ def _within(error: Exception, path: Path) -> int | None:
 
 def _line(text: str, kind: type[Effect]) -> int | None:
     """Where a source text defines a class; None where that is not at its top level."""
-    return next((node.lineno for node in ast.parse(text).body if isinstance(node, ast.ClassDef) and node.name == kind.__name__), None)
+    return next(
+        (node.lineno for node in ast.parse(text).body if isinstance(node, ast.ClassDef) and node.name == kind.__name__),
+        None,
+    )

@@ -1,7 +1,8 @@
 """An arm as URDF: a chain of revolute and prismatic joints, every link's transform before its joint.
 
-A = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta) turns about the z of the frame before it, or slides along it, so that joint i's origin is
-what is fixed behind joint i - 1, times Rz(theta). Source: the URDF specification, <joint>; rpy are turns about fixed axes x, y, z.
+A = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta) turns about the z of the frame before it, or slides along it, so that
+joint i's origin is what is fixed behind joint i - 1, times Rz(theta). Source: the URDF specification, <joint>; rpy are
+turns about fixed axes x, y, z.
 """
 
 from xml.sax.saxutils import quoteattr
@@ -16,21 +17,38 @@ from rig.model.pose import pose
 def arm_urdf(arm: Arm, name: str = "arm") -> str:
     """URDF of an Arm: links base, link_1 .. link_n, platform; joints named as commands.csv heads its columns.
 
-    An Arm that has a base (frame of poses to its own) or a tool (its last frame to the platform) carries them as fixed joints.
+    An Arm that has a base (frame of poses to its own) or a tool (its last frame to the platform) carries them as fixed
+    joints.
     """
     identity = RigidTransform.identity()
     links = ["base", *[f"link_{i + 1}" for i in range(len(arm.joints))], "platform"]
-    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(name)}>", *[f'  <link name="{link}"/>' for link in links]]
+    lines = [
+        '<?xml version="1.0"?>',
+        f"<robot name={quoteattr(name)}>",
+        *[f'  <link name="{link}"/>' for link in links],
+    ]
     behind = getattr(arm, "base", identity)
     for i, (axis, (low, high), parent, child) in enumerate(zip(arm.axes, arm.limits, links, links[1:])):
         theta, d, a, alpha, beta = arm.rows[i]
         kind = "prismatic" if arm.slides[i] else "revolute"
-        lines += [f'  <joint name="{axis}" type="{kind}">', f'    <parent link="{parent}"/>', f'    <child link="{child}"/>',
-                  f"    {origin(behind * pose([0, 0, 0], [0, 0, theta]))}", '    <axis xyz="0 0 1"/>',
-                  f'    <limit lower="{low:.12g}" upper="{high:.12g}" effort="0" velocity="0"/>', "  </joint>"]
+        lines += [
+            f'  <joint name="{axis}" type="{kind}">',
+            f'    <parent link="{parent}"/>',
+            f'    <child link="{child}"/>',
+            f"    {origin(behind * pose([0, 0, 0], [0, 0, theta]))}",
+            '    <axis xyz="0 0 1"/>',
+            f'    <limit lower="{low:.12g}" upper="{high:.12g}" effort="0" velocity="0"/>',
+            "  </joint>",
+        ]
         behind = pose([a, 0, d], [alpha, 0, 0]) * pose([0, 0, 0], [0, beta, 0])
-    lines += ['  <joint name="tool" type="fixed">', f'    <parent link="{links[-2]}"/>', '    <child link="platform"/>',
-              f"    {origin(behind * getattr(arm, 'tool', identity))}", "  </joint>", "</robot>"]
+    lines += [
+        '  <joint name="tool" type="fixed">',
+        f'    <parent link="{links[-2]}"/>',
+        '    <child link="platform"/>',
+        f"    {origin(behind * getattr(arm, 'tool', identity))}",
+        "  </joint>",
+        "</robot>",
+    ]
     return "\n".join(lines) + "\n"
 
 

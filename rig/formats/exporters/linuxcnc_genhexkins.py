@@ -1,7 +1,8 @@
 """A hexapod as LinuxCNC's genhexkins takes it: joints, strut offsets, screw lead, as HAL settings.
 
-There a strut's joint position is its whole length, joint centre to joint centre, plus the screw's correction; the components
-`offset`, one per strut, take the zeros off on the way to the motor, so that it is told what it would be told here.
+There a strut's joint position is its whole length, joint centre to joint centre, plus the screw's correction; the
+components `offset`, one per strut, take the zeros off on the way to the motor, so that it is told what it would be told
+here.
 Source: genhexkins(9), offset(9) of LinuxCNC.
 """
 
@@ -20,8 +21,8 @@ STEEPEST = np.pi / 2 - 0.05  # rad; genhexkins takes the arc sine of a joint's t
 def genhexkins_settings(hexapod: Hexapod, units: str = "mm", lead: float | None = None, gain: float = 0.0) -> str:
     """HAL settings of a Hexapod.
 
-    units : of the machine, "mm" or "m"; lead : m per revolution of the screws; gain : share of a cardan's twist that turns the nut
-    (the effect screw_coupling; 0: none, and genhexkins' correction stays off)
+    units : of the machine, "mm" or "m"; lead : m per revolution of the screws; gain : share of a cardan's twist that
+    turns the nut (the effect screw_coupling; 0: none, and genhexkins' correction stays off)
     Raises ValueError for other units, RigError where a coupling is asked for that genhexkins cannot express
     """
     if units not in UNITS:
@@ -32,24 +33,39 @@ def genhexkins_settings(hexapod: Hexapod, units: str = "mm", lead: float | None 
         if lead is None:
             raise RigError("a coupling of the screws needs their lead, m per revolution")
         twist = cardan_twist(hexapod.home, hexapod)
-        sign = np.where(np.abs(twist) > np.pi / 2, -1.0, 1.0)  # the platform's axis the other way round is the same axis
+        sign = np.where(
+            np.abs(twist) > np.pi / 2, -1.0, 1.0
+        )  # the platform's axis the other way round is the same axis
         turned = twist - np.where(sign < 0, np.copysign(np.pi, twist), 0)
         if np.abs(turned).max() > STEEPEST - 0.5:
             i = int(np.argmax(np.abs(turned)))
-            raise RigError(f"strut {i + 1}: its cardans stand at {np.degrees(turned[i]):.0f} degrees to each other at home; genhexkins' correction "
-                           "ends at 90")
+            raise RigError(
+                f"strut {i + 1}: its cardans stand at {np.degrees(turned[i]):.0f} degrees to each other at "
+                "home; genhexkins' correction "
+                "ends at 90"
+            )
         zeros = zeros - gain * lead / (2 * np.pi) * turned
-    lines = [f"# machine units: {units}; joint N is the length of strut N + 1, joint centre to joint centre", "loadrt genhexkins",
-             "loadrt offset count=6", ""]
+    lines = [
+        f"# machine units: {units}; joint N is the length of strut N + 1, joint centre to joint centre",
+        "loadrt genhexkins",
+        "loadrt offset count=6",
+        "",
+    ]
     for name, points in (("base", hexapod.base_joints), ("platform", hexapod.platform_joints)):
         lines += _vectors(name, points * scale)
-    lines += ["", f"setp genhexkins.screw-lead {-gain * (lead or 0.0) * scale:.{DIGITS}f}",
-              f"setp genhexkins.convergence-criterion {CONVERGED * scale:.0e}"]
+    lines += [
+        "",
+        f"setp genhexkins.screw-lead {-gain * (lead or 0.0) * scale:.{DIGITS}f}",
+        f"setp genhexkins.convergence-criterion {CONVERGED * scale:.0e}",
+    ]
     if gain:
         lines += _vectors("base-n", _tangential(hexapod.base_joints))
         lines += _vectors("platform-n", sign[:, None] * _tangential(hexapod.platform_joints))
-    lines += ["", "# joint.N.motor-pos-cmd -> offset.N.in, offset.N.out -> the strut's motor; motor position -> offset.N.fb-in, "
-              "offset.N.fb-out -> joint.N.motor-pos-fb"]
+    lines += [
+        "",
+        "# joint.N.motor-pos-cmd -> offset.N.in, offset.N.out -> the strut's motor; motor position -> offset.N.fb-in, "
+        "offset.N.fb-out -> joint.N.motor-pos-fb",
+    ]
     lines += [f"setp offset.{i}.offset {-zero * scale:.{DIGITS}f}" for i, zero in enumerate(zeros)]
     lines += ["", "# for the INI file, [JOINT_N]"]
     for i, (low, high) in enumerate(hexapod.strut_range + zeros[:, None]):
@@ -58,7 +74,11 @@ def genhexkins_settings(hexapod: Hexapod, units: str = "mm", lead: float | None 
 
 
 def _vectors(name: str, points: np.ndarray) -> list[str]:
-    return [f"setp genhexkins.{name}.{i}.{axis} {value:.{DIGITS}f}" for i, point in enumerate(points) for axis, value in zip("xyz", point)]
+    return [
+        f"setp genhexkins.{name}.{i}.{axis} {value:.{DIGITS}f}"
+        for i, point in enumerate(points)
+        for axis, value in zip("xyz", point)
+    ]
 
 
 def _tangential(joints: np.ndarray) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""One camera as ROS' camera_info YAML or as OpenCV's FileStorage reads it: matrix and distortion, in OpenCV's order and pixels; no place.
+"""One camera as ROS' camera_info YAML or as OpenCV's FileStorage reads it: matrix and distortion, in OpenCV's order and
+pixels; no place.
 
 Source: ROS, camera_calibration_parsers, sensor_msgs/CameraInfo and distortion_models.hpp; OpenCV, FileStorage
 """
@@ -17,29 +18,53 @@ def ros_camera_info(camera: Camera) -> str:
     """YAML of a Camera as camera_info_manager reads it. Raises RigError for a lens that ROS has no model of."""
     terms = np.append(camera.distortion, 0.0) if len(camera.distortion) == 4 else camera.distortion
     if len(terms) not in ROS:
-        raise RigError(f"camera {camera.name} has a lens of {len(terms)} terms; camera_info has models of {' and '.join(map(str, ROS))}; OpenCV's "
-                       "own format takes it (--format opencv)")
+        raise RigError(
+            f"camera {camera.name} has a lens of {len(terms)} terms; camera_info has models of "
+            f"{' and '.join(map(str, ROS))}; OpenCV's "
+            "own format takes it (--format opencv)"
+        )
     projection = np.hstack([camera.matrix, np.zeros((3, 1))])
-    parts = [f"image_width: {camera.width}", f"image_height: {camera.height}", f"camera_name: {camera.name}", *_block("camera_matrix", camera.matrix),
-             f"distortion_model: {ROS[len(terms)]}", *_block("distortion_coefficients", terms[None]),
-             *_block("rectification_matrix", np.eye(3)), *_block("projection_matrix", projection)]
+    parts = [
+        f"image_width: {camera.width}",
+        f"image_height: {camera.height}",
+        f"camera_name: {camera.name}",
+        *_block("camera_matrix", camera.matrix),
+        f"distortion_model: {ROS[len(terms)]}",
+        *_block("distortion_coefficients", terms[None]),
+        *_block("rectification_matrix", np.eye(3)),
+        *_block("projection_matrix", projection),
+    ]
     return "\n".join(parts) + "\n"
 
 
 def opencv_camera_yaml(camera: Camera) -> str:
     """YAML of a Camera as cv2.FileStorage reads it, named as OpenCV's own calibration sample names it."""
-    parts = ["%YAML:1.0", "---", f"image_width: {camera.width}", f"image_height: {camera.height}", f'camera_name: "{camera.name}"',
-             *_block("camera_matrix", camera.matrix, " !!opencv-matrix"),
-             *_block("distortion_coefficients", camera.distortion[:, None], " !!opencv-matrix")]
+    parts = [
+        "%YAML:1.0",
+        "---",
+        f"image_width: {camera.width}",
+        f"image_height: {camera.height}",
+        f'camera_name: "{camera.name}"',
+        *_block("camera_matrix", camera.matrix, " !!opencv-matrix"),
+        *_block("distortion_coefficients", camera.distortion[:, None], " !!opencv-matrix"),
+    ]
     return "\n".join(parts) + "\n"
 
 
 def _block(key: str, matrix: np.ndarray, tag: str = "") -> list[str]:
     kind = ["   dt: d"] if tag else []
-    return [f"{key}:{tag}", f"   rows: {matrix.shape[0]}", f"   cols: {matrix.shape[1]}", *kind, f"   data: [{_figures(matrix.ravel())}]"]
+    return [
+        f"{key}:{tag}",
+        f"   rows: {matrix.shape[0]}",
+        f"   cols: {matrix.shape[1]}",
+        *kind,
+        f"   data: [{_figures(matrix.ravel())}]",
+    ]
 
 
 def _figures(values: Sequence[float] | np.ndarray) -> str:
-    """Numbers to the last bit, each with a point: YAML 1.1 and OpenCV take 1e-05 for a word, and 1 for a whole number."""
+    """Numbers to the last bit, each with a point: YAML 1.1 and OpenCV take 1e-05 for a word, and 1 for a whole
+    number.
+    """
     words = [repr(float(value)) for value in values]
     return ", ".join(word if "." in word or "e" not in word else word.replace("e", ".0e") for word in words)

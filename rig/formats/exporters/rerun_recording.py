@@ -1,7 +1,9 @@
-"""A recording as Rerun shows it: images with corners, cameras and cubes in place, the platform along its way, commands and sensors as curves.
+"""A recording as Rerun shows it: images with corners, cameras and cubes in place, the platform along its way, commands
+and sensors as curves.
 
-Rerun's image coordinates begin at the first pixel's corner, ours in its middle: half a pixel is added. Its pinhole knows no distortion: images are
-shown as they were taken, corners as they were found in them; a projection into an image is off by what the lens bends.
+Rerun's image coordinates begin at the first pixel's corner, ours in its middle: half a pixel is added. Its pinhole
+knows no distortion: images are shown as they were taken, corners as they were found in them; a projection into an image
+is off by what the lens bends.
 """
 
 from pathlib import Path
@@ -31,7 +33,8 @@ def import_rerun() -> Any:
 
 
 def write_rerun(recording: Recording, out: Path, rr: Any) -> int:
-    """Write all that a recording holds into an .rrd file; the number of images that the viewer cannot decode and that were left out.
+    """Write all that a recording holds into an .rrd file; the number of images that the viewer cannot decode and that
+    were left out.
 
     rr : the module rerun
     """
@@ -60,7 +63,9 @@ def _camera(stream: Any, rr: Any, camera: Camera) -> None:
     stream.log(_place(camera), _placed(rr, camera.pose), static=True)
     matrix = camera.matrix.copy()
     matrix[:2, 2] += 0.5
-    lens = rr.Pinhole(image_from_camera=matrix, resolution=[camera.width, camera.height], camera_xyz=rr.ViewCoordinates.RDF)
+    lens = rr.Pinhole(
+        image_from_camera=matrix, resolution=[camera.width, camera.height], camera_xyz=rr.ViewCoordinates.RDF
+    )
     stream.log(f"{_place(camera)}/image", lens, static=True)
 
 
@@ -71,12 +76,17 @@ def _place(camera: Camera) -> str:
 def _target(stream: Any, rr: Any, target: Target) -> None:
     """A cube as a box; of a target that is no cube its markers as thin ones."""
     body = "base" if target.body == "base" else f"base/{target.body.replace(' ', '_')}"
-    boxes = [(target.pose, [target.edge / 2] * 3)] if target.pose is not None and target.edge else [
-        (marker.pose, [marker.side / 2, marker.side / 2, 1e-4]) for marker in target.listed]
+    boxes = (
+        [(target.pose, [target.edge / 2] * 3)]
+        if target.pose is not None and target.edge
+        else [(marker.pose, [marker.side / 2, marker.side / 2, 1e-4]) for marker in target.listed]
+    )
     for number, (T, half) in enumerate(boxes):
         place = f"{body}/{target.name}/{number}"
         stream.log(place, _placed(rr, T), static=True)
-        stream.log(f"{place}/box", rr.Boxes3D(half_sizes=[half], colors=[GREY if body == "base" else BLACK]), static=True)
+        stream.log(
+            f"{place}/box", rr.Boxes3D(half_sizes=[half], colors=[GREY if body == "base" else BLACK]), static=True
+        )
 
 
 def _at(stream: Any, frame: int, t: float) -> None:
@@ -92,7 +102,10 @@ def _exposures(stream: Any, rr: Any, recording: Recording) -> int:
         media = MEDIA.get(Path(image).suffix.lower())
         left_out += bool(image) and media is None
         if image and media is not None:
-            stream.log(f"{_place(cameras[name])}/image", rr.EncodedImage(contents=read_bytes(recording.folder / image, LARGEST), media_type=media))
+            stream.log(
+                f"{_place(cameras[name])}/image",
+                rr.EncodedImage(contents=read_bytes(recording.folder / image, LARGEST), media_type=media),
+            )
     corners = recording.corners
     if corners is not None:
         at = dict(zip(*(values.tolist() for values in recording.exposures.times())))
@@ -121,7 +134,9 @@ def _moved(stream: Any, rr: Any, recording: Recording) -> None:
         stream.log("base/platform", _placed(rr, T))
         if isinstance(m, Hexapod):
             ends = T.apply(m.platform_joints)
-            stream.log("base/struts", rr.LineStrips3D([[base, end] for base, end in zip(m.base_joints, ends)], radii=0.004))
+            stream.log(
+                "base/struts", rr.LineStrips3D([[base, end] for base, end in zip(m.base_joints, ends)], radii=0.004)
+            )
     way = poses.T_base_platform.translation.reshape(-1, 3)[order]
     stream.log("base/way", rr.LineStrips3D([way], radii=0.001), static=True)
 
@@ -130,9 +145,13 @@ def _curves(stream: Any, rr: Any, recording: Recording) -> None:
     """Commands and sensors over time."""
     curves = []
     if recording.commands is not None:
-        curves += [(f"commands/{axis}", recording.commands.t, values)
-                   for axis, values in zip(recording.design.mechanism.axes, recording.commands.values.T)]
+        curves += [
+            (f"commands/{axis}", recording.commands.t, values)
+            for axis, values in zip(recording.design.mechanism.axes, recording.commands.values.T)
+        ]
     if recording.sensors is not None:
-        curves += [(f"sensors/{name}", recording.sensors.t, values) for name, values in recording.sensors.channels.items()]
+        curves += [
+            (f"sensors/{name}", recording.sensors.t, values) for name, values in recording.sensors.channels.items()
+        ]
     for place, t, values in curves:
         stream.send_columns(place, indexes=[rr.TimeColumn("t", duration=t)], columns=rr.Scalars.columns(scalars=values))

@@ -1,7 +1,9 @@
-"""A hexapod's struts as simulators have them: a universal joint at the base, a slide along the strut, a ball at the platform; frames at home.
+"""A hexapod's struts as simulators have them: a universal joint at the base, a slide along the strut, a ball at the
+platform; frames at home.
 
-A strut's frame stands in its base joint: x along the cardan's first axis, which lies in the base plate, tangential, (-y, x, 0) of the joint; y, the
-second, perpendicular to it and to the strut at home; tilted about y by a fixed angle, z runs along the strut.
+A strut's frame stands in its base joint: x along the cardan's first axis, which lies in the base plate, tangential,
+(-y, x, 0) of the joint; y, the second, perpendicular to it and to the strut at home; tilted about y by a fixed angle, z
+runs along the strut.
 """
 
 from dataclasses import dataclass
@@ -17,8 +19,9 @@ LEAST = 1e-9  # m or rad
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strut:
-    """T_base_cross : at home, x and y its two axes; tilt : rad, about y from there to the strut; home : m, joint to joint; zero : m, of
-    what is commanded, home less zero; limits : (2,) m, as commanded; T_platform_joint : unrotated to the platform"""
+    """T_base_cross : at home, x and y its two axes; tilt : rad, about y from there to the strut; home : m, joint to
+    joint; zero : m, of what is commanded, home less zero; limits : (2,) m, as commanded; T_platform_joint : unrotated
+    to the platform"""
 
     T_base_cross: RigidTransform
     tilt: float
@@ -33,14 +36,18 @@ class Strut:
 
 
 def simulator_struts(hexapod: Hexapod) -> list[Strut]:
-    """The Struts of a Hexapod. Raises RigError for a base joint on the z axis, or a strut along its cardan's first axis: no cardan is there."""
+    """The Struts of a Hexapod. Raises RigError for a base joint on the z axis, or a strut along its cardan's first
+    axis: no cardan is there.
+    """
     found = []
     ends = hexapod.home.apply(hexapod.platform_joints)
     for i, (base, end) in enumerate(zip(hexapod.base_joints, ends)):
         along = (end - base) / np.linalg.norm(end - base)
         first = np.array([-base[1], base[0], 0.0])
         if np.linalg.norm(first) < LEAST:
-            raise RigError(f"strut {i + 1}: its base joint lies on the z axis, so that a cardan's tangential axis has no direction")
+            raise RigError(
+                f"strut {i + 1}: its base joint lies on the z axis, so that a cardan's tangential axis has no direction"
+            )
         first /= np.linalg.norm(first)
         second = np.cross(along, first)
         if np.linalg.norm(second) < LEAST:
@@ -48,7 +55,14 @@ def simulator_struts(hexapod: Hexapod) -> list[Strut]:
         second /= np.linalg.norm(second)
         R = np.column_stack([first, second, np.cross(first, second)])
         inside = R.T @ along  # no y: the second axis is perpendicular to the strut
-        found.append(Strut(RigidTransform.from_components(base, Rotation.from_matrix(R)), float(np.arctan2(inside[0], inside[2])),
-                           float(np.linalg.norm(end - base)), float(hexapod.strut_zeros[i]), np.array(hexapod.strut_range[i]),
-                           RigidTransform.from_translation(hexapod.platform_joints[i])))
+        found.append(
+            Strut(
+                RigidTransform.from_components(base, Rotation.from_matrix(R)),
+                float(np.arctan2(inside[0], inside[2])),
+                float(np.linalg.norm(end - base)),
+                float(hexapod.strut_zeros[i]),
+                np.array(hexapod.strut_range[i]),
+                RigidTransform.from_translation(hexapod.platform_joints[i]),
+            )
+        )
     return found

@@ -1,6 +1,7 @@
 """A recording's poses as a trajectory of TUM, its tables as Parquet: what evaluation tools and data frames read.
 
-TUM: a line for each pose, `t x y z qx qy qz qw`, s and m, the quaternion's real part last, of the platform in the base frame.
+TUM: a line for each pose, `t x y z qx qy qz qw`, s and m, the quaternion's real part last, of the platform in the base
+frame.
 Source: TUM RGB-D benchmark, file formats
 """
 
@@ -31,7 +32,8 @@ def tum_trajectory(recording: Recording) -> str:
 
 
 def parquet_tables(folder: Path) -> dict[str, bytes]:
-    """{name: Parquet file} of the tables in a recording's folder; frames, markers and corners whole numbers, names text, all else doubles.
+    """{name: Parquet file} of the tables in a recording's folder; frames, markers and corners whole numbers, names
+    text, all else doubles.
 
     Raises MissingLibrary without pyarrow, FileError for a table that cannot be read
     """
@@ -40,4 +42,7 @@ def parquet_tables(folder: Path) -> dict[str, bytes]:
 
 
 def _columns(rows: csv_table.Table) -> dict[str, list]:
-    return {name: rows.text(name) if name in TEXT else (rows.whole(name) if name in WHOLE else rows.numbers(name)).tolist() for name in rows.columns}
+    return {
+        name: rows.text(name) if name in TEXT else (rows.whole(name) if name in WHOLE else rows.numbers(name)).tolist()
+        for name in rows.columns
+    }

@@ -22,14 +22,23 @@ def require_one_clock(exposed: Exposed, commanded: Commanded | None) -> None:
     after = sum(s > last for s in t)
     if t[0] >= first and (after <= 1 or after <= LAST_DWELL * len(t)):
         return
-    clash = f"frames and commands are on different clocks: frames run from {t[0]:f} to {t[-1]:f} s, commands from {first:f} to {last:f} s"
+    clash = (
+        f"frames and commands are on different clocks: frames run from {t[0]:f} to {t[-1]:f} s, commands from "
+        f"{first:f} to {last:f} s"
+    )
     standing = standing_shift(seconds_from(t, first), seconds_from(commanded.t, first), commanded.values)
     if standing is not None:
-        raise RigError(f"{clash}; --set {section}.shift={standing.shift:.3f} is what puts {standing.frames} of {len(t)} frames where the commands "
-                       f"stand still, the middle of what does, +-{standing.room:.2g} s")
+        raise RigError(
+            f"{clash}; --set {section}.shift={standing.shift:.3f} is what puts {standing.frames} of {len(t)} "
+            "frames where the commands "
+            f"stand still, the middle of what does, +-{standing.room:.2g} s"
+        )
     by = first - t[0]
-    raise RigError(f"{clash}; state the unit or what is to be added: --set {section}.shift={by:.6f} brings the first frame to the first command"
-                   "; --set commands.shift=S moves the commands")
+    raise RigError(
+        f"{clash}; state the unit or what is to be added: --set {section}.shift={by:.6f} brings the first "
+        "frame to the first command"
+        "; --set commands.shift=S moves the commands"
+    )
 
 
 def seconds_from(t: list[Decimal], origin: Decimal) -> np.ndarray:

@@ -9,8 +9,22 @@ from rig.formats.importers.csv_dialect import Cells
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.input_files import value_text
 
-TIME = ("t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "uhrzeit", "elapsed", "elapsedtime", "epoch",
-        "datetime", "utc", "unixtime", "clock")
+TIME = (
+    "t",
+    "time",
+    "timestamp",
+    "stamp",
+    "zeit",
+    "zeitstempel",
+    "uhrzeit",
+    "elapsed",
+    "elapsedtime",
+    "epoch",
+    "datetime",
+    "utc",
+    "unixtime",
+    "clock",
+)
 FRAME = ("frame", "index", "nr", "no", "number", "i", "id", "bild", "n", "pose", "point")
 IMAGE = ("image", "file", "filename", "img", "picture", "path")
 CAMERA = ("camera", "cam", "kamera")
@@ -28,30 +42,48 @@ def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     return {name: tuple(f"{word}{name[1:]}" for word in (LIMB if name[0] == "l" else JOINT)) for name in names}
 
 
-def find_columns(cells: Cells, section: str, known: dict[str, tuple[str, ...]], required: Iterable[str]) -> dict[str, int]:
+def find_columns(
+    cells: Cells, section: str, known: dict[str, tuple[str, ...]], required: Iterable[str]
+) -> dict[str, int]:
     """{our name: index of the column} of those that are there.
 
-    known : {our name: what a header may be called}; required : that must be there. Raises RigError for what is missing or there twice
+    known : {our name: what a header may be called}; required : that must be there. Raises RigError for what is missing
+        or there twice
     """
     stated = dict(cells.table.columns)
     found: dict[str, int] = {}
     for ours, names in known.items():
         if ours in stated:
             if stated[ours] not in cells.header:
-                raise FileError(cells.path, f"has no column {value_text(stated[ours])}; its header is {', '.join(cells.header)}")
+                raise FileError(
+                    cells.path, f"has no column {value_text(stated[ours])}; its header is {', '.join(cells.header)}"
+                )
             found[ours] = cells.header.index(stated[ours])
             continue
         exact = [k for k, header in enumerate(cells.header) if header == ours]
-        alike = exact or [k for k, header in enumerate(cells.header) if normalised_header(header) in names and header not in stated.values()]
+        alike = exact or [
+            k
+            for k, header in enumerate(cells.header)
+            if normalised_header(header) in names and header not in stated.values()
+        ]
         if len(alike) > 1:
-            raise RigError("\n".join([f"{cells.path}: several columns can be {ours}:", *(f"  {cells.header[k]}: --set '{section}.columns.{ours}="
-                                     f"{cells.header[k]}'" for k in alike)]))
+            raise RigError(
+                "\n".join(
+                    [
+                        f"{cells.path}: several columns can be {ours}:",
+                        *(f"  {cells.header[k]}: --set '{section}.columns.{ours}={cells.header[k]}'" for k in alike),
+                    ]
+                )
+            )
         if alike:
             found[ours] = alike[0]
     missing = [ours for ours in required if ours not in found]
     if missing:
-        raise RigError(f"{cells.path}: no column is {missing[0]}: the header is {', '.join(cells.header)}; state which one it is with "
-                       f"--set '{section}.columns.{missing[0]}=HEADER'")
+        raise RigError(
+            f"{cells.path}: no column is {missing[0]}: the header is {', '.join(cells.header)}; state which "
+            "one it is with "
+            f"--set '{section}.columns.{missing[0]}=HEADER'"
+        )
     return found
 
 

@@ -10,10 +10,36 @@ ANGLES = {"rad": 1.0, "deg": 180 / np.pi, "mrad": 1e3}  # per radian
 TIMES = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # per second
 ALL = (*LENGTHS, *ANGLES, "steps")
 OTHER = ("C", "K", "F", "kg", "g")
-SAME = {"µm": "um", "μm": "um", "µs": "us", "μs": "us", "°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad",
-        "meter": "m", "metre": "m", "inch": "in", "inches": "in", "sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "counts": "steps",
-        "step": "steps", "°c": "C", "degc": "C", "celsius": "C", "c": "C", "k": "K", "kelvin": "K", "°f": "F", "degf": "F", "fahrenheit": "F",
-        "f": "F"}
+SAME = {
+    "µm": "um",
+    "μm": "um",
+    "µs": "us",
+    "μs": "us",
+    "°": "deg",
+    "degrees": "deg",
+    "degree": "deg",
+    "radians": "rad",
+    "meter": "m",
+    "metre": "m",
+    "inch": "in",
+    "inches": "in",
+    "sec": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "usec": "us",
+    "counts": "steps",
+    "step": "steps",
+    "°c": "C",
+    "degc": "C",
+    "celsius": "C",
+    "c": "C",
+    "k": "K",
+    "kelvin": "K",
+    "°f": "F",
+    "degf": "F",
+    "fahrenheit": "F",
+    "f": "F",
+}
 BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")
 TAIL = re.compile(r"^(.*\S)\s*[_/ ]\s*([^\s_/]+)$")
 MOST_BEYOND = 0.1  # of its range that a command may lie beyond it
@@ -26,7 +52,11 @@ def split_header(header: str) -> tuple[str, str | None]:
     if found and found[1]:
         return found[1].strip(), parse_unit(found[2])
     found = TAIL.match(header)
-    if found and parse_unit(found[2]) is not None and not (len(found[2]) == 1 and found[2].upper() == found[2] and "temp" not in header.lower()):
+    if (
+        found
+        and parse_unit(found[2]) is not None
+        and not (len(found[2]) == 1 and found[2].upper() == found[2] and "temp" not in header.lower())
+    ):
         return found[1].rstrip("_/ "), parse_unit(found[2])
     return header, None
 
@@ -49,15 +79,26 @@ def fits_ranges(values: np.ndarray, ranges: np.ndarray) -> bool:
 def likely_length_units(
     values: np.ndarray, ranges: np.ndarray, home: np.ndarray, units: Sequence[str], relative: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """(unit, "zero" or "home") of all ways that bring lengths (n, axes) into their ranges (axes, 2) m. home : (axes,) m"""
-    return [(u, r) for u in units for r in relative if fits_ranges(values / LENGTHS[u] + (home if r == "home" else 0.0), ranges)]
+    """(unit, "zero" or "home") of all ways that bring lengths (n, axes) into their ranges (axes, 2) m. home : (axes,)
+    m
+    """
+    return [
+        (u, r)
+        for u in units
+        for r in relative
+        if fits_ranges(values / LENGTHS[u] + (home if r == "home" else 0.0), ranges)
+    ]
 
 
 def is_likely_unit(values: np.ndarray, ranges: np.ndarray, unit: str, relative: str) -> bool:
-    """Whether lengths (n, axes), read so, move by a share of their ranges (axes, 2) m that a recording has; from home they lie about zero."""
+    """Whether lengths (n, axes), read so, move by a share of their ranges (axes, 2) m that a recording has; from home
+    they lie about zero.
+    """
     travel = np.ptp(values)
     about_zero = values.min() <= MOST_BEYOND * travel and values.max() >= -MOST_BEYOND * travel
-    return bool(travel / LENGTHS[unit] >= LEAST_TRAVEL * np.ptp(ranges, axis=1).max() and (relative == "zero" or about_zero))
+    return bool(
+        travel / LENGTHS[unit] >= LEAST_TRAVEL * np.ptp(ranges, axis=1).max() and (relative == "zero" or about_zero)
+    )
 
 
 def likely_angle_units(values: np.ndarray, limits: np.ndarray, units: Sequence[str]) -> list[str]:

@@ -19,7 +19,9 @@ from rig.model.mechanism_kinds import arm_of, struts_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commanded:
-    """t : n exact s, or None where the table has none; values : (n, axes) m or rad; frame : (n,) int or None; table : ForeignTable as found out."""
+    """t : n exact s, or None where the table has none; values : (n, axes) m or rad; frame : (n,) int or None;
+    table : ForeignTable as found out.
+    """
 
     t: list[Decimal] | None
     values: np.ndarray
@@ -35,17 +37,29 @@ def read_commands(table: ForeignTable, design: Design) -> Commanded:
         raise RigError(f'{table.file}: nothing can be commanded of a mechanism of kind "{design.mechanism.kind}"')
     cells = read_foreign_table(table, "commands")
     found = column_headers.find_columns(
-        cells, "commands", {"t": column_headers.TIME, "frame": column_headers.FRAME, **column_headers.axis_header_names(axes)}, axes
+        cells,
+        "commands",
+        {"t": column_headers.TIME, "frame": column_headers.FRAME, **column_headers.axis_header_names(axes)},
+        axes,
     )
     values, table, told = _values(
-        cells, [found[name] for name in axes], replace(cells.table, columns=column_headers.recipe_columns(table, cells, found)), design
+        cells,
+        [found[name] for name in axes],
+        replace(cells.table, columns=column_headers.recipe_columns(table, cells, found)),
+        design,
     )
     frame = None if "frame" not in found else np.array(cells.numbers(found["frame"]))
     t, said = None, (*cells.said, *told)
     if "t" in found:
         stated = table.time_unit or _time_unit(cells.header[found["t"]])
         read_times = timestamps.read_times(
-            cells.column(found["t"]), "commands", table.file.name, stated, table.zone, table.shift, _pace(values, design)
+            cells.column(found["t"]),
+            "commands",
+            table.file.name,
+            stated,
+            table.zone,
+            table.shift,
+            _pace(values, design),
         )
         t, said = read_times.seconds, (*said, *read_times.said)
         table = replace(table, time_unit=read_times.unit, zone=read_times.zone)
@@ -53,20 +67,34 @@ def read_commands(table: ForeignTable, design: Design) -> Commanded:
 
 
 def _once(commanded: Commanded, cells: Cells) -> Commanded:
-    """The rows without those that a log has twice. Raises FileError, with the line, where rows of one time say different things."""
+    """The rows without those that a log has twice. Raises FileError, with the line, where rows of one time say
+    different things.
+    """
     t, values = commanded.t, commanded.values
     if t is None:
         return commanded
     again = [k for k in range(1, len(t)) if t[k] == t[k - 1]]
     odd = next((k for k in again if not np.array_equal(values[k], values[k - 1])), None)
     if odd is not None:
-        raise FileError(cells.path, f"two rows are of one time, {t[odd]:f} s, and say different things; take one of them out", cells.lines[odd])
+        raise FileError(
+            cells.path,
+            f"two rows are of one time, {t[odd]:f} s, and say different things; take one of them out",
+            cells.lines[odd],
+        )
     if not again:
         return commanded
     keep = np.setdiff1d(np.arange(len(t)), again)
-    told = (f"{cells.path.name}: {len(again)} rows are there twice, with their times, and are taken once; the first is line {cells.lines[again[0]]}",)
-    return replace(commanded, t=[t[k] for k in keep], values=values[keep], said=(*commanded.said, *told),
-                   frame=None if commanded.frame is None else commanded.frame[keep])
+    told = (
+        f"{cells.path.name}: {len(again)} rows are there twice, with their times, and are taken once; the "
+        f"first is line {cells.lines[again[0]]}",
+    )
+    return replace(
+        commanded,
+        t=[t[k] for k in keep],
+        values=values[keep],
+        said=(*commanded.said, *told),
+        frame=None if commanded.frame is None else commanded.frame[keep],
+    )
 
 
 def _time_unit(header: str) -> str | None:
@@ -74,78 +102,124 @@ def _time_unit(header: str) -> str | None:
     return stated if stated in column_units.TIMES else None
 
 
-def _values(cells: Cells, at: list[int], table: ForeignTable, design: Design) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+def _values(
+    cells: Cells, at: list[int], table: ForeignTable, design: Design
+) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
     values = np.array([cells.numbers(k) for k in at]).T
     if isinstance(design.mechanism, Arm) and design.mechanism.slides.any():
         return _sliding(values, [column_units.split_header(cells.header[k])[1] for k in at], table, design.mechanism)
     stated = {table.unit or column_units.split_header(cells.header[k])[1] for k in at}
     if len(stated) > 1:
-        raise RigError(f"{table.file}: its columns are in different units ({', '.join(sorted(str(u or 'none stated') for u in stated))}); "
-                       "bring them to one unit, or state it: --set commands.unit=mm")
+        raise RigError(
+            f"{table.file}: its columns are in different units "
+            f"({', '.join(sorted(str(u or 'none stated') for u in stated))}); "
+            "bring them to one unit, or state it: --set commands.unit=mm"
+        )
     unit = stated.pop()
     kind = column_units.ANGLES if design.mechanism.kind == "arm" else column_units.LENGTHS
     if unit is not None and unit not in (*kind, "steps"):
         raise RigError(
-            f"{table.file}: {unit} is no unit of {'angles' if kind is column_units.ANGLES else 'lengths'}; there are {', '.join(kind)}, steps"
+            f"{table.file}: {unit} is no unit of {'angles' if kind is column_units.ANGLES else 'lengths'}; "
+            f"there are {', '.join(kind)}, steps"
         )
     if kind is column_units.ANGLES:
         return _angles(values, unit, table, arm_of(design.mechanism).limits)
     if unit == "steps":
         if table.steps_per_mm is None:
-            raise RigError(f"{table.file}: lengths are in steps; how many make a millimetre? --set commands.steps_per_mm=N")
+            raise RigError(
+                f"{table.file}: lengths are in steps; how many make a millimetre? --set commands.steps_per_mm=N"
+            )
         values = values / table.steps_per_mm
     m = struts_of(design.mechanism)
     home = mechanisms.kinematics_of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
     return _lengths(values, unit, table, m.strut_range, home)
 
 
-def _sliding(values: np.ndarray, stated: list[str | None], table: ForeignTable, arm: Arm) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
-    """((n, axes) rad and m, ForeignTable, sentences) of an arm with slides: each column in the unit that its header states, SI where none is."""
+def _sliding(
+    values: np.ndarray, stated: list[str | None], table: ForeignTable, arm: Arm
+) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+    """((n, axes) rad and m, ForeignTable, sentences) of an arm with slides: each column in the unit that its header
+    states, SI where none is.
+    """
     q = values.copy()
     for i, (slide, unit) in enumerate(zip(arm.slides, stated)):
         known, si = (column_units.LENGTHS, "m") if slide else (column_units.ANGLES, "rad")
         if unit is not None and unit not in known:
-            raise RigError(f"{table.file}: {unit} is no unit of {arm.axes[i]}, which {'slides' if slide else 'turns'}; there are {', '.join(known)}")
+            raise RigError(
+                f"{table.file}: {unit} is no unit of {arm.axes[i]}, which {'slides' if slide else 'turns'}; "
+                f"there are {', '.join(known)}"
+            )
         q[:, i] /= known[unit or si]
     if table.unit is not None or not column_units.fits_ranges(q, arm.limits):
-        raise RigError(f"{table.file}: joints that turn and joints that slide have no unit in common: state each column's in its header, as in "
-                       "q1 [deg] and q3 [mm]; unstated they are rad and m, and have to lie within the limits of rig.toml")
+        raise RigError(
+            f"{table.file}: joints that turn and joints that slide have no unit in common: state each "
+            "column's in its header, as in "
+            "q1 [deg] and q3 [mm]; unstated they are rad and m, and have to lie within the limits of rig.toml"
+        )
     return q, table, ()
 
 
-def _angles(values: np.ndarray, unit: str | None, table: ForeignTable, limits: np.ndarray) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+def _angles(
+    values: np.ndarray, unit: str | None, table: ForeignTable, limits: np.ndarray
+) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     fit = column_units.likely_angle_units(values, limits, ("rad", "deg") if unit is None else (unit,))
     said = f"angles run from {values.min():.6g} to {values.max():.6g}"
     if unit is None and len(fit) > 1:
-        raise ambiguity_error(f"{table.file}: the unit of its angles is not stated, {said}, and both lie within the limits of rig.toml",
-                        [(f"up to {np.degrees(np.abs(values).max() / column_units.ANGLES[u]):.4g} degrees", f"commands.unit={u}") for u in fit])
+        raise ambiguity_error(
+            f"{table.file}: the unit of its angles is not stated, {said}, and both lie within the limits of rig.toml",
+            [
+                (f"up to {np.degrees(np.abs(values).max() / column_units.ANGLES[u]):.4g} degrees", f"commands.unit={u}")
+                for u in fit
+            ],
+        )
     if unit is None and not fit:
-        raise RigError(f"{table.file}: {said}, which is beyond the limits in rig.toml in radians and in degrees; --set commands.unit=deg states one")
-    told = () if unit else (f"{table.file.name}: angles are in {fit[0]}, as they are beyond the joints' limits otherwise",)
+        raise RigError(
+            f"{table.file}: {said}, which is beyond the limits in rig.toml in radians and in degrees; --set "
+            "commands.unit=deg states one"
+        )
+    told = (
+        () if unit else (f"{table.file.name}: angles are in {fit[0]}, as they are beyond the joints' limits otherwise",)
+    )
     return values / column_units.ANGLES[unit or fit[0]], replace(table, unit=unit or fit[0]), told
 
 
-def _lengths(values: np.ndarray, unit: str | None, table: ForeignTable, ranges: np.ndarray,
-             home: np.ndarray) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+def _lengths(
+    values: np.ndarray, unit: str | None, table: ForeignTable, ranges: np.ndarray, home: np.ndarray
+) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     asked = ("mm",) if unit == "steps" else tuple(column_units.LENGTHS) if unit is None else (unit,)
-    fit = column_units.likely_length_units(values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,))
+    fit = column_units.likely_length_units(
+        values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,)
+    )
     better = [(u, r) for u, r in fit if column_units.is_likely_unit(values, ranges, u, r)]
     fit = better if len(better) == 1 else fit
-    said = (f"{table.file}: lengths run from {values.min():.6g} to {values.max():.6g}{' mm' if unit == 'steps' else ''}, "
-            f"and rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m")
+    said = (
+        f"{table.file}: lengths run from {values.min():.6g} to {values.max():.6g}{' mm' if unit == 'steps' else ''}, "
+        f"and rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m"
+    )
     names = {"zero": "joint to joint", "home": "from home"}
     if len(fit) > 1 and {u for u, _ in fit} - {fit[0][0]}:
-        raise ambiguity_error(f"{said}: they fit in several units", [(f"{u}, {names[r]}", f"commands.unit={u}") for u, r in fit])
+        raise ambiguity_error(
+            f"{said}: they fit in several units", [(f"{u}, {names[r]}", f"commands.unit={u}") for u, r in fit]
+        )
     if len(fit) > 1:
         raise ambiguity_error(f"{said}: they fit both ways", [(names[r], f"commands.relative={r}") for _, r in fit])
     if not fit and (unit is None or table.relative is None):
-        raise RigError(f"{said}: they fit in no unit, neither joint to joint nor from home; look at strut_range and home, or state both: "
-                       "--set commands.unit=mm --set commands.relative=zero")
+        raise RigError(
+            f"{said}: they fit in no unit, neither joint to joint nor from home; look at strut_range and "
+            "home, or state both: "
+            "--set commands.unit=mm --set commands.relative=zero"
+        )
     u, r = fit[0] if fit else (asked[0], table.relative or "zero")
     q = values / column_units.LENGTHS[u] + (home if r == "home" else 0.0)
-    told = () if unit and table.relative else (f"{table.file.name}: lengths are in {'steps' if unit == 'steps' else u}, {names[r]}"
-                                               f"{'' if unit else ', as within strut_range and about its size in no other'}",)
+    told = (
+        ()
+        if unit and table.relative
+        else (
+            f"{table.file.name}: lengths are in {'steps' if unit == 'steps' else u}, {names[r]}"
+            f"{'' if unit else ', as within strut_range and about its size in no other'}",
+        )
+    )
     return q, replace(table, unit=unit or u, relative=r), told
 
 

@@ -1,4 +1,6 @@
-"""A foreign table -> header and cells: encoding, separator, decimal sign and comments found out, what can be read two ways refused."""
+"""A foreign table -> header and cells: encoding, separator, decimal sign and comments found out, what can be read two
+ways refused.
+"""
 
 import csv
 import re
@@ -19,8 +21,10 @@ LOOKED_AT = 2000  # rows by which a dialect is told; every row must have as many
 MOST_COLUMNS = 1000
 LONGEST = 100  # characters of a number
 LONGEST_CELL = 300  # characters
-NUMBER = {"point": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII),
-          "comma": re.compile(r"[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d{1,3})?", re.ASCII)}
+NUMBER = {
+    "point": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII),
+    "comma": re.compile(r"[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d{1,3})?", re.ASCII),
+}
 TORN = re.compile(r"\d[;\t, ]+[-+]?[\d.,]")  # a cell that another separator would part
 DATE = re.compile(r"\d{4}-?\d\d-?\d\d([T ]\d\d.*)?")
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
@@ -28,7 +32,8 @@ GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """A table as text. path; header : n names; rows : lists of n texts, decimals with a point; lines : of the file, from 1
+    """A table as text. path; header : n names; rows : lists of n texts, decimals with a point; lines : of the file,
+    from 1
     table : ForeignTable with separator and decimal; said : sentences about what was found out."""
 
     path: Path
@@ -48,7 +53,13 @@ class Cells:
 
     def _number(self, cell: str, line: int, at: int) -> float:
         if len(cell) > LONGEST or not NUMBER["point"].fullmatch(cell) or abs(float(cell)) > LARGEST_NUMBER:
-            raise FileError(self.path, f"column {value_text(self.header[at])} is no number that can be meant: {value_text(cell)}", line, at + 1, cell)
+            raise FileError(
+                self.path,
+                f"column {value_text(self.header[at])} is no number that can be meant: {value_text(cell)}",
+                line,
+                at + 1,
+                cell,
+            )
         return float(cell)
 
 
@@ -67,22 +78,39 @@ def read_foreign_table(table: ForeignTable, name: str) -> Cells:
     if not fits:
         whole = _fitting(table, lines[:-1]) if len(lines) > 2 else []
         if whole:
-            raise FileError(table.file, f"its last line is not like the {len(whole[0].rows)} before it, of {len(whole[0].header)} cells each: the "
-                            f"file is cut off; mend the line or take it out: {value_text(lines[-1][1])}", lines[-1][0])
+            raise FileError(
+                table.file,
+                f"its last line is not like the {len(whole[0].rows)} before it, of {len(whole[0].header)} "
+                "cells each: the "
+                f"file is cut off; mend the line or take it out: {value_text(lines[-1][1])}",
+                lines[-1][0],
+            )
         _no_names(table, name, lines)
-        raise FileError(table.file, "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or spaces, with "
-                        "decimal points or commas; its separator and decimal can be stated: "
-                        f"--set {name}.separator=semicolon --set {name}.decimal=comma")
+        raise FileError(
+            table.file,
+            "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or "
+            "spaces, with "
+            "decimal points or commas; its separator and decimal can be stated: "
+            f"--set {name}.separator=semicolon --set {name}.decimal=comma",
+        )
     first = fits[0]
     others = [other for other in fits[1:] if other.rows != first.rows or other.header != first.header]
     if others:
+
         def setting(one: Cells) -> str:
             key = "decimal" if one.table.separator == first.table.separator else "separator"
             return f"{name}.{key}={getattr(one.table, key)}"
 
-        raise ambiguity_error(f"{table.file}: line {first.lines[0]} can be read in {len(others) + 1} ways", [
-            (f"{one.table.separator}s between, decimal {one.table.decimal}s: {', '.join(one.rows[0][:4])}", setting(one))
-            for one in (first, *others)])
+        raise ambiguity_error(
+            f"{table.file}: line {first.lines[0]} can be read in {len(others) + 1} ways",
+            [
+                (
+                    f"{one.table.separator}s between, decimal {one.table.decimal}s: {', '.join(one.rows[0][:4])}",
+                    setting(one),
+                )
+                for one in (first, *others)
+            ],
+        )
     _no_groups(table, first, lines, name)
     header, rows = add_time_column(table, first.header, first.rows)
     return Cells(first.path, header, rows, first.lines, first.table, (*words, *first.said))
@@ -99,20 +127,32 @@ def _no_names(table: ForeignTable, name: str, lines: list[tuple[int, str]]) -> N
         names = [f"column{i}" for i in range(count)]
         if count > 1 and _fitting(replace(table, header=" ".join(names), separator=separator), [(0, ""), *figures]):
             if table.header is None:
-                raise FileError(table.file, f"has no header line: name its {count} columns, --set '{name}.header=..', their names apart by spaces", 1)
+                raise FileError(
+                    table.file,
+                    f"has no header line: name its {count} columns, --set '{name}.header=..', their names "
+                    "apart by spaces",
+                    1,
+                )
             stated = len(table.header.replace(",", " ").split())
-            raise FileError(table.file, f"has {count} cells in a row, and {name}.header names {stated} columns", figures[0][0])
+            raise FileError(
+                table.file, f"has {count} cells in a row, and {name}.header names {stated} columns", figures[0][0]
+            )
 
 
 def _fitting(table: ForeignTable, lines: list[tuple[int, str]]) -> list[Cells]:
     """Cells of every dialect, of those that the table leaves open, that fits all lines."""
-    tried = (_parsed(table, lines, separator, decimal) for separator in (SEPARATORS if table.separator is None else (table.separator,))
-             for decimal in (DECIMALS if table.decimal is None else (table.decimal,)))
+    tried = (
+        _parsed(table, lines, separator, decimal)
+        for separator in (SEPARATORS if table.separator is None else (table.separator,))
+        for decimal in (DECIMALS if table.decimal is None else (table.decimal,))
+    )
     return [found for found in tried if found is not None]
 
 
 def _decoded(path: Path) -> tuple[str, tuple[str, ...]]:
-    """(text, what is said of its encoding) of UTF-8, UTF-16 with a mark, or else what Windows writes in western Europe."""
+    """(text, what is said of its encoding) of UTF-8, UTF-16 with a mark, or else what Windows writes in western
+    Europe.
+    """
     data = read_bytes(path, LARGEST)
     try:
         if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -128,7 +168,9 @@ def _decoded(path: Path) -> tuple[str, tuple[str, ...]]:
 
 
 def _lines(path: Path, content: str, commented: bool) -> list[tuple[int, str]]:
-    """(number, text) of the header and the rows. commented : whether a header in the last comment before figures counts"""
+    """(number, text) of the header and the rows. commented : whether a header in the last comment before figures
+    counts
+    """
     if "\0" in content:
         raise FileError(path, "is no text: it holds a NUL byte")
     lines, comment = [], None
@@ -140,8 +182,13 @@ def _lines(path: Path, content: str, commented: bool) -> list[tuple[int, str]]:
         if mark is None:
             lines.append((number, bare))
         elif not lines:
-            comment = (number, bare[len(mark):].strip(" "))
-    if lines and comment and commented and not re.search(r"[A-Za-z]{2}|^[A-Za-z]", re.sub(r"[eE][+-]?\d|\dT\d", "", lines[0][1])):
+            comment = (number, bare[len(mark) :].strip(" "))
+    if (
+        lines
+        and comment
+        and commented
+        and not re.search(r"[A-Za-z]{2}|^[A-Za-z]", re.sub(r"[eE][+-]?\d|\dT\d", "", lines[0][1]))
+    ):
         lines.insert(0, comment)  # as numpy.savetxt writes its header
     if len(lines) < 2:
         raise FileError(path, "has no header line with rows below it")
@@ -156,20 +203,36 @@ def _parsed(table: ForeignTable, lines: list[tuple[int, str]], separator: str, d
             rows[0] = table.header.replace(",", " ").split()
         if not _fit(rows, decimal):
             return None
-        rows += [_split(line, separator) for _, line in lines[LOOKED_AT + 1:]]
+        rows += [_split(line, separator) for _, line in lines[LOOKED_AT + 1 :]]
     except csv.Error:
         return None
     header, *body = rows
     numbers = [number for number, _ in lines[1:]]
-    odd = next((i for i, row in enumerate(body) if len(row) != len(header) or any(len(cell) > LONGEST_CELL for cell in row)), None)
+    odd = next(
+        (i for i, row in enumerate(body) if len(row) != len(header) or any(len(cell) > LONGEST_CELL for cell in row)),
+        None,
+    )
     if odd is not None and len(body[odd]) == len(header):
         raise FileError(table.file, f"a cell has more than {LONGEST_CELL} characters", numbers[odd])
     if odd is not None:
         raise FileError(table.file, f"{len(body[odd])} cells in a table of {len(header)} columns", numbers[odd])
-    kept = [k for k, name in enumerate(header) if name or any(row[k] for row in body)]  # a separator at the ends of lines makes an empty column
+    kept = [
+        k for k, name in enumerate(header) if name or any(row[k] for row in body)
+    ]  # a separator at the ends of lines makes an empty column
     body = [[_point(row[k], decimal) for k in kept] for row in body]
-    told = () if table.separator and table.decimal else (f"{table.file.name}: {separator}s between the cells, decimal {decimal}s",)
-    return Cells(table.file, tuple(header[k] for k in kept), body, numbers, replace(table, separator=separator, decimal=decimal), told)
+    told = (
+        ()
+        if table.separator and table.decimal
+        else (f"{table.file.name}: {separator}s between the cells, decimal {decimal}s",)
+    )
+    return Cells(
+        table.file,
+        tuple(header[k] for k in kept),
+        body,
+        numbers,
+        replace(table, separator=separator, decimal=decimal),
+        told,
+    )
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -182,14 +245,20 @@ def _fit(rows: list[list[str]], decimal: str) -> bool:
     header, *body = rows
     if not 2 <= len(header) <= MOST_COLUMNS or len({len(row) for row in rows}) > 1:
         return False
-    if any(len(cell) > LONGEST_CELL for row in rows for cell in row) or NUMBER["point"].fullmatch(header[0]) or DATE.fullmatch(header[0]):
+    if (
+        any(len(cell) > LONGEST_CELL for row in rows for cell in row)
+        or NUMBER["point"].fullmatch(header[0])
+        or DATE.fullmatch(header[0])
+    ):
         return False
     figures = 0
     for row in body:
         for cell in row:
             if len(cell) <= LONGEST and (NUMBER[decimal].fullmatch(cell) or DATE.fullmatch(cell)):
                 figures += 1
-            elif (cell and TORN.search(cell) and not DATE.match(cell)) or NUMBER["comma" if decimal == "point" else "point"].fullmatch(cell):
+            elif (cell and TORN.search(cell) and not DATE.match(cell)) or NUMBER[
+                "comma" if decimal == "point" else "point"
+            ].fullmatch(cell):
                 return False
     return figures > 0
 
@@ -203,8 +272,20 @@ def _no_groups(table: ForeignTable, found: Cells, lines: list[tuple[int, str]], 
     if table.decimal is not None or found.table.decimal != "comma":
         return
     separator = found.table.separator or "comma"
-    cells = [cell for _, line in lines[1:] for cell in _split(line, separator) if "," in cell and NUMBER["comma"].fullmatch(cell)]
+    cells = [
+        cell
+        for _, line in lines[1:]
+        for cell in _split(line, separator)
+        if "," in cell and NUMBER["comma"].fullmatch(cell)
+    ]
     if cells and all(GROUPED.fullmatch(cell) for cell in cells):
-        raise ambiguity_error(f"{table.file}: {cells[0]} can be read in two ways",
-                        [(f"{cells[0].replace(',', '.')}, a decimal comma", f"{name}.decimal=comma"),
-                         (f"{cells[0].replace(',', '')}, thousands parted (take the commas out of the file)", f"{name}.decimal=point")])
+        raise ambiguity_error(
+            f"{table.file}: {cells[0]} can be read in two ways",
+            [
+                (f"{cells[0].replace(',', '.')}, a decimal comma", f"{name}.decimal=comma"),
+                (
+                    f"{cells[0].replace(',', '')}, thousands parted (take the commas out of the file)",
+                    f"{name}.decimal=point",
+                ),
+            ],
+        )

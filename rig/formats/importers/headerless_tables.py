@@ -1,4 +1,6 @@
-"""Tables that say less than others: no header line (trajectories of TUM, samples of LinuxCNC's halsampler), rows at a period in place of times."""
+"""Tables that say less than others: no header line (trajectories of TUM, samples of LinuxCNC's halsampler), rows at a
+period in place of times.
+"""
 
 import re
 from dataclasses import dataclass, replace
@@ -24,19 +26,32 @@ class Headed:
 
 
 def lines_with_header(table: ForeignTable, name: str, lines: list[tuple[int, str]]) -> Headed:
-    """Lines with a header: as stated, TUM's where eight figures stand in a table of poses, or as they are. name : of the table's section
+    """Lines with a header: as stated, TUM's where eight figures stand in a table of poses, or as they are. name : of
+    the table's section
 
     Raises FileError where samples were lost and nothing tells when
     """
-    if table.header is None and name == "poses" and table.separator in (None, "space") and all(FIGURES.fullmatch(text) for _, text in lines[:2]):
-        return Headed([(0, TUM), *lines], replace(table, header=TUM, separator="space", decimal="point"),
-                      (f"{table.file.name} has no header and eight columns: a trajectory as TUM's, {TUM}, in m",))
+    if (
+        table.header is None
+        and name == "poses"
+        and table.separator in (None, "space")
+        and all(FIGURES.fullmatch(text) for _, text in lines[:2])
+    ):
+        return Headed(
+            [(0, TUM), *lines],
+            replace(table, header=TUM, separator="space", decimal="point"),
+            (f"{table.file.name} has no header and eight columns: a trajectory as TUM's, {TUM}, in m",),
+        )
     if table.header is None:
         return Headed(lines, table)
     lost = [number for number, text in lines if text == LOST]
     if lost and not sample_column(table.header.replace(",", " ").split()):
-        raise FileError(table.file, "samples were lost here and nothing tells how many: log with halsampler -t, and name the first column sample",
-                        lost[0])
+        raise FileError(
+            table.file,
+            "samples were lost here and nothing tells how many: log with halsampler -t, and name the first "
+            "column sample",
+            lost[0],
+        )
     said = (f"{table.file.name}: samples were lost {len(lost)} times, first at line {lost[0]}",) if lost else ()
     return Headed([(0, table.header), *(line for line in lines if line[1] != LOST)], table, said)
 
@@ -46,8 +61,11 @@ def sample_column(header: list[str]) -> str | None:
     return next((word for word in header if re.sub(r"[^a-z]", "", word.lower()) in SAMPLE), None)
 
 
-def add_time_column(table: ForeignTable, header: tuple[str, ...], rows: list[list[str]]) -> tuple[tuple[str, ...], list[list[str]]]:
-    """(header, rows) with a column of times, where a period is stated: its rows, or the samples that they count, are so far apart.
+def add_time_column(
+    table: ForeignTable, header: tuple[str, ...], rows: list[list[str]]
+) -> tuple[tuple[str, ...], list[list[str]]]:
+    """(header, rows) with a column of times, where a period is stated: its rows, or the samples that they count, are so
+    far apart.
 
     Raises FileError for samples that are no whole numbers
     """
@@ -57,5 +75,9 @@ def add_time_column(table: ForeignTable, header: tuple[str, ...], rows: list[lis
     numbers = [str(k) for k in range(len(rows))] if count is None else [row[header.index(count)] for row in rows]
     for number in numbers:
         if not re.fullmatch(r"\d{1,15}", number):
-            raise FileError(table.file, f"column {count} counts samples, and {number!r} is no whole number", value=number)
-    return (*header, "t [s]"), [[*row, f"{DIGITS.multiply(Decimal(number), by):f}"] for row, number in zip(rows, numbers)]
+            raise FileError(
+                table.file, f"column {count} counts samples, and {number!r} is no whole number", value=number
+            )
+    return (*header, "t [s]"), [
+        [*row, f"{DIGITS.multiply(Decimal(number), by):f}"] for row, number in zip(rows, numbers)
+    ]

@@ -1,4 +1,6 @@
-"""Images of folders -> exposures: which camera, which frame, when, told by the names of folders and files; grouped by time across cameras."""
+"""Images of folders -> exposures: which camera, which frame, when, told by the names of folders and files; grouped by
+time across cameras.
+"""
 
 import itertools
 import re
@@ -19,7 +21,9 @@ from rig.model.design import Design
 
 KINDS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm")
 MOST = 1_000_000  # images
-STAMP = re.compile(r"\d{4}-?\d\d-?\d\d[T_]\d\d:?\d\d:?\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?|(?<!\d)\d{10,19}(?:\.\d+)?(?!\d)")
+STAMP = re.compile(
+    r"\d{4}-?\d\d-?\d\d[T_]\d\d:?\d\d:?\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?|(?<!\d)\d{10,19}(?:\.\d+)?(?!\d)"
+)
 FIGURE = re.compile(r"\d+(?:\.\d+)?")
 MOST_DIGITS = 15
 CAMERA = "\0"  # stands in a name where the camera was
@@ -39,7 +43,9 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposed:
-    """Exposures in order. frame : n numbers; t : n exact s, or None where names tell no times; camera : n names; path : n files."""
+    """Exposures in order. frame : n numbers; t : n exact s, or None where names tell no times; camera : n names;
+    path : n files.
+    """
 
     frame: list[int]
     t: list[Decimal] | None
@@ -56,11 +62,16 @@ class Exposed:
 
 
 def list_pictures(images: Images, design: Design) -> list[Picture]:
-    """Pictures of the folders, in the order of their names. Raises RigError where names do not tell camera and frame or time."""
+    """Pictures of the folders, in the order of their names. Raises RigError where names do not tell camera and frame or
+    time.
+    """
     cameras = {c.name.lower(): c.name for c in design.cameras}
     for theirs, ours in images.cameras:
         if ours.lower() not in cameras:
-            raise RigError(f"images.cameras: rig.toml has no camera {value_text(ours)}; it has {', '.join(cameras.values()) or 'none'}")
+            raise RigError(
+                f"images.cameras: rig.toml has no camera {value_text(ours)}; it has "
+                f"{', '.join(cameras.values()) or 'none'}"
+            )
         cameras[theirs.lower()] = cameras[ours.lower()]
     found = []
     for folder in images.folders:
@@ -73,12 +84,15 @@ def list_pictures(images: Images, design: Design) -> list[Picture]:
     return found
 
 
-def pictures_of_folder(files: list[Path], folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> list[Picture]:
-    """Pictures of a folder's files. cameras : {word in lower case: camera}; names : how names are built, None for as they come
+def pictures_of_folder(
+    files: list[Path], folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]
+) -> list[Picture]:
+    """Pictures of a folder's files. cameras : {word in lower case: camera}; names : how names are built, None for as
+    they come
     ours : names of the cameras of rig.toml
 
-    Raises FileError that names all words of files that stand for no camera of rig.toml, with the settings that would say which, and where a name
-    does not tell frame or time
+    Raises FileError that names all words of files that stand for no camera of rig.toml, with the settings that would
+    say which, and where a name does not tell frame or time
     """
     unknown: dict[str, Path] = {}
     told = []
@@ -89,28 +103,48 @@ def pictures_of_folder(files: list[Path], folder: Path, cameras: dict[str, str],
         else:
             told.append((path, word, rest, parts))
     if unknown:
-        settings = " ".join(f"--set 'images.cameras.{theirs}={ours[k % len(ours)] if ours else 'cam0'}'"
-                            for k, theirs in enumerate(list(unknown)[:max(len(ours), 1)]))
-        raise FileError(next(iter(unknown.values())), f"of which camera is it? rig.toml has {', '.join(ours) or 'none'}; {settings}, or the other "
-                        "way about, says what a word stands for, --set 'images.names={camera}_{frame}' how names are built")
-    return [_picture(path, cameras[word.lower()], word, rest, parts if names else None) for path, word, rest, parts in told]
+        settings = " ".join(
+            f"--set 'images.cameras.{theirs}={ours[k % len(ours)] if ours else 'cam0'}'"
+            for k, theirs in enumerate(list(unknown)[: max(len(ours), 1)])
+        )
+        raise FileError(
+            next(iter(unknown.values())),
+            f"of which camera is it? rig.toml has {', '.join(ours) or 'none'}; {settings}, or the other "
+            "way about, says what a word stands for, --set 'images.names={camera}_{frame}' how names are built",
+        )
+    return [
+        _picture(path, cameras[word.lower()], word, rest, parts if names else None) for path, word, rest, parts in told
+    ]
 
 
-def _camera(path: Path, folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> tuple[str | None, str, dict[str, str]]:
-    """(word that stands for its camera or None, the name with its folder, parts by the stated pattern) of an image's file."""
+def _camera(
+    path: Path, folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]
+) -> tuple[str | None, str, dict[str, str]]:
+    """(word that stands for its camera or None, the name with its folder, parts by the stated pattern) of an image's
+    file.
+    """
     name = str(path.relative_to(folder).with_suffix("")).replace("\\", "/")
     parts = _by_pattern(path, name, names) if names else {}
     rest = name if "/" in name else f"{folder.name}/{name}"
     word = parts.get("camera")
     if word is None:
-        word = next((w for w in sorted(cameras, key=len, reverse=True) if re.search(rf"(?<![a-z0-9]){re.escape(w)}(?![a-z0-9])", rest.lower())), None)
+        word = next(
+            (
+                w
+                for w in sorted(cameras, key=len, reverse=True)
+                if re.search(rf"(?<![a-z0-9]){re.escape(w)}(?![a-z0-9])", rest.lower())
+            ),
+            None,
+        )
     if word is None and len(ours) == 1:
         word = ours[0]
     return word, rest, parts
 
 
 def _picture(path: Path, camera: str, word: str, rest: str, parts: dict[str, str] | None) -> Picture:
-    """Picture of a file. word : that stands for its camera; rest : its name with its folder; parts : of it by the stated pattern, None for none"""
+    """Picture of a file. word : that stands for its camera; rest : its name with its folder; parts : of it by the
+    stated pattern, None for none
+    """
     if parts is not None:
         return Picture(path, camera, int(parts["frame"]) if "frame" in parts else None, parts.get("time"))
     stem = rest.rsplit("/", 1)[-1]
@@ -123,8 +157,11 @@ def _by_pattern(path: Path, name: str, names: str) -> dict[str, str]:
     for part, expression in PARTS.items():
         wanted = wanted.replace(re.escape(f"{{{part}}}"), expression, 1)
     if r"\{" in wanted or not set(re.findall(r"\?P<(\w+)>", wanted)) & {"frame", "time"}:
-        raise RigError(f"images.names = {value_text(names)}: a pattern has {{frame}} or {{time}}, {{camera}} where folders do not say it, and * for "
-                       "anything")
+        raise RigError(
+            f"images.names = {value_text(names)}: a pattern has {{frame}} or {{time}}, {{camera}} where "
+            "folders do not say it, and * for "
+            "anything"
+        )
     found = re.fullmatch(wanted, name if "/" in names else name.rsplit("/", 1)[-1])
     if found is None:
         raise FileError(path, f"its name is not as images.names = {value_text(names)} has it")
@@ -134,16 +171,23 @@ def _by_pattern(path: Path, name: str, names: str) -> dict[str, str]:
 def _figures(path: Path, stem: str) -> tuple[int | None, str | None]:
     """(frame, time) of what is left of a file's name."""
     stamp = STAMP.search(stem)
-    rest = stem if stamp is None else stem[: stamp.start()] + " " + stem[stamp.end():]
+    rest = stem if stamp is None else stem[: stamp.start()] + " " + stem[stamp.end() :]
     figures = FIGURE.findall(rest)
     if stamp is None and len(figures) == 1 and "." in figures[0]:
         return None, figures[0]
     if len(figures) > 1:
-        raise ambiguity_error(f"{path}: which figure of its name is the frame's number?",
-                        [(f"{figure}{tail}", f"images.names={_pattern(stem, k, part)}") for part, tail in (("{frame}", ""), ("{time}", ", a time"))
-                         for k, figure in enumerate(FIGURE.findall(stem))])
+        raise ambiguity_error(
+            f"{path}: which figure of its name is the frame's number?",
+            [
+                (f"{figure}{tail}", f"images.names={_pattern(stem, k, part)}")
+                for part, tail in (("{frame}", ""), ("{time}", ", a time"))
+                for k, figure in enumerate(FIGURE.findall(stem))
+            ],
+        )
     if stamp is None and not figures:
-        raise FileError(path, "its name tells neither frame nor time; number the images, or give a table of them: --frames FILE.csv")
+        raise FileError(
+            path, "its name tells neither frame nor time; number the images, or give a table of them: --frames FILE.csv"
+        )
     if figures and "." in figures[0]:
         figures = []
     if figures and len(figures[0]) > MOST_DIGITS:
@@ -158,7 +202,8 @@ def _pattern(stem: str, k: int, part: str) -> str:
 
 
 def group_exposures(found: list[Picture], images: Images, plausible: Callable[[np.ndarray], bool]) -> Exposed:
-    """Exposed of Pictures: by number where names have one, else grouped by time. plausible : whether times (n,) s from the first can be so.
+    """Exposed of Pictures: by number where names have one, else grouped by time. plausible : whether times (n,) s from
+    the first can be so.
 
     Raises FileError for names that are not built alike.
     """
@@ -166,13 +211,25 @@ def group_exposures(found: list[Picture], images: Images, plausible: Callable[[n
     if any(numbered) and not all(numbered) or any(timed) and not all(timed):
         odd = found[(numbered if any(numbered) and not all(numbered) else timed).index(False)]
         known = ", ".join(sorted({p.camera for p in found}))
-        raise FileError(odd.path, f"its name is not built as the others', read as images of {known}; a camera that rig.toml lacks is to be put "
-                                  "there, --set 'images.names=..' says how names are built, and other images go into another folder")
+        raise FileError(
+            odd.path,
+            f"its name is not built as the others', read as images of {known}; a camera that rig.toml lacks "
+            "is to be put "
+            "there, --set 'images.names=..' says how names are built, and other images go into another folder",
+        )
     said: tuple[str, ...] = ()
     t = None
     if all(timed):
         stamps = [p.stamp.replace("_", "T") for p in found if p.stamp is not None]
-        read = times.read_times(stamps, "images", "names of images", images.time_unit, images.zone, images.shift, lambda t: plausible(np.sort(t)))
+        read = times.read_times(
+            stamps,
+            "images",
+            "names of images",
+            images.time_unit,
+            images.zone,
+            images.shift,
+            lambda t: plausible(np.sort(t)),
+        )
         t, said, images = read.seconds, read.said, replace(images, time_unit=read.unit, zone=read.zone)
     numbers = [p.frame for p in found if p.frame is not None]
     if len(numbers) < len(found):
@@ -186,7 +243,9 @@ def group_exposures(found: list[Picture], images: Images, plausible: Callable[[n
         for k in order:
             first.setdefault(numbers[k], t[k])
         t = [first[numbers[k]] for k in order]
-    return Exposed([numbers[k] for k in order], t, [found[k].camera for k in order], [found[k].path for k in order], images, said)
+    return Exposed(
+        [numbers[k] for k in order], t, [found[k].camera for k in order], [found[k].path for k in order], images, said
+    )
 
 
 def _once(rows: list[tuple[int, str, Path]]) -> None:
@@ -212,18 +271,37 @@ def _grouped(found: list[Picture], t: list[Decimal], images: Images, said: tuple
         cameras = [found[k].camera for k in group]
         if len(set(cameras)) < len(cameras):
             twice = next(c for c in cameras if cameras.count(c) > 1)
-            raise RigError(f"{found[group[0]].path}: within {within:g} s camera {twice} has several images, so they are not of one frame; a smaller "
-                           "tolerance parts them: --set images.tolerance=S")
+            raise RigError(
+                f"{found[group[0]].path}: within {within:g} s camera {twice} has several images, so they are "
+                "not of one frame; a smaller "
+                "tolerance parts them: --set images.tolerance=S"
+            )
         widest = max(widest, float(t[group[-1]] - t[group[0]]))
         frame += [number] * len(group)
         at += [t[group[0]] + (t[group[-1]] - t[group[0]]) / 2] * len(group)
     flat = [k for group in groups for k in group]
-    said = (*said, *told, f"images within {within:g} s of each other are one frame, at the middle of their times (the widest {widest * 1e3:.3g} ms)")
-    return Exposed(frame, at, [found[k].camera for k in flat], [found[k].path for k in flat], replace(images, tolerance=within), said)
+    said = (
+        *said,
+        *told,
+        f"images within {within:g} s of each other are one frame, at the middle of their times (the widest "
+        f"{widest * 1e3:.3g} ms)",
+    )
+    return Exposed(
+        frame,
+        at,
+        [found[k].camera for k in flat],
+        [found[k].path for k in flat],
+        replace(images, tolerance=within),
+        said,
+    )
 
 
-def _tolerance(found: list[Picture], t: list[Decimal], order: list[int], images: Images) -> tuple[float, tuple[str, ...]]:
-    """(s, sentences): as stated, or a quarter of the shortest time between two images of one camera. Raises RigError where exposures lie between."""
+def _tolerance(
+    found: list[Picture], t: list[Decimal], order: list[int], images: Images
+) -> tuple[float, tuple[str, ...]]:
+    """(s, sentences): as stated, or a quarter of the shortest time between two images of one camera. Raises RigError
+    where exposures lie between.
+    """
     if images.tolerance is not None:
         return images.tolerance, ()
     own: dict[str, list[Decimal]] = defaultdict(list)
@@ -235,6 +313,9 @@ def _tolerance(found: list[Picture], t: list[Decimal], order: list[int], images:
     between = gaps[(gaps > within) & (gaps < 0.5 * min(apart, default=np.inf))] if len(own) > 1 else gaps[:0]
     if len(between):
         far = float(between.max())
-        raise ambiguity_error(f"names of images: exposures of different cameras are {between.min():.3g} to {far:.3g} s apart: are they of one frame?",
-                        [("yes", f"images.tolerance={far * 1.01:.3g}"), ("no", f"images.tolerance={within:.3g}")])
+        raise ambiguity_error(
+            f"names of images: exposures of different cameras are {between.min():.3g} to {far:.3g} s apart: "
+            "are they of one frame?",
+            [("yes", f"images.tolerance={far * 1.01:.3g}"), ("no", f"images.tolerance={within:.3g}")],
+        )
     return within, ()

@@ -1,4 +1,6 @@
-"""What is stated about foreign files, key by key: from options or from a recipe's TOML, and written back with all that was found out."""
+"""What is stated about foreign files, key by key: from options or from a recipe's TOML, and written back with all that
+was found out.
+"""
 
 import os
 import tomllib
@@ -30,9 +32,10 @@ NUMBERS = ("steps_per_mm", "shift", "tolerance", "period")
 class ForeignTable:
     """One foreign table. None : not stated, to be found out; columns : pairs (our name, their header)
 
-    relative : "zero" for lengths joint to joint, "home" for lengths from home; shift : s added to its times; zone : as +01:00, of ISO
-    times without one; unit : of lengths or angles whose header states none; header : names of columns, of a file without; period : s between rows,
-    or between the samples that a column `sample` counts, of one without times
+    relative : "zero" for lengths joint to joint, "home" for lengths from home; shift : s added to its times; zone : as
+    +01:00, of ISO times without one; unit : of lengths or angles whose header states none; header : names of columns,
+    of a file without; period : s between rows, or between the samples that a column `sample` counts, of one without
+    times
     """
 
     file: Path
@@ -53,7 +56,8 @@ class ForeignTable:
 
 @dataclass(frozen=True, slots=True)
 class Images:
-    """Folders of images. names : pattern with {camera}, {frame}, {time}; tolerance : s within which exposures are one frame;
+    """Folders of images. names : pattern with {camera}, {frame}, {time}; tolerance : s within which exposures are one
+    frame;
     cameras : pairs (their word, our camera)."""
 
     folders: tuple[Path, ...]
@@ -67,7 +71,9 @@ class Images:
 
 @dataclass(frozen=True, slots=True)
 class Cameras:
-    """Cameras of another program. names : pairs (theirs, ours); at : six figures, x y z rx ry rz (m, rad) of the first in the base frame, or None."""
+    """Cameras of another program. names : pairs (theirs, ours); at : six figures, x y z rx ry rz (m, rad) of the first
+    in the base frame, or None.
+    """
 
     files: tuple[Path, ...]
     names: tuple[tuple[str, str], ...] = ()
@@ -76,7 +82,8 @@ class Cameras:
 
 @dataclass(frozen=True, slots=True)
 class Bag:
-    """Bags of ROS. topics : pairs (commands or poses, topic); cameras : pairs (ours, topic); sensors : pairs (channel, topic)
+    """Bags of ROS. topics : pairs (commands or poses, topic); cameras : pairs (ours, topic); sensors : pairs (channel,
+    topic)
     folder : what they hold as files, once unpacked; said : sentences about that"""
 
     files: tuple[Path, ...]
@@ -103,7 +110,9 @@ class Recipe:
 
 
 def load(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
-    """Recipe of a TOML file; its paths count from its folder. settings : "KEY=VALUE" that replace what it says. Raises FileError."""
+    """Recipe of a TOML file; its paths count from its folder. settings : "KEY=VALUE" that replace what it says. Raises
+    FileError.
+    """
     content = read_text(path, LARGEST)
     try:
         tree = tomllib.loads(content)
@@ -116,9 +125,17 @@ def load(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
     return _recipe(root, path.parent)
 
 
-def recipe_of_arguments(rig: Path | None, folders: list[Path], tables: dict[str, Path | None], settings: tuple[str, ...],
-           cameras: Sequence[Path] = (), bags: Sequence[Path] = ()) -> Recipe:
-    """Recipe of what a command line states. tables : {one of TABLES: file or None}; cameras, bags : files of them. Raises RigError."""
+def recipe_of_arguments(
+    rig: Path | None,
+    folders: list[Path],
+    tables: dict[str, Path | None],
+    settings: tuple[str, ...],
+    cameras: Sequence[Path] = (),
+    bags: Sequence[Path] = (),
+) -> Recipe:
+    """Recipe of what a command line states. tables : {one of TABLES: file or None}; cameras, bags : files of them.
+    Raises RigError.
+    """
     tree: dict = {} if rig is None else {"rig": str(rig)}
     if folders:
         tree["images"] = {"folders": [str(folder) for folder in folders]}
@@ -157,7 +174,9 @@ def _recipe(root: Entries, folder: Path) -> Recipe:
         if key not in ("schema", "said", *known):
             root.fail(f"unknown key {value_text(key)}; there are {', '.join(known)}", key)
     bag = _bag(root.table("bag"), folder) if "bag" in root.tree else None
-    stated: dict[str, Any] = {name: _foreign_table(root.table(name), folder, bag) for name in TABLES if name in root.tree}
+    stated: dict[str, Any] = {
+        name: _foreign_table(root.table(name), folder, bag) for name in TABLES if name in root.tree
+    }
     stated["cameras"] = _cameras(root.table("cameras"), folder) if "cameras" in root.tree else None
     images = _images(root.table("images"), folder, bag) if "images" in root.tree else None
     return Recipe(folder / root.text("rig"), images, bag=bag, **stated)
@@ -184,16 +203,25 @@ def _bag(e: Entries, folder: Path) -> Bag:
     topics = _pairs(e, "topics")
     odd = next((name for name, _ in topics if name not in ("commands", "poses")), None)
     if odd is not None:
-        e.fail(f"unknown key 'bag.topics.{odd}'; there are commands, poses; cameras and sensors have tables of their own", "topics")
+        e.fail(
+            f"unknown key 'bag.topics.{odd}'; there are commands, poses; cameras and sensors have tables of their own",
+            "topics",
+        )
     return Bag(tuple(folder / name for name in e.texts("files")), topics, _pairs(e, "cameras"), _pairs(e, "sensors"))
 
 
 def _images(e: Entries, folder: Path, bag: Bag | None) -> Images:
     _known(e, Images)
     folders = e.texts("folders") if bag is None or "folders" in e.tree else ()
-    return Images(tuple(folder / name for name in folders), e.text("names", default=None), e.text("time_unit", TIMES, None),
-                  e.text("zone", default=None), e.number("shift", 0.0), e.number("tolerance", None, least=0.0, most=3600.0, unit="s"),
-                  _pairs(e, "cameras"))
+    return Images(
+        tuple(folder / name for name in folders),
+        e.text("names", default=None),
+        e.text("time_unit", TIMES, None),
+        e.text("zone", default=None),
+        e.number("shift", 0.0),
+        e.number("tolerance", None, least=0.0, most=3600.0, unit="s"),
+        _pairs(e, "cameras"),
+    )
 
 
 def _cameras(e: Entries, folder: Path) -> Cameras:
@@ -210,11 +238,22 @@ def _foreign_table(e: Entries, folder: Path, bag: Bag | None) -> ForeignTable:
     if "file" not in e.tree and bag is None:
         e.fail(f"{e.name('file')} is missing: settings of a table that is not imported")
     file = folder / e.text("file") if "file" in e.tree else FROM_BAG
-    return ForeignTable(file, e.text("separator", tuple(SEPARATORS), None), e.text("decimal", tuple(DECIMALS), None),
-                 e.text("time_unit", TIMES, None), e.text("zone", default=None), e.number("shift", 0.0), e.text("unit", tuple(ALL), None),
-                 e.text("relative", ("zero", "home"), None), e.number("steps_per_mm", None, above=0.0),
-                 e.text("rotation", (*ROTATIONS, *EULER), None), e.text("rotation_unit", ("rad", "deg"), None),
-                 e.text("header", default=None), e.number("period", None, above=0.0, most=3600.0, unit="s"), _pairs(e, "columns"))
+    return ForeignTable(
+        file,
+        e.text("separator", tuple(SEPARATORS), None),
+        e.text("decimal", tuple(DECIMALS), None),
+        e.text("time_unit", TIMES, None),
+        e.text("zone", default=None),
+        e.number("shift", 0.0),
+        e.text("unit", tuple(ALL), None),
+        e.text("relative", ("zero", "home"), None),
+        e.number("steps_per_mm", None, above=0.0),
+        e.text("rotation", (*ROTATIONS, *EULER), None),
+        e.text("rotation_unit", ("rad", "deg"), None),
+        e.text("header", default=None),
+        e.number("period", None, above=0.0, most=3600.0, unit="s"),
+        _pairs(e, "columns"),
+    )
 
 
 def text(recipe: Recipe, folder: Path) -> str:

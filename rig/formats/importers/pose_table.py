@@ -1,4 +1,6 @@
-"""Poses out of a foreign table: positions in any unit, rotations as vectors, quaternions or Euler angles; what commands say decides between them."""
+"""Poses out of a foreign table: positions in any unit, rotations as vectors, quaternions or Euler angles; what commands
+say decides between them.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,10 +18,16 @@ from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.model.design import Design, Hexapod
 from rig.model.mechanisms import arm, hexapod
 
-POSITION = {"x": ("x", "tx", "px", "posx", "positionx", "xpos"), "y": ("y", "ty", "py", "posy", "positiony", "ypos"),
-            "z": ("z", "tz", "pz", "posz", "positionz", "zpos")}
-VECTOR = {"rx": ("rx", "rotx", "rvecx", "rotationx"), "ry": ("ry", "roty", "rvecy", "rotationy"),
-          "rz": ("rz", "rotz", "rvecz", "rotationz")}
+POSITION = {
+    "x": ("x", "tx", "px", "posx", "positionx", "xpos"),
+    "y": ("y", "ty", "py", "posy", "positiony", "ypos"),
+    "z": ("z", "tz", "pz", "posz", "positionz", "zpos"),
+}
+VECTOR = {
+    "rx": ("rx", "rotx", "rvecx", "rotationx"),
+    "ry": ("ry", "roty", "rvecy", "rotationy"),
+    "rz": ("rz", "rotz", "rvecz", "rotationz"),
+}
 EULERS = {"roll": ("roll",), "pitch": ("pitch",), "yaw": ("yaw",)}
 QUATERNION = {"qw": ("qw", "quatw", "w"), "qx": ("qx", "quatx"), "qy": ("qy", "quaty"), "qz": ("qz", "quatz")}
 NUMBERED = {"q0": ("q0",), "q1": ("q1",), "q2": ("q2",), "q3": ("q3",), "q4": ("q4",)}
@@ -32,7 +40,9 @@ LEAST = 4  # poses with a command, from which commands decide
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posed:
-    """T : RigidTransform (n,), or positions unrotated where alone is true; frame : (n,) numbers or None; t : n exact s or None."""
+    """T : RigidTransform (n,), or positions unrotated where alone is true; frame : (n,) numbers or None; t : n exact s
+    or None.
+    """
 
     T: RigidTransform
     alone: bool
@@ -55,7 +65,15 @@ def read_poses(table: ForeignTable, design: Design, commanded: Asked, plausible:
     found = column_headers.find_columns(
         cells,
         "poses",
-        {"t": column_headers.TIME, "frame": column_headers.FRAME, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED},
+        {
+            "t": column_headers.TIME,
+            "frame": column_headers.FRAME,
+            **POSITION,
+            **VECTOR,
+            **EULERS,
+            **QUATERNION,
+            **NUMBERED,
+        },
         ("x", "y", "z"),
     )
     table = replace(cells.table, columns=column_headers.recipe_columns(table, cells, found))
@@ -72,7 +90,11 @@ def read_poses(table: ForeignTable, design: Design, commanded: Asked, plausible:
             table.shift,
             plausible,
         )
-        t, said, table = read_times.seconds, (*said, *read_times.said), replace(table, time_unit=read_times.unit, zone=read_times.zone)
+        t, said, table = (
+            read_times.seconds,
+            (*said, *read_times.said),
+            replace(table, time_unit=read_times.unit, zone=read_times.zone),
+        )
     frame = np.array(cells.numbers(found["frame"])) if "frame" in found else None
     rotations, table, more = _rotations(cells, found, table, design, p, commanded(t, frame, len(p)))
     alone = rotations is None
@@ -80,23 +102,33 @@ def read_poses(table: ForeignTable, design: Design, commanded: Asked, plausible:
     return Posed(T, alone, frame, t, table, (*cells.said, *said, *more))
 
 
-def _positions(cells: Cells, found: dict[str, int], table: ForeignTable, design: Design) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+def _positions(
+    cells: Cells, found: dict[str, int], table: ForeignTable, design: Design
+) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     values = np.array([cells.numbers(found[name]) for name in "xyz"]).T
     stated = {table.unit or column_units.split_header(cells.header[found[name]])[1] for name in "xyz"}
     unit = stated.pop()
     if stated or (unit is not None and unit not in column_units.LENGTHS):
-        raise RigError(f"{table.file}: x, y, z must be in one unit of {', '.join(column_units.LENGTHS)}; --set poses.unit=mm states it")
+        raise RigError(
+            f"{table.file}: x, y, z must be in one unit of {', '.join(column_units.LENGTHS)}; --set "
+            "poses.unit=mm states it"
+        )
     said: tuple[str, ...] = ()
     if unit is None:
         size, far = _size(design), float(np.median(np.linalg.norm(values, axis=1)))
         fit = [u for u in ("m", "mm") if REACH[0] * size <= far / column_units.LENGTHS[u] <= REACH[1] * size]
         if len(fit) != 1:
-            raise ambiguity_error(f"{table.file}: the unit of its positions is not stated, and they lie {far:.6g} from the origin in the middle",
-                            [(u, f"poses.unit={u}") for u in ("m", "mm")])
+            raise ambiguity_error(
+                f"{table.file}: the unit of its positions is not stated, and they lie {far:.6g} from the "
+                "origin in the middle",
+                [(u, f"poses.unit={u}") for u in ("m", "mm")],
+            )
         unit, said = fit[0], (f"{table.file.name}: positions are in {fit[0]}, as the rig measures some {size:.2g} m",)
     p = values / column_units.LENGTHS[unit]
     if np.abs(p).max() > LARGEST_RIG:
-        raise RigError(f"{table.file}: a position of {np.abs(p).max():g} m is implausible; --set poses.unit=mm states another unit")
+        raise RigError(
+            f"{table.file}: a position of {np.abs(p).max():g} m is implausible; --set poses.unit=mm states another unit"
+        )
     return p, replace(table, unit=unit), said
 
 
@@ -107,7 +139,9 @@ def _size(design: Design) -> float:
     return float(m.strut_range.max()) if m.kind in ("hexapod", "planar2") else 0.5
 
 
-def _rotations(cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, p: np.ndarray, q: np.ndarray | None) -> tuple:
+def _rotations(
+    cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, p: np.ndarray, q: np.ndarray | None
+) -> tuple:
     """(Rotation (n,) or None where there are none, ForeignTable, sentences)."""
     group = next((g for g in (QUATERNION, EULERS, NUMBERED, VECTOR) if len(set(g) & set(found)) >= 3), None)
     if group is None:
@@ -117,10 +151,19 @@ def _rotations(cells: Cells, found: dict[str, int], table: ForeignTable, design:
     if group in (QUATERNION, NUMBERED):
         ways = _quaternions(values, names, group is QUATERNION, table)
     else:
-        ways = _angles(values, names, {column_units.split_header(cells.header[found[name]])[1] for name in names}, group is EULERS, table)
+        ways = _angles(
+            values,
+            names,
+            {column_units.split_header(cells.header[found[name]])[1] for name in names},
+            group is EULERS,
+            table,
+        )
     if not ways:
-        raise RigError(f"{table.file}: {', '.join(names)} are no rotations as stated; --set poses.rotation= takes rotvec, quaternion-wxyz, "
-                       "quaternion-xyzw, or an order of Euler angles as zyx (fixed axes) or ZYX (moving axes)")
+        raise RigError(
+            f"{table.file}: {', '.join(names)} are no rotations as stated; --set poses.rotation= takes "
+            "rotvec, quaternion-wxyz, "
+            "quaternion-xyzw, or an order of Euler angles as zyx (fixed axes) or ZYX (moving axes)"
+        )
     if len(ways) == 1:
         rotation, unit, R = ways[0]
         told = () if table.rotation else (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
@@ -143,8 +186,12 @@ def _quaternions(values: np.ndarray, names: list[str], named: bool, table: Forei
     return [(way, None, Rotation.from_quat(v)) for way, v in ways.items() if table.rotation in (None, way)]
 
 
-def _angles(values: np.ndarray, names: list[str], stated: set[str | None], euler: bool, table: ForeignTable) -> list[tuple]:
-    """Readings of three figures: vectors or Euler angles, in rad or degrees. Columns of Euler angles: about x, y, z in that order."""
+def _angles(
+    values: np.ndarray, names: list[str], stated: set[str | None], euler: bool, table: ForeignTable
+) -> list[tuple]:
+    """Readings of three figures: vectors or Euler angles, in rad or degrees. Columns of Euler angles: about x, y, z in
+    that order.
+    """
     unit = table.rotation_unit or next(iter(stated - {None}), None)
     asked = (table.rotation,) if table.rotation else (*(() if euler else ("rotvec",)), *USUAL)
     found = []
@@ -161,25 +208,48 @@ def _angles(values: np.ndarray, names: list[str], stated: set[str | None], euler
 
 
 def _by_commands(ways: list[tuple], table: ForeignTable, design: Design, p: np.ndarray, q: np.ndarray | None) -> tuple:
-    """The reading with which the commands agree; zyx about fixed axes is XYZ about moving ones, and of the same the first counts."""
+    """The reading with which the commands agree; zyx about fixed axes is XYZ about moving ones, and of the same the
+    first counts.
+    """
     distinct: list[tuple] = []
     for way in ways:
         if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
             distinct.append(way)
     m = design.mechanism
     if q is not None and isinstance(m, Hexapod) and len(p) >= LEAST:
+
         def miss(R: Rotation) -> float:
             return float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R), m) - q) ** 2).mean()))
 
         ranked = sorted(distinct, key=lambda way: miss(way[2]))
         if len(ranked) == 1 or miss(ranked[0][2]) < BETTER * miss(ranked[1][2]):
             rotation, unit, R = ranked[0]
-            return R, replace(table, rotation=rotation, rotation_unit=unit), (
-                f"{table.file.name}: rotations are {_name(rotation, unit)}, which agree with the commands to {miss(R) * 1e3:.3g} mm",)
+            return (
+                R,
+                replace(table, rotation=rotation, rotation_unit=unit),
+                (
+                    f"{table.file.name}: rotations are {_name(rotation, unit)}, which agree with the "
+                    f"commands to {miss(R) * 1e3:.3g} mm",
+                ),
+            )
     if len(distinct) == 1:
         rotation, unit, R = distinct[0]
-        return R, replace(table, rotation=rotation, rotation_unit=unit), (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
-    units_too = [f"' --set 'poses.rotation_unit={way[1]}" if way[1] and not table.rotation_unit else "" for way in distinct]
-    raise ambiguity_error(f"{table.file}: its rotations can be read in {len(distinct)} ways, and nothing here decides (the first pose turned by)",
-                    [(f"{_name(way[0], way[1])} ({np.degrees(way[2][0].magnitude()):.4g} degrees)", f"poses.rotation={way[0]}{unit}")
-                     for way, unit in zip(distinct, units_too)])
+        return (
+            R,
+            replace(table, rotation=rotation, rotation_unit=unit),
+            (f"{table.file.name}: rotations are {_name(rotation, unit)}",),
+        )
+    units_too = [
+        f"' --set 'poses.rotation_unit={way[1]}" if way[1] and not table.rotation_unit else "" for way in distinct
+    ]
+    raise ambiguity_error(
+        f"{table.file}: its rotations can be read in {len(distinct)} ways, and nothing here decides (the "
+        "first pose turned by)",
+        [
+            (
+                f"{_name(way[0], way[1])} ({np.degrees(way[2][0].magnitude()):.4g} degrees)",
+                f"poses.rotation={way[0]}{unit}",
+            )
+            for way, unit in zip(distinct, units_too)
+        ],
+    )

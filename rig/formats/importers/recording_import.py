@@ -36,7 +36,9 @@ LISTED = 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imported:
-    """exposed : Exposed with times; commanded, logged : or None; posed : Posed or None, with frames; recipe : with all that was found out."""
+    """exposed : Exposed with times; commanded, logged : or None; posed : Posed or None, with frames; recipe : with all
+    that was found out.
+    """
 
     design: Design
     exposed: Exposed
@@ -49,7 +51,9 @@ class Imported:
 
 
 def with_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
-    """(Design, text of its rig.toml where cameras of another program came into it, sentences). Raises RigError for what cannot be used."""
+    """(Design, text of its rig.toml where cameras of another program came into it, sentences). Raises RigError for what
+    cannot be used.
+    """
     design = design_file.load(recipe.rig)
     if recipe.cameras is None:
         return design, None, ()
@@ -58,7 +62,9 @@ def with_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
 
 
 def unpacked(recipe: Recipe, folder: Path) -> Recipe:
-    """The Recipe with what its bags hold as files in a folder, which must last until all is written; without bags as it is. Raises RigError."""
+    """The Recipe with what its bags hold as files in a folder, which must last until all is written; without bags as it
+    is. Raises RigError.
+    """
     if recipe.bag is None:
         return recipe
     from rig.formats.importers import ros_bag
@@ -79,7 +85,9 @@ def assemble(recipe: Recipe, skip_unreadable: bool = False) -> Imported:
     commanded = read_commands(recipe.commands, design) if recipe.commands else None
     like = _like(commanded.t if commanded else None)
     exposed = (
-        image_file_frames.group_exposures(image_file_frames.list_pictures(recipe.images, design), recipe.images, like) if recipe.images else None
+        image_file_frames.group_exposures(image_file_frames.list_pictures(recipe.images, design), recipe.images, like)
+        if recipe.images
+        else None
     )
     if exposed is not None:
         exposed, recipe = _timed(exposed, commanded, recipe, like)
@@ -93,9 +101,17 @@ def assemble(recipe: Recipe, skip_unreadable: bool = False) -> Imported:
     commanded = _clocked(exposed, commanded)
     logged = read_sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
     require_one_clock(exposed, commanded)
-    recipe = replace(recipe, images=exposed.images if recipe.images else None, commands=commanded.table if commanded else None,
-                     poses=posed.table if posed else None, sensors=logged.table if logged else None)
-    said = (*of_cameras, *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said))
+    recipe = replace(
+        recipe,
+        images=exposed.images if recipe.images else None,
+        commands=commanded.table if commanded else None,
+        poses=posed.table if posed else None,
+        sensors=logged.table if logged else None,
+    )
+    said = (
+        *of_cameras,
+        *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said),
+    )
     return Imported(design, exposed, commanded, posed, logged, replace(recipe, said=said), said, rig)
 
 
@@ -113,24 +129,39 @@ def _timed(exposed: Exposed, commanded: Commanded | None, recipe: Recipe, like: 
         return exposed, recipe
     numbers = sorted(set(exposed.frame))
     if exposed.images.shift:
-        raise RigError(f"--set images.shift={exposed.images.shift:g} moves times that images have none of their own: they are taken at those of the "
-                       "commands' rows; leave it out, or give a table of times (--frames FILE.csv)")
+        raise RigError(
+            f"--set images.shift={exposed.images.shift:g} moves times that images have none of their own: "
+            "they are taken at those of the "
+            "commands' rows; leave it out, or give a table of times (--frames FILE.csv)"
+        )
     if commanded is None or commanded.t is None:
-        raise RigError("the images' names tell no times, and there is no table that does: --frames FILE.csv (frame or image, t), or times in names: "
-                       "--set 'images.names={camera}_{time}'")
+        raise RigError(
+            "the images' names tell no times, and there is no table that does: --frames FILE.csv (frame or "
+            "image, t), or times in names: "
+            "--set 'images.names={camera}_{time}'"
+        )
     if commanded.frame is not None:
         at = dict(zip(commanded.frame.astype(int).tolist(), commanded.t))
         missing = [n for n in numbers if n not in at]
         if missing:
             raise RigError(f"{commanded.table.file}: frame {missing[0]}, of which there are images, has no row")
-        said = f"images belong to the rows of {commanded.table.file.name} with their number, and were taken at the rows' times"
+        said = (
+            f"images belong to the rows of {commanded.table.file.name} with their number, and were taken at the "
+            "rows' times"
+        )
     elif len(numbers) == len(commanded.t):
         at = dict(zip(numbers, commanded.t))
-        said = (f"the {len(numbers)} frames belong to the {len(numbers)} rows of {commanded.table.file.name}, in order, and were taken at the rows' "
-                "times")
+        said = (
+            f"the {len(numbers)} frames belong to the {len(numbers)} rows of {commanded.table.file.name}, in "
+            "order, and were taken at the rows' "
+            "times"
+        )
     else:
-        raise RigError(f"there are {len(numbers)} frames and {len(commanded.t)} rows of {commanded.table.file}: which belongs to which? Give a table "
-                       "of the frames' times: --frames FILE.csv (frame or image, t)")
+        raise RigError(
+            f"there are {len(numbers)} frames and {len(commanded.t)} rows of {commanded.table.file}: which "
+            "belongs to which? Give a table "
+            "of the frames' times: --frames FILE.csv (frame or image, t)"
+        )
     return replace(exposed, t=[at[n] for n in exposed.frame], said=(*exposed.said, said)), recipe
 
 
@@ -140,42 +171,77 @@ def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like)
     found = column_headers.find_columns(
         cells,
         "frames",
-        {"t": column_headers.TIME, "frame": column_headers.FRAME, "image": column_headers.IMAGE, "camera": column_headers.CAMERA},
+        {
+            "t": column_headers.TIME,
+            "frame": column_headers.FRAME,
+            "image": column_headers.IMAGE,
+            "camera": column_headers.CAMERA,
+        },
         ("t",),
     )
     if "frame" not in found and "image" not in found:
-        raise RigError(f"{cells.path}: no column names the frame or the image; --set 'frames.columns.frame=HEADER' states which")
-    if "image" not in found and any(Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])):
+        raise RigError(
+            f"{cells.path}: no column names the frame or the image; --set 'frames.columns.frame=HEADER' states which"
+        )
+    if "image" not in found and any(
+        Path(cell).suffix.lower() in image_file_frames.KINDS for cell in cells.column(found["frame"])
+    ):
         found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
     unit = column_units.split_header(cells.header[found["t"]])[1]
     of_images = recipe.images
     if table.shift and of_images is not None and of_images.shift:
-        raise RigError(f"--set frames.shift={table.shift:g} and images.shift={of_images.shift:g} both move the times of {table.file.name}; state one")
+        raise RigError(
+            f"--set frames.shift={table.shift:g} and images.shift={of_images.shift:g} both move the times of "
+            f"{table.file.name}; state one"
+        )
     shift = table.shift or (of_images.shift if of_images is not None else 0.0)
-    t = timestamps.read_times(cells.column(found["t"]), "frames", table.file.name, table.time_unit or (unit if unit in column_units.TIMES else None),
-                   table.zone or (of_images.zone if of_images is not None else None), shift, like)
-    resolved = replace(cells.table, columns=column_headers.recipe_columns(table, cells, found), time_unit=t.unit, zone=t.zone)
+    t = timestamps.read_times(
+        cells.column(found["t"]),
+        "frames",
+        table.file.name,
+        table.time_unit or (unit if unit in column_units.TIMES else None),
+        table.zone or (of_images.zone if of_images is not None else None),
+        shift,
+        like,
+    )
+    resolved = replace(
+        cells.table, columns=column_headers.recipe_columns(table, cells, found), time_unit=t.unit, zone=t.zone
+    )
     if "image" in found:
-        parts = 1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2  # of a path, that tell images apart
+        parts = (
+            1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2
+        )  # of a path, that tell images apart
         at = {"/".join(Path(cell).parts[-parts:]): s for cell, s in zip(cells.column(found["image"]), t.seconds)}
         keys = ["/".join(path.parts[-parts:]) for path in exposed.path]
         gone = [name for name in at if name not in set(keys)]
     else:
-        at, keys = dict(zip((f"{n:.0f}" for n in cells.numbers(found["frame"])), t.seconds)), [str(n) for n in exposed.frame]
+        at, keys = (
+            dict(zip((f"{n:.0f}" for n in cells.numbers(found["frame"])), t.seconds)),
+            [str(n) for n in exposed.frame],
+        )
         gone = []
     missing = [str(path) for path, key in zip(exposed.path, keys) if key not in at]
     if missing:
-        raise RigError(f"{cells.path}: {missing[0]} has no row" + (f", nor have {len(missing) - 1} more" if len(missing) > 1 else ""))
+        raise RigError(
+            f"{cells.path}: {missing[0]} has no row"
+            + (f", nor have {len(missing) - 1} more" if len(missing) > 1 else "")
+        )
     first: dict[int, Decimal] = {}
     for frame, key in zip(exposed.frame, keys):
         first.setdefault(frame, at[key])
-    absent = (f"{table.file.name} names images that are not there, {len(gone)} of {len(at)}: {', '.join(gone[:LISTED])}",) if gone else ()
+    absent = (
+        (f"{table.file.name} names images that are not there, {len(gone)} of {len(at)}: {', '.join(gone[:LISTED])}",)
+        if gone
+        else ()
+    )
     said = (*exposed.said, *cells.said, *t.said, *absent)
     return replace(exposed, t=[first[frame] for frame in exposed.frame], said=said), replace(recipe, frames=resolved)
 
 
 def _usable(exposed: Exposed, design: Design, skip: bool) -> Exposed:
-    """The exposures without images that cannot be used. Raises RigError that names all of these where they are not to be skipped, or are all."""
+    """The exposures without images that cannot be used. Raises RigError that names all of these where they are not to
+    be skipped, or are all.
+    """
     problems = [check_image(path, design.camera(name)) for path, name in zip(exposed.path, exposed.camera)]
     bad = [f"{path}: {problem}" for path, problem in zip(exposed.path, problems) if problem]
     if bad and (not skip or len(bad) == len(problems)):
@@ -184,12 +250,22 @@ def _usable(exposed: Exposed, design: Design, skip: bool) -> Exposed:
         raise RigError("\n".join([bad[0] + more, *(f"  {line}" for line in bad[1:LISTED])]))
     keep = [k for k, problem in enumerate(problems) if not problem]
     t = exposed.times()
-    return replace(exposed, frame=[exposed.frame[k] for k in keep], t=[t[k] for k in keep], camera=[exposed.camera[k] for k in keep],
-                   path=[exposed.path[k] for k in keep], said=(*exposed.said, *(f"left out: {line}" for line in bad)))
+    return replace(
+        exposed,
+        frame=[exposed.frame[k] for k in keep],
+        t=[t[k] for k in keep],
+        camera=[exposed.camera[k] for k in keep],
+        path=[exposed.path[k] for k in keep],
+        said=(*exposed.said, *(f"left out: {line}" for line in bad)),
+    )
 
 
-def _commanded(exposed: Exposed | None, commanded: Commanded | None, t: list[Decimal] | None, frame: np.ndarray | None, n: int) -> np.ndarray | None:
-    """(n, axes) commanded at n poses: at their times, at those of their frames, or row for row; None where none of these tells."""
+def _commanded(
+    exposed: Exposed | None, commanded: Commanded | None, t: list[Decimal] | None, frame: np.ndarray | None, n: int
+) -> np.ndarray | None:
+    """(n, axes) commanded at n poses: at their times, at those of their frames, or row for row; None where none of
+    these tells.
+    """
     if commanded is None:
         return None
     known = {} if exposed is None else dict(zip(exposed.frame, exposed.times()))
@@ -209,11 +285,17 @@ def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) 
     """Poses on frames: by number, by time, or row for row; where there are no images each pose is a frame."""
     n = len(posed.T)
     if exposed is None:
-        t = posed.t or (commanded.t if commanded is not None and commanded.t is not None and len(commanded.t) == n else None)
+        t = posed.t or (
+            commanded.t if commanded is not None and commanded.t is not None and len(commanded.t) == n else None
+        )
         said = posed.said if posed.t else (*posed.said, f"the {n} poses belong to the {n} rows of commands, in order")
         if t is None and commanded is not None and commanded.t is None and len(commanded.values) == n:
             t = [Decimal(k) for k in range(n)]
-            said = (*said, "nothing tells times, so a row is taken as a second: nothing that depends on time can be told from this")
+            said = (
+                *said,
+                "nothing tells times, so a row is taken as a second: nothing that depends on time can be "
+                "told from this",
+            )
         if t is None:
             raise RigError(f"{posed.table.file}: the poses have no times, and the commands are not as many as they")
         numbers = list(range(n)) if posed.frame is None else posed.frame.astype(int).tolist()
@@ -221,8 +303,12 @@ def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) 
             raise RigError(f"{posed.table.file}: a frame is there twice")
         order = sorted(range(n), key=lambda k: (t[k], numbers[k]))
         if [numbers[k] for k in order] != sorted(numbers):
-            numbers = [int(r) for r in np.argsort(np.argsort(np.array([float(x - t[order[0]]) for x in t]), kind="stable"))]
-        empty = Exposed([numbers[k] for k in order], [t[k] for k in order], [""] * n, [Path()] * n, image_file_frames.Images(()), ())
+            numbers = [
+                int(r) for r in np.argsort(np.argsort(np.array([float(x - t[order[0]]) for x in t]), kind="stable"))
+            ]
+        empty = Exposed(
+            [numbers[k] for k in order], [t[k] for k in order], [""] * n, [Path()] * n, image_file_frames.Images(()), ()
+        )
         return empty, replace(posed, frame=np.array(numbers), said=said)
     known = dict(zip(exposed.frame, exposed.times()))
     if posed.frame is None and posed.t is not None:
@@ -230,13 +316,22 @@ def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) 
         nearest = [min(range(len(at)), key=lambda k: abs(at[k] - s)) for s in posed.t]
         far = [k for k, near in enumerate(nearest) if abs(at[near] - posed.t[k]) > SAME_MOMENT]
         if far:
-            raise RigError(f"{posed.table.file}: {len(far)} of {n} poses are farther than {SAME_MOMENT:g} s from any frame; "
-                           f"the first is row {far[0] + 1}")
+            raise RigError(
+                f"{posed.table.file}: {len(far)} of {n} poses are farther than {SAME_MOMENT:g} s from any frame; "
+                f"the first is row {far[0] + 1}"
+            )
         posed = replace(posed, frame=np.array([known_frames[k] for k in nearest]))
     elif posed.frame is None:
         if n != len(known):
-            raise RigError(f"{posed.table.file}: {n} poses and {len(known)} frames: which belongs to which? A column frame or t says so")
-        posed = replace(posed, frame=np.array(sorted(known)), said=(*posed.said, f"the {n} poses belong to the {n} frames, in order"))
+            raise RigError(
+                f"{posed.table.file}: {n} poses and {len(known)} frames: which belongs to which? A column "
+                "frame or t says so"
+            )
+        posed = replace(
+            posed,
+            frame=np.array(sorted(known)),
+            said=(*posed.said, f"the {n} poses belong to the {n} frames, in order"),
+        )
     return exposed, posed
 
 
@@ -248,9 +343,15 @@ def _clocked(exposed: Exposed, commanded: Commanded | None) -> Commanded | None:
     if commanded.frame is not None and set(commanded.frame.astype(int).tolist()) <= set(at):
         return replace(commanded, t=[at[int(n)] for n in commanded.frame])
     if len(at) != len(commanded.values):
-        raise RigError(f"{commanded.table.file} has no times, and {len(commanded.values)} rows for {len(at)} frames; "
-                       "state which column says when with --set 'commands.columns.t=HEADER'")
-    return replace(commanded, t=list(at.values()), said=(*commanded.said, f"the rows of {commanded.table.file.name} are the frames', in order"))
+        raise RigError(
+            f"{commanded.table.file} has no times, and {len(commanded.values)} rows for {len(at)} frames; "
+            "state which column says when with --set 'commands.columns.t=HEADER'"
+        )
+    return replace(
+        commanded,
+        t=list(at.values()),
+        said=(*commanded.said, f"the rows of {commanded.table.file.name} are the frames', in order"),
+    )
 
 
 def write(imported: Imported, out: Path) -> None:
@@ -267,14 +368,23 @@ def write(imported: Imported, out: Path) -> None:
     write_table(out / "frames.csv", ("frame", "t", "camera", "image"), rows)
     c, posed = imported.commanded, imported.posed
     if c is not None and c.t is not None:
-        write_table(out / "commands.csv", ("t", *imported.design.mechanism.axes),
-                    [",".join([_text(t), *(_figure(v) for v in values)]) for t, values in zip(c.t, c.values)])
+        write_table(
+            out / "commands.csv",
+            ("t", *imported.design.mechanism.axes),
+            [",".join([_text(t), *(_figure(v) for v in values)]) for t, values in zip(c.t, c.values)],
+        )
     if posed is not None and posed.frame is not None:
         write_poses(out / "poses.csv", Poses(posed.frame, posed.T, None))
     if imported.logged is not None:
         names, columns_of = zip(*imported.logged.channels)
-        write_table(out / "sensors.csv", ("t", *names), [",".join([_text(t), *(_figure(v) for v in values)])
-                                                         for t, values in zip(imported.logged.t, zip(*columns_of))])
+        write_table(
+            out / "sensors.csv",
+            ("t", *names),
+            [
+                ",".join([_text(t), *(_figure(v) for v in values)])
+                for t, values in zip(imported.logged.t, zip(*columns_of))
+            ],
+        )
 
 
 def _text(t: Decimal) -> str:

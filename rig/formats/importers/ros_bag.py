@@ -1,6 +1,8 @@
-"""ROS 1 and 2 bags and MCAP files -> the images and tables that an import takes: topics by their types, times as messages are stamped.
+"""ROS 1 and 2 bags and MCAP files -> the images and tables that an import takes: topics by their types, times as
+messages are stamped.
 
-Source: ROS, common_interfaces (sensor_msgs, geometry_msgs, nav_msgs) and REP 103: m, rad, quaternions x y z w; read by the package rosbags
+Source: ROS, common_interfaces (sensor_msgs, geometry_msgs, nav_msgs) and REP 103: m, rad, quaternions x y z w; read by
+    the package rosbags
 """
 
 from collections.abc import Collection, Iterator
@@ -22,8 +24,12 @@ from rig.model.design import Design
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINTS = ("sensor_msgs/msg/JointState",)
-POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/PoseWithCovarianceStamped",
-         "nav_msgs/msg/Odometry")
+POSES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/TransformStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "nav_msgs/msg/Odometry",
+)
 TEMPERATURES = ("sensor_msgs/msg/Temperature",)
 POSE_HEADER = ("x", "y", "z", "qx", "qy", "qz", "qw")
 MOST = 5_000_000  # messages
@@ -32,7 +38,9 @@ SAME_MOMENT = 50_000_000  # ns that a pose may be from an image, to be of its fr
 
 @dataclass(slots=True)
 class Topic:
-    """What a topic gave. name; kind : message type; header : names of columns; t : ns; rows : texts; stamped : whether by its messages' headers."""
+    """What a topic gave. name; kind : message type; header : names of columns; t : ns; rows : texts; stamped : whether
+    by its messages' headers.
+    """
 
     name: str
     kind: str
@@ -69,7 +77,12 @@ def unpacked(recipe: Recipe, design: Design, folder: Path) -> Recipe:
         raise FileError(bag.files[0], f"topic {empty} has no messages")
     bare = ", ".join(topic.name for topic in wanted.values() if not topic.stamped)
     said = (f"{bare}: messages have no stamps, so their times are those at which they were received",) if bare else ()
-    return _recipe(recipe, replace(bag, folder=folder, said=said + tuple(f"{topic} is {part}" for part, topic in _parts(bag))), wanted, design)
+    return _recipe(
+        recipe,
+        replace(bag, folder=folder, said=said + tuple(f"{topic} is {part}" for part, topic in _parts(bag))),
+        wanted,
+        design,
+    )
 
 
 @contextmanager
@@ -90,8 +103,12 @@ def _opened(files: tuple[Path, ...]) -> Iterator[Any]:
         raise
     except AnyReaderError as error:
         raise FileError(files[0], f"is no bag that can be read: {error}") from None
-    except Exception as error:  # a damaged file makes the reader fail in ways of its own, none of them the user's concern
-        raise FileError(files[0], f"is no bag that can be read, or it is damaged: {type(error).__name__}: {value_text(str(error))}") from error
+    except (
+        Exception
+    ) as error:  # a damaged file makes the reader fail in ways of its own, none of them the user's concern
+        raise FileError(
+            files[0], f"is no bag that can be read, or it is damaged: {type(error).__name__}: {value_text(str(error))}"
+        ) from error
 
 
 def _messages(files: tuple[Path, ...], topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
@@ -102,19 +119,33 @@ def _messages(files: tuple[Path, ...], topics: Collection[str]) -> Iterator[tupl
 
 
 def _parts(bag: Bag) -> list[tuple[str, str]]:
-    return [*((f"camera {name}", topic) for name, topic in bag.cameras), *bag.topics, *((f"sensor {name}", topic) for name, topic in bag.sensors)]
+    return [
+        *((f"camera {name}", topic) for name, topic in bag.cameras),
+        *bag.topics,
+        *((f"sensor {name}", topic) for name, topic in bag.sensors),
+    ]
 
 
 def _resolved(bag: Bag, kinds: dict[str, str], design: Design, recipe: Recipe) -> Bag:
-    """The Bag with all its topics, those that are not stated by their types. Raises RigError for what is not there or could be several."""
+    """The Bag with all its topics, those that are not stated by their types. Raises RigError for what is not there or
+    could be several.
+    """
     for part, topic in _parts(bag):
         if topic not in kinds:
-            raise FileError(bag.files[0], f"has no topic {value_text(topic)} for {part}; it has {', '.join(sorted(kinds)) or 'none'}")
-    for stated, taken in ((bag.cameras, IMAGES), (bag.sensors, TEMPERATURES), *(((pair,), JOINTS if pair[0] == "commands" else POSES)
-                                                                              for pair in bag.topics)):
+            raise FileError(
+                bag.files[0],
+                f"has no topic {value_text(topic)} for {part}; it has {', '.join(sorted(kinds)) or 'none'}",
+            )
+    for stated, taken in (
+        (bag.cameras, IMAGES),
+        (bag.sensors, TEMPERATURES),
+        *(((pair,), JOINTS if pair[0] == "commands" else POSES) for pair in bag.topics),
+    ):
         for name, topic in stated:
             if kinds[topic] not in taken:
-                raise FileError(bag.files[0], f"topic {topic} is of type {kinds[topic]}, and {name} takes {', '.join(taken)}")
+                raise FileError(
+                    bag.files[0], f"topic {topic} is of type {kinds[topic]}, and {name} takes {', '.join(taken)}"
+                )
     found = dict(bag.topics)
     for part, taken in (("commands", JOINTS if design.mechanism.axes else ()), ("poses", POSES)):
         table = getattr(recipe, part)
@@ -122,7 +153,10 @@ def _resolved(bag: Bag, kinds: dict[str, str], design: Design, recipe: Recipe) -
             continue
         topics = sorted(topic for topic, kind in kinds.items() if kind in taken)
         if len(topics) > 1:
-            raise ambiguity_error(f"{bag.files[0]}: several topics can be {part}", [(kinds[topic], f"bag.topics.{part}={topic}") for topic in topics])
+            raise ambiguity_error(
+                f"{bag.files[0]}: several topics can be {part}",
+                [(kinds[topic], f"bag.topics.{part}={topic}") for topic in topics],
+            )
         if topics:
             found[part] = topics[0]
     cameras = bag.cameras or (() if recipe.images and recipe.images.folders else _cameras(bag, kinds, design))
@@ -134,17 +168,24 @@ def _resolved(bag: Bag, kinds: dict[str, str], design: Design, recipe: Recipe) -
 
 def _cameras(bag: Bag, kinds: dict[str, str], design: Design) -> list[tuple[str, str]]:
     """(our name, topic) of image topics: the camera's name is a part of the topic's, or there is one of each."""
-    topics, names = sorted(topic for topic, kind in kinds.items() if kind in IMAGES), [camera.name for camera in design.cameras]
+    topics, names = (
+        sorted(topic for topic, kind in kinds.items() if kind in IMAGES),
+        [camera.name for camera in design.cameras],
+    )
     found = [(name, topic) for name in names for topic in topics if name in topic.split("/")]
     if len(topics) == len(names) == 1:
         found = [(names[0], topics[0])]
     twice = next((name for name, _ in found if sum(other == name for other, _ in found) > 1), None)
     if twice:
-        raise ambiguity_error(f"{bag.files[0]}: several topics can be camera {twice}",
-                        [(kinds[topic], f"bag.cameras.{twice}={topic}") for name, topic in found if name == twice])
+        raise ambiguity_error(
+            f"{bag.files[0]}: several topics can be camera {twice}",
+            [(kinds[topic], f"bag.cameras.{twice}={topic}") for name, topic in found if name == twice],
+        )
     if topics and not found:
-        raise RigError(f"{bag.files[0]}: of which cameras are {', '.join(topics)}? rig.toml has {', '.join(names) or 'none'}; "
-                       f"--set bag.cameras.{names[0] if names else 'cam0'}={topics[0]} says it")
+        raise RigError(
+            f"{bag.files[0]}: of which cameras are {', '.join(topics)}? rig.toml has {', '.join(names) or 'none'}; "
+            f"--set bag.cameras.{names[0] if names else 'cam0'}={topics[0]} says it"
+        )
     return found
 
 
@@ -154,13 +195,17 @@ def _stamp(topic: Topic, message: Any, received: int, file: Path) -> None:
     if topic.stamped is None:
         topic.stamped = stamp != 0
     if topic.stamped != (stamp != 0):
-        raise FileError(file, f"topic {topic.name}: some messages are stamped and some are not, from message {len(topic.t) + 1} on")
+        raise FileError(
+            file, f"topic {topic.name}: some messages are stamped and some are not, from message {len(topic.t) + 1} on"
+        )
     topic.t.append(stamp or received)
 
 
 def _image(folder: Path, topic: Topic, message: Any, file: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    suffix, content = encode_image_message(message, topic.kind.endswith("CompressedImage"), f"{file}: topic {topic.name}, message {len(topic.t)}")
+    suffix, content = encode_image_message(
+        message, topic.kind.endswith("CompressedImage"), f"{file}: topic {topic.name}, message {len(topic.t)}"
+    )
     place = folder / f"{topic.t[-1]:020d}{suffix}"
     if place.exists():
         raise FileError(file, f"topic {topic.name} has two images of {topic.t[-1]} ns")
@@ -175,7 +220,8 @@ def _row(topic: Topic, message: Any, file: Path) -> None:
         if set(names) != set(topic.header) or len(names) != len(message.position):
             raise FileError(
                 file,
-                f"topic {topic.name}, message {len(topic.t)}: {len(message.position)} positions of {value_text(', '.join(names))}; the "
+                f"topic {topic.name}, message {len(topic.t)}: {len(message.position)} positions of "
+                f"{value_text(', '.join(names))}; the "
                 f"first message has those of {value_text(', '.join(topic.header))}",
             )
         at = dict(zip(names, message.position))
@@ -195,21 +241,43 @@ def _recipe(recipe: Recipe, bag: Bag, topics: dict[str, Topic], design: Design) 
     assert bag.folder is not None
     changes: dict[str, Any] = {"bag": bag}
     if bag.cameras:
-        changes["images"] = replace(recipe.images or Images(()), folders=(bag.folder / "images",), names="{camera}/{time}", time_unit="ns")
+        changes["images"] = replace(
+            recipe.images or Images(()), folders=(bag.folder / "images",), names="{camera}/{time}", time_unit="ns"
+        )
     for part, name in bag.topics:
         topic, table = topics[name], getattr(recipe, part) or ForeignTable(FROM_BAG)
         order = sorted(range(len(topic.t)), key=topic.t.__getitem__)
         if part == "poses" and bag.cameras:
-            order = _near(order, topic, sorted({t for _, camera in bag.cameras for t in topics[camera].t}), bag.files[0])
-        unit = "m" if part == "poses" or design.mechanism.kind != "arm" else None if design.mechanism.slides.any() else "rad"
-        changes[part] = replace(table, file=_table(bag.folder / f"{part}.csv", topic.header, [(topic.t[k], topic.rows[k]) for k in order]),
-                                separator="comma", decimal="point", time_unit="ns", unit=table.unit or unit)
+            order = _near(
+                order, topic, sorted({t for _, camera in bag.cameras for t in topics[camera].t}), bag.files[0]
+            )
+        unit = (
+            "m"
+            if part == "poses" or design.mechanism.kind != "arm"
+            else None
+            if design.mechanism.slides.any()
+            else "rad"
+        )
+        changes[part] = replace(
+            table,
+            file=_table(bag.folder / f"{part}.csv", topic.header, [(topic.t[k], topic.rows[k]) for k in order]),
+            separator="comma",
+            decimal="point",
+            time_unit="ns",
+            unit=table.unit or unit,
+        )
     if bag.sensors:
         t, columns = _together([(name, topics[topic]) for name, topic in bag.sensors], bag.files[0])
-        file = _table(bag.folder / "sensors.csv", tuple(name for name, _ in bag.sensors), list(zip(t, columns.tolist())))
-        changes["sensors"] = replace(recipe.sensors or ForeignTable(FROM_BAG), file=file, separator="comma", decimal="point", time_unit="ns")
+        file = _table(
+            bag.folder / "sensors.csv", tuple(name for name, _ in bag.sensors), list(zip(t, columns.tolist()))
+        )
+        changes["sensors"] = replace(
+            recipe.sensors or ForeignTable(FROM_BAG), file=file, separator="comma", decimal="point", time_unit="ns"
+        )
     recipe = replace(recipe, **changes)
-    lacking = next((part for part in TABLES if (table := getattr(recipe, part)) is not None and table.file == FROM_BAG), None)
+    lacking = next(
+        (part for part in TABLES if (table := getattr(recipe, part)) is not None and table.file == FROM_BAG), None
+    )
     if lacking:
         raise RigError(f"{bag.files[0]}: holds no {lacking}, of which something is stated")
     return recipe
@@ -231,14 +299,18 @@ def _near(order: list[int], topic: Topic, images: list[int], file: Path) -> list
 
 
 def _together(channels: list[tuple[str, Topic]], file: Path) -> tuple[list[int], np.ndarray]:
-    """(times ns, (n, channels) degrees C) of sensors at each other's times, straight lines between their own, where all of them have been read."""
+    """(times ns, (n, channels) degrees C) of sensors at each other's times, straight lines between their own, where all
+    of them have been read.
+    """
     bad = next((name for name, _ in channels if name_problem(name)), None)
     if bad is not None:
         raise RigError(f"bag.sensors: {name_problem(bad)}")
     first, last = max(min(topic.t) for _, topic in channels), min(max(topic.t) for _, topic in channels)
     t = sorted({stamp for _, topic in channels for stamp in topic.t if first <= stamp <= last})
     if not t:
-        raise FileError(file, f"{', '.join(topic.name for _, topic in channels)}: no time at which all of them were read")
+        raise FileError(
+            file, f"{', '.join(topic.name for _, topic in channels)}: no time at which all of them were read"
+        )
     at = np.array([stamp - first for stamp in t], float)
     columns = []
     for _, topic in channels:

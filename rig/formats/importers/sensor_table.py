@@ -1,4 +1,6 @@
-"""A log of sensors out of a foreign table: channels named as a recording names them, temperatures in C, masses in kg."""
+"""A log of sensors out of a foreign table: channels named as a recording names them, temperatures in C, masses in
+kg.
+"""
 
 import re
 from collections.abc import Callable
@@ -20,8 +22,13 @@ def _over(per: float, values: np.ndarray) -> np.ndarray:
 
 
 TO_SI: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "C": lambda v: v, "K": lambda v: v - 273.15, "F": lambda v: (v - 32) / 1.8, "kg": lambda v: v, "g": lambda v: v / 1000,
-    **{unit: partial(_over, per) for unit, per in column_units.LENGTHS.items()}}
+    "C": lambda v: v,
+    "K": lambda v: v - 273.15,
+    "F": lambda v: (v - 32) / 1.8,
+    "kg": lambda v: v,
+    "g": lambda v: v / 1000,
+    **{unit: partial(_over, per) for unit, per in column_units.LENGTHS.items()},
+}
 SI = {"C": "C", "K": "C", "F": "C", "kg": "kg", "g": "kg"}
 
 
@@ -36,7 +43,9 @@ class Logged:
 
 
 def read_sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -> Logged:
-    """Logged of a table. plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used"""
+    """Logged of a table. plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be
+    used
+    """
     cells = read_foreign_table(table, "sensors")
     stated = {header: ours for ours, header in table.columns if ours != "t"}
     found = column_headers.find_columns(cells, "sensors", {"t": column_headers.TIME}, ("t",))
@@ -60,15 +69,21 @@ def read_sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -
         if name_problem(name):
             raise RigError(f"{table.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
         if name in dict(channels) or name == "t":
-            raise RigError(f"{table.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of them")
+            raise RigError(
+                f"{table.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of them"
+            )
         channels.append((name, TO_SI.get(unit or "", lambda v: v)(np.array(cells.numbers(at)))))
         kept.append((name, header))
         if name != header:
             converted = unit in TO_SI and unit not in ("C", "kg", "m")
             renamed.append(f"{header} is {name}" + (f", from {unit}" if converted else ""))
     said = (f"{table.file.name}: {'; '.join(renamed)}",) if renamed else ()
-    return Logged(read_times.seconds, tuple(channels),
-                  replace(cells.table, columns=tuple(kept), time_unit=read_times.unit, zone=read_times.zone), (*cells.said, *read_times.said, *said))
+    return Logged(
+        read_times.seconds,
+        tuple(channels),
+        replace(cells.table, columns=tuple(kept), time_unit=read_times.unit, zone=read_times.zone),
+        (*cells.said, *read_times.said, *said),
+    )
 
 
 def _name(header: str, unit: str | None) -> str:
@@ -78,7 +93,9 @@ def _name(header: str, unit: str | None) -> str:
     if unit in SI:
         known = re.fullmatch(r"(?i)(ambient|strut_?[1-6]|camera_.+)_temp(erature)?", name)
         if known:
-            name = f"{known[1].lower() if not name.lower().startswith('camera') else known[1]}_temperature".replace("strut_", "strut")
+            name = f"{known[1].lower() if not name.lower().startswith('camera') else known[1]}_temperature".replace(
+                "strut_", "strut"
+            )
         elif re.fullmatch(r"(?i)payload(_mass)?", name):
             name = "payload_mass"
         name = f"{name}_{SI[unit]}"

@@ -23,7 +23,9 @@ NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nano
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """seconds : exact; unit : one of s, ms, us, ns, iso; zone : of ISO times that state none, or None; said : sentences."""
+    """seconds : exact; unit : one of s, ms, us, ns, iso; zone : of ISO times that state none, or None;
+    said : sentences.
+    """
 
     seconds: list[Decimal]
     unit: str
@@ -35,9 +37,17 @@ class Times:
         return np.array([float(DIGITS.subtract(t, self.seconds[0])) for t in self.seconds])
 
 
-def read_times(cells: list[str], name: str, what: str, unit: str | None, zone: str | None, shift: float,
-         plausible: Callable[[np.ndarray], bool] = lambda t: True) -> Times:
-    """Times of texts. name : of the section, as settings call it; what : is read, in words; unit : stated, or None; shift : s added
+def read_times(
+    cells: list[str],
+    name: str,
+    what: str,
+    unit: str | None,
+    zone: str | None,
+    shift: float,
+    plausible: Callable[[np.ndarray], bool] = lambda t: True,
+) -> Times:
+    """Times of texts. name : of the section, as settings call it; what : is read, in words; unit : stated, or None;
+    shift : s added
 
     plausible : whether (n,) s from the first can be so
     Raises RigError for texts that are no times, and where several units can be meant
@@ -54,7 +64,9 @@ def read_times(cells: list[str], name: str, what: str, unit: str | None, zone: s
     return Times([DIGITS.add(DIGITS.divide(value, TIMES[found]), by) for value in values], found, None, said)
 
 
-def _unit(values: list[Decimal], name: str, what: str, plausible: Callable[[np.ndarray], bool]) -> tuple[str, tuple[str, ...]]:
+def _unit(
+    values: list[Decimal], name: str, what: str, plausible: Callable[[np.ndarray], bool]
+) -> tuple[str, tuple[str, ...]]:
     for unit, per_second in TIMES.items():
         if all(SINCE * per_second < value < UNTIL * per_second for value in values):
             return unit, (f"{what}: times are {NAMES[unit]} since 1970",)
@@ -63,8 +75,10 @@ def _unit(values: list[Decimal], name: str, what: str, plausible: Callable[[np.n
     span = abs(t[-1])
     if len(fit) == 1 and span:
         return fit[0], (f"{what}: times are {NAMES[fit[0]]}, as in others speeds or spans could not be",)
-    raise ambiguity_error(f"{what}: the unit of its times is not stated, and they run from {values[0]} to {values[-1]}",
-                    [(f"{span / TIMES[unit]:.4g} s in all", f"{name}.time_unit={unit}") for unit in fit or TIMES])
+    raise ambiguity_error(
+        f"{what}: the unit of its times is not stated, and they run from {values[0]} to {values[-1]}",
+        [(f"{span / TIMES[unit]:.4g} s in all", f"{name}.time_unit={unit}") for unit in fit or TIMES],
+    )
 
 
 def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, said: tuple[str, ...]) -> Times:
@@ -72,12 +86,17 @@ def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, 
     found = [one for one in read if one is not None]
     if len(found) < len(cells):
         bad = next(cell for cell, one in zip(cells, read) if one is None)
-        raise RigError(f"{what}: {value_text(bad)} is no time: times are numbers, or ISO 8601 as 2026-01-31T12:00:00.25Z")
+        raise RigError(
+            f"{what}: {value_text(bad)} is no time: times are numbers, or ISO 8601 as 2026-01-31T12:00:00.25Z"
+        )
     zones = {one[3] is None for one in found}
     if len(zones) > 1:
         raise RigError(f"{what}: some times state a time zone and some do not")
     if zones == {True} and zone is None:
-        zone, said = "UTC", (*said, f"{what}: times state no time zone and are taken as UTC (--set {name}.zone=+01:00 says otherwise)")
+        zone, said = (
+            "UTC",
+            (*said, f"{what}: times state no time zone and are taken as UTC (--set {name}.zone=+01:00 says otherwise)"),
+        )
     seconds = [_seconds(one, zone, what) for one in found]
     return Times([DIGITS.add(t, by) for t in seconds], "iso", zone if zones == {True} else None, said)
 

@@ -1,4 +1,6 @@
-"""The product's own files: written whole or not at all, known again by who made them, never over what somebody else made."""
+"""The product's own files: written whole or not at all, known again by who made them, never over what somebody else
+made.
+"""
 
 from rig.formats.output_files.atomic_file import STANDARD_OUTPUT, write_bytes, write_text
 from rig.formats.output_files.command_outputs import Outputs

@@ -1,4 +1,6 @@
-"""One file, written whole or not at all: to a temporary beside it, from there to the disk, then renamed into its place."""
+"""One file, written whole or not at all: to a temporary beside it, from there to the disk, then renamed into its
+place.
+"""
 
 import errno
 import os
@@ -21,17 +23,21 @@ def write_text(path: str | PathLike[str], text: str) -> None:
     try:
         data = text.encode("utf-8")
     except UnicodeEncodeError as error:
-        raise FileError(path, f"cannot be written: it would hold {text[max(error.start - 30, 0) : error.end]!r}, a name that is no UTF-8; "
-                              "rename that file or folder") from None
+        raise FileError(
+            path,
+            f"cannot be written: it would hold {text[max(error.start - 30, 0) : error.end]!r}, a name that "
+            "is no UTF-8; "
+            "rename that file or folder",
+        ) from None
     write_bytes(path, data)
 
 
 def write_bytes(path: str | PathLike[str], data: bytes) -> None:
     """Write a file, whole or not at all, and have it on the disk before returning.
 
-    Links are followed, a file that is there keeps its mode and owner. What is no regular file (a device, a FIFO) and what this
-    process's standard output or error goes to is written straight to. Raises FileError with path and reason where that cannot be
-    done; what stood there then stands there still and no temporary is left.
+    Links are followed, a file that is there keeps its mode and owner. What is no regular file (a device, a FIFO) and
+    what this process's standard output or error goes to is written straight to. Raises FileError with path and reason
+    where that cannot be done; what stood there then stands there still and no temporary is left.
     """
     try:
         there = path_status(path)
@@ -54,7 +60,9 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
 
 
 def path_status(path: str | PathLike[str]) -> os.stat_result | None:
-    """What stands at a path, links followed, or None for nothing (or a link to nothing). Raises OSError for what cannot be asked."""
+    """What stands at a path, links followed, or None for nothing (or a link to nothing). Raises OSError for what cannot
+    be asked.
+    """
     try:
         return os.stat(path)
     except FileNotFoundError:
@@ -62,16 +70,22 @@ def path_status(path: str | PathLike[str]) -> os.stat_result | None:
 
 
 def is_written_directly(path: str | PathLike[str]) -> bool:
-    """Whether a path is written straight to, being no regular file and no folder, or this process's own standard output or error."""
+    """Whether a path is written straight to, being no regular file and no folder, or this process's own standard output
+    or error.
+    """
     try:
         there = path_status(path)
     except OSError:
         return False
-    return there is not None and (_own_stream(there) is not None or not (stat.S_ISREG(there.st_mode) or stat.S_ISDIR(there.st_mode)))
+    return there is not None and (
+        _own_stream(there) is not None or not (stat.S_ISREG(there.st_mode) or stat.S_ISDIR(there.st_mode))
+    )
 
 
 def _own_stream(there: os.stat_result | None) -> int | None:
-    """1 or 2 where a file is what that descriptor goes to: renaming over it would leave the shell's redirection with a file nobody sees."""
+    """1 or 2 where a file is what that descriptor goes to: renaming over it would leave the shell's redirection with a
+    file nobody sees.
+    """
     for descriptor in (1, 2):
         with suppress(OSError):  # a closed descriptor is nothing's
             if there is not None and os.path.samestat(there, os.fstat(descriptor)):
@@ -95,7 +109,9 @@ def _replace(place: Path, data: bytes, there: os.stat_result | None) -> None:
     part = PART.format(secrets.token_hex(8))
     try:
         mode = 0o666 if there is None else stat.S_IMODE(there.st_mode)
-        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode, dir_fd=folder)
+        descriptor = os.open(
+            part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode, dir_fd=folder
+        )
         try:
             try:
                 if there is not None:
@@ -114,7 +130,9 @@ def _replace(place: Path, data: bytes, there: os.stat_result | None) -> None:
 
 
 def _alike(descriptor: int, there: os.stat_result) -> None:
-    """Give a new file the owner and the mode of the one whose place it takes; who is not root makes files of his own only."""
+    """Give a new file the owner and the mode of the one whose place it takes; who is not root makes files of his own
+    only.
+    """
     if os.geteuid() == 0:
         os.fchown(descriptor, there.st_uid, there.st_gid)
     os.fchmod(descriptor, stat.S_IMODE(there.st_mode))

@@ -12,8 +12,18 @@ from rig.formats.schema_version import require_schema
 
 MANIFEST = ".rig-made.json"
 SCHEMA = "made/1"
-RECORDED = ("rig.toml", "commands.csv", "frames.csv", "sensors.csv", "corners.csv", "poses.csv", "poses_stage*.csv", "machine.json",
-            "diagnosis.json", "images")  # what a folder is read from, so that what is left of one mixes with another
+RECORDED = (
+    "rig.toml",
+    "commands.csv",
+    "frames.csv",
+    "sensors.csv",
+    "corners.csv",
+    "poses.csv",
+    "poses_stage*.csv",
+    "machine.json",
+    "diagnosis.json",
+    "images",
+)  # what a folder is read from, so that what is left of one mixes with another
 
 
 def is_recording_table(name: str) -> bool:
@@ -23,9 +33,10 @@ def is_recording_table(name: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """command : that makes a folder whole; arguments : as they were given, but for what a recording must not tell about its truth
-    complete : whether it came to its end; data : marks of the exposures that what is in the folder was computed from (see
-    rig.recording.data_provenance)"""
+    """command : that makes a folder whole; arguments : as they were given, but for what a recording must not tell about
+    its truth
+    complete : whether it came to its end; data : marks of the exposures that what is in the folder was computed from
+    (see rig.recording.data_provenance)"""
 
     command: str
     arguments: tuple[str, ...] = ()
@@ -35,7 +46,9 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """command : that made a file; sha256 : of what it may hold as that command left it (two while one is being replaced by the other)."""
+    """command : that made a file; sha256 : of what it may hold as that command left it (two while one is being replaced
+    by the other).
+    """
 
     command: str
     sha256: tuple[str, ...]
@@ -43,7 +56,9 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class FolderManifest:
-    """What is known of a folder. origin : of the folder as a whole, or None; files : {path in the folder, with /: Entry}."""
+    """What is known of a folder. origin : of the folder as a whole, or None; files : {path in the folder, with /:
+    Entry}.
+    """
 
     origin: Origin | None = None
     files: dict[str, Entry] = field(default_factory=dict)
@@ -55,34 +70,65 @@ class FolderManifest:
 
     def text(self) -> str:
         """The manifest's text, a line for each file."""
-        origin = "null" if self.origin is None else json.dumps({"command": self.origin.command, "arguments": list(self.origin.arguments),
-                                                                "complete": self.origin.complete, "data": list(self.origin.data)})
-        rows = [f"  {json.dumps(name)}: {json.dumps({'command': entry.command, 'sha256': list(entry.sha256)})}"
-                for name, entry in sorted(self.files.items())]
+        origin = (
+            "null"
+            if self.origin is None
+            else json.dumps(
+                {
+                    "command": self.origin.command,
+                    "arguments": list(self.origin.arguments),
+                    "complete": self.origin.complete,
+                    "data": list(self.origin.data),
+                }
+            )
+        )
+        rows = [
+            f"  {json.dumps(name)}: {json.dumps({'command': entry.command, 'sha256': list(entry.sha256)})}"
+            for name, entry in sorted(self.files.items())
+        ]
         return f'{{"schema": "{SCHEMA}",\n "origin": {origin},\n "files": {{\n' + ",\n".join(rows) + "\n}}\n"
 
 
 def load_manifest(folder: Path) -> FolderManifest:
-    """FolderManifest of a folder; of one without a manifest nothing is known. Raises FileError for a manifest that is none."""
+    """FolderManifest of a folder; of one without a manifest nothing is known. Raises FileError for a manifest that is
+    none.
+    """
     path = folder / MANIFEST
     try:
-        tree = json.loads((remote_folders.read(path) if remote_folders.is_remote(path) else path.read_bytes()).decode("utf-8"))
+        tree = json.loads(
+            (remote_folders.read(path) if remote_folders.is_remote(path) else path.read_bytes()).decode("utf-8")
+        )
         require_schema(path, "manifest of what was made in its folder", tree["schema"], (SCHEMA,))
-        origin = tree["origin"] and Origin(str(tree["origin"]["command"]), tuple(map(str, tree["origin"]["arguments"])),
-                                           tree["origin"]["complete"] is True, tuple(map(str, tree["origin"]["data"])))
+        origin = tree["origin"] and Origin(
+            str(tree["origin"]["command"]),
+            tuple(map(str, tree["origin"]["arguments"])),
+            tree["origin"]["complete"] is True,
+            tuple(map(str, tree["origin"]["data"])),
+        )
         for name in tree["files"]:
             if not name or name.startswith("/") or "\0" in name or {"", ".", ".."} & set(name.split("/")):
                 raise FileError(path, f"names {name!r}, which is no file of its folder")
-        return FolderManifest(origin, {name: Entry(str(entry["command"]), tuple(map(str, entry["sha256"]))) for name, entry in tree["files"].items()})
+        return FolderManifest(
+            origin,
+            {
+                name: Entry(str(entry["command"]), tuple(map(str, entry["sha256"])))
+                for name, entry in tree["files"].items()
+            },
+        )
     except (FileNotFoundError, NotADirectoryError):
         return FolderManifest()
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise FileError(path,
-                        f"is no manifest of what was made in its folder ({type(error).__name__}: {error}); where it is nobody's, delete it") from None
+        raise FileError(
+            path,
+            f"is no manifest of what was made in its folder ({type(error).__name__}: {error}); where it is "
+            "nobody's, delete it",
+        ) from None
 
 
 def require_complete(folder: Path) -> None:
-    """Raise FileError for a folder that a command was interrupted in making. A folder that nobody has marked is taken as it is."""
+    """Raise FileError for a folder that a command was interrupted in making. A folder that nobody has marked is taken
+    as it is.
+    """
     origin = load_manifest(Path(folder)).origin
     if origin is not None and not origin.complete:
         raise FileError(folder, f"is not complete: `rig {origin.command}` was ended while it wrote it; run that again")

@@ -1,4 +1,6 @@
-"""Files on their way into one folder: written apart within it, then moved to their places together, the manifest first and last."""
+"""Files on their way into one folder: written apart within it, then moved to their places together, the manifest first
+and last.
+"""
 
 import errno
 import fcntl
@@ -10,7 +12,15 @@ from pathlib import Path
 
 from rig.errors import FileError, RigError
 from rig.formats.output_files.atomic_file import path_status, sync_folder, write_text
-from rig.formats.output_files.folder_manifest import MANIFEST, Entry, FolderManifest, Origin, file_digest, is_recording_table, load_manifest
+from rig.formats.output_files.folder_manifest import (
+    MANIFEST,
+    Entry,
+    FolderManifest,
+    Origin,
+    file_digest,
+    is_recording_table,
+    load_manifest,
+)
 
 NEW = ".rig-new-"
 GROWING = f"{NEW}growing"  # stands in a folder, locked, while a command writes there in place
@@ -27,7 +37,9 @@ def folder_lock(folder: Path, wait: bool) -> int:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         os.close(descriptor)
-        raise RigError(f"another rig command is writing in {folder.parent if folder.name.startswith(NEW) else folder}") from None
+        raise RigError(
+            f"another rig command is writing in {folder.parent if folder.name.startswith(NEW) else folder}"
+        ) from None
     except OSError as error:
         if error.errno not in UNLOCKED:
             os.close(descriptor)
@@ -36,8 +48,10 @@ def folder_lock(folder: Path, wait: bool) -> int:
 
 
 class Staged:
-    """place : the folder, links resolved; folder : within it, where files wait; known : FolderManifest as it was when this began
-    whole : whether the command makes all of the folder; allowed : names that may be written over without having been made by it"""
+    """place : the folder, links resolved; folder : within it, where files wait; known : FolderManifest as it was when
+    this began
+    whole : whether the command makes all of the folder; allowed : names that may be written over without having been
+        made by it"""
 
     def __init__(self, place: Path, command: str) -> None:
         """Make what is needed and find out whether it can be written. Raises OSError where it cannot."""
@@ -59,7 +73,9 @@ class Staged:
             raise
 
     def mark(self, origin: Origin) -> None:
-        """Say in a folder that holds nothing yet whose it is going to be. Raises RigError where a command writes there in place."""
+        """Say in a folder that holds nothing yet whose it is going to be. Raises RigError where a command writes there
+        in place.
+        """
         if (self.place / GROWING).exists():
             os.close(folder_lock(self.place / GROWING, wait=False))
         if self.known.origin is None and not any(entry != self.folder for entry in self.place.iterdir()):
@@ -67,8 +83,9 @@ class Staged:
             self.marked = True
 
     def commit(self, origin: Origin, inputs: list[Path], force: bool) -> None:
-        """Move what was staged to its place, and what the command left there before away. Raises RigError, and moves nothing, where
-        that would write over what it did not make (unless forced) or over an input; FileError where the disk refuses."""
+        """Move what was staged to its place, and what the command left there before away. Raises RigError, and moves
+        nothing, where that would write over what it did not make (unless forced) or over an input; FileError where the
+        disk refuses."""
         lock = folder_lock(self.place, wait=True)
         try:
             known = load_manifest(self.place)
@@ -78,14 +95,22 @@ class Staged:
             stale = self._stale(known, new)
             self._refuse(known, new, stale, inputs, force)
             entries = {name: Entry(self.command, (file_digest(self.folder / name),)) for name in new}
-            kept = {name: entry for name, entry in known.files.items()
-                    if name not in stale and name not in entries and os.path.lexists(self.place / name)}
+            kept = {
+                name: entry
+                for name, entry in known.files.items()
+                if name not in stale and name not in entries and os.path.lexists(self.place / name)
+            }
             old = {name: known.files[name] for name in known.files if name not in kept}
-            both = {name: Entry(self.command, (*(old[name].sha256 if name in old else ()), *entry.sha256)) for name, entry in entries.items()}
+            both = {
+                name: Entry(self.command, (*(old[name].sha256 if name in old else ()), *entry.sha256))
+                for name, entry in entries.items()
+            }
             whole = origin if self.whole else known.origin
             before = FolderManifest(replace(origin, complete=False) if self.whole else known.origin, kept | old | both)
             for name, made in (("before", before), ("after", FolderManifest(whole, kept | entries))):
-                write_text(self.folder / f"{NEW}{name}", made.text())  # here, so that a full disk refuses it before anything is moved
+                write_text(
+                    self.folder / f"{NEW}{name}", made.text()
+                )  # here, so that a full disk refuses it before anything is moved
             self._move(new, stale)
         except OSError as error:
             raise FileError(self.place, f"cannot be written: {error.strerror}") from None
@@ -107,7 +132,9 @@ class Staged:
         stale = [name for name, entry in known.files.items() if entry.command == self.command and name not in new]
         for folder in {Path(name).parent for name in new} | {Path(".")}:
             place = self.place / folder
-            for name in filter(is_recording_table, os.listdir(place) if "images" not in folder.parts and place.is_dir() else ()):
+            for name in filter(
+                is_recording_table, os.listdir(place) if "images" not in folder.parts and place.is_dir() else ()
+            ):
                 stale += [str(path.relative_to(self.place)) for path in _files(place / name)]
         return sorted({name for name in stale if name not in new and os.path.lexists(self.place / name)})
 
@@ -121,10 +148,16 @@ class Staged:
             there = path_status(path)
             if there is None:
                 continue
-            if any(os.path.samestat(there, other) for other in given) or any(real in (path, *path.parents) for real in inner):
+            if any(os.path.samestat(there, other) for other in given) or any(
+                real in (path, *path.parents) for real in inner
+            ):
                 raise FileError(path, "is what this command reads; it stays as it was, name another place to write to")
             if not (force or name in self.allowed or known.untouched(self.place, name, self.command)):
-                raise FileError(path, f"is there and was not left so by `rig {self.command}`; name another place, or write over it with --force")
+                raise FileError(
+                    path,
+                    f"is there and was not left so by `rig {self.command}`; name another place, or write "
+                    "over it with --force",
+                )
 
     def _move(self, new: list[str], stale: list[str]) -> None:
         os.replace(self.folder / f"{NEW}before", self.place / MANIFEST)

@@ -1,4 +1,6 @@
-"""The table [dynamics] of an arm's rig.toml -> what its links weigh, what its joints can bear, and how well they are measured."""
+"""The table [dynamics] of an arm's rig.toml -> what its links weigh, what its joints can bear, and how well they are
+measured.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +21,11 @@ STRONGEST = 1e7  # N m or N
 class ArmDynamics:
     """What is stated of an arm of n joints; None where it is not.
 
-    links : Links, rows of mass (kg), centre x y z (m), inertia xx yy zz xy xz yz (kg m^2); torque_limits : (n,) N m, of slides N
+    links : Links, rows of mass (kg), centre x y z (m), inertia xx yy zz xy xz yz (kg m^2); torque_limits : (n,) N m, of
+        slides N
     torque_constants : (n,) N m at the joint per A of its motor; friction : (n, 2) N m (Coulomb) and N m s/rad (viscous)
-    torque_sigma : (n,) N m, of one reading; angle_sigma : (n,) rad or m, of one; speed_sigma : (n,) rad/s or m/s, of one
+    torque_sigma : (n,) N m, of one reading; angle_sigma : (n,) rad or m, of one; speed_sigma : (n,) rad/s or m/s, of
+        one
     """
 
     links: Links | None
@@ -33,7 +37,9 @@ class ArmDynamics:
     speed_sigma: np.ndarray | None
 
     def need(self, name: str, path: Path | str) -> np.ndarray:
-        """A figure that a command cannot do without. Raises RigError where it is not stated; path : of the file that should state it."""
+        """A figure that a command cannot do without. Raises RigError where it is not stated; path : of the file that
+        should state it.
+        """
         value: np.ndarray | None = getattr(self, name)
         if value is None:
             raise RigError(f"{path}: [dynamics] states no {name}, and this takes it")
@@ -41,8 +47,8 @@ class ArmDynamics:
 
 
 def load(path: Path | str) -> tuple[Design, ArmDynamics]:
-    """(Design, ArmDynamics) of an arm's rig.toml; what its [dynamics] lacks is None. Raises FileError with line and column for figures that
-    cannot be, RigError for a mechanism that is no arm"""
+    """(Design, ArmDynamics) of an arm's rig.toml; what its [dynamics] lacks is None. Raises FileError with line and
+    column for figures that cannot be, RigError for a mechanism that is no arm"""
     root = design_file.entries(path)
     design = design_file.design_of(root)
     if not isinstance(design.mechanism, Arm):
@@ -51,9 +57,15 @@ def load(path: Path | str) -> tuple[Design, ArmDynamics]:
 
 
 def dynamics_of_table(table: Entries, n: int) -> ArmDynamics:
-    """ArmDynamics of the table [dynamics] of an arm of n joints. Raises FileError with line and column for figures that cannot be"""
+    """ArmDynamics of the table [dynamics] of an arm of n joints. Raises FileError with line and column for figures that
+    cannot be
+    """
     table.refuse_misspelt(design_file.DYNAMICS)
-    each = {name: table.each(name, n, None, above=0, most=STRONGEST) for name in design_file.DYNAMICS if name not in ("links", "friction")}
+    each = {
+        name: table.each(name, n, None, above=0, most=STRONGEST)
+        for name in design_file.DYNAMICS
+        if name not in ("links", "friction")
+    }
     friction = table.array("friction", (n, 2), None)
     for i, j in np.argwhere(friction < 0) if friction is not None else ():
         table.fail(f"friction[{i + 1}] must not be negative, not {friction[i, j]:g}", "friction", int(i), int(j))
@@ -72,5 +84,7 @@ def _links(table: Entries, n: int) -> Links | None:
         if not 0 <= mass <= HEAVIEST:
             table.fail(f"links[{i + 1}] has a mass of {mass:g} kg", "links", i, 0)
         if least < -1e-9 * HEAVIEST or least < -1e-6 * np.abs(inertia[i]).max():
-            table.fail(f"links[{i + 1}] has an inertia that no body has: a principal moment is {least:g} kg m^2", "links", i)
+            table.fail(
+                f"links[{i + 1}] has an inertia that no body has: a principal moment is {least:g} kg m^2", "links", i
+            )
     return Links(rows[:, 0], rows[:, 1:4], inertia)

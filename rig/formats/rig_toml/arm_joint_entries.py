@@ -1,4 +1,6 @@
-"""Joints and limits of an arm out of a table of outside data: rows of figures, those of slides told by a word, or a table for each joint."""
+"""Joints and limits of an arm out of a table of outside data: rows of figures, those of slides told by a word, or a
+table for each joint.
+"""
 
 from dataclasses import dataclass, fields
 
@@ -33,17 +35,21 @@ class Joint:
 
 
 def joints(table: Entries) -> tuple[np.ndarray, np.ndarray]:
-    """((n, 4 or 5) rows of theta (rad), d (m), a (m), alpha (rad), beta (rad); (n,) bool, which joints slide) of the key "joints".
+    """((n, 4 or 5) rows of theta (rad), d (m), a (m), alpha (rad), beta (rad); (n,) bool, which joints slide) of the
+    key "joints".
 
-    A row may begin with "revolute", the default, or "prismatic"; or each joint is a table with these figures by name, `joint` its kind and
-    perhaps `limits`. Raises FileError for anything else, no rows, or lengths beyond any rig
+    A row may begin with "revolute", the default, or "prismatic"; or each joint is a table with these figures by name,
+    `joint` its kind and perhaps `limits`. Raises FileError for anything else, no rows, or lengths beyond any rig
     """
     rows = table.get("joints")
     if isinstance(rows, list) and rows and all(isinstance(row, dict) for row in rows):
         return _tables(table.tables("joints"))
     if not isinstance(rows, list) or not all(isinstance(row, list) for row in rows):
-        table.fail(f"{table.name('joints')} must be a list of rows [theta, d, a, alpha], those of slides [\"prismatic\", theta, d, a, alpha]",
-                   "joints")
+        table.fail(
+            f"{table.name('joints')} must be a list of rows [theta, d, a, alpha], those of slides "
+            '["prismatic", theta, d, a, alpha]',
+            "joints",
+        )
     if not rows:
         table.fail(f"{table.name('joints')} is empty", "joints")
     slides = np.array([_slides(table, i, row) for i, row in enumerate(rows)])
@@ -52,8 +58,13 @@ def joints(table: Entries) -> tuple[np.ndarray, np.ndarray]:
     columns = columns if columns in (4, 5) else 4
     for i, (row, word) in enumerate(zip(rows, told)):
         if len(row) - word != columns:
-            table.fail(f"{table.name('joints')}[{i + 1}] must have {columns} numbers, theta, d, a, alpha{', beta' if columns == 5 else ''}, "
-                       f"got {len(row) - word} entries", "joints", i)
+            table.fail(
+                f"{table.name('joints')}[{i + 1}] must have {columns} numbers, theta, d, a, "
+                f"alpha{', beta' if columns == 5 else ''}, "
+                f"got {len(row) - word} entries",
+                "joints",
+                i,
+            )
         for j in range(columns):
             table.numbers(row[j + word], (), "joints", (i, j + word), LARGEST_RIG if j in (1, 2) else None)
     return np.array([row[word:] for row, word in zip(rows, told)], float), slides
@@ -68,8 +79,15 @@ def _tables(tables: list[Entries]) -> tuple[np.ndarray, np.ndarray]:
 
 def _table(table: Entries) -> Joint:
     kind = table.text("joint", tuple(KINDS), "revolute")
-    found = Joint(kind, table.number("theta"), table.number("d"), table.number("a"), table.number("alpha"), table.number("beta", 0.0),
-                  _own_limits(table, KINDS[kind]))
+    found = Joint(
+        kind,
+        table.number("theta"),
+        table.number("d"),
+        table.number("a"),
+        table.number("alpha"),
+        table.number("beta", 0.0),
+        _own_limits(table, KINDS[kind]),
+    )
     table.refuse_misspelt([one.name for one in fields(Joint)])
     for name in ("d", "a"):
         table.numbers(getattr(found, name), (), name, (), LARGEST_RIG)
@@ -83,29 +101,44 @@ def _slides(table: Entries, i: int, row: list) -> bool:
         return False
     if word not in KINDS:
         near = slip(word, KINDS)
-        table.fail(f"{table.name('joints')}[{i + 1}] is of a joint {value_text(word)}{f'; is {near!r} meant?' if near else ''}; there are "
-                   f"{', '.join(map(repr, KINDS))}", "joints", i, 0, value=word)
+        table.fail(
+            f"{table.name('joints')}[{i + 1}] is of a joint "
+            f"{value_text(word)}{f'; is {near!r} meant?' if near else ''}; there are "
+            f"{', '.join(map(repr, KINDS))}",
+            "joints",
+            i,
+            0,
+            value=word,
+        )
     return KINDS[word]
 
 
 def limits(table: Entries, slides: np.ndarray) -> np.ndarray:
-    """(n, 2) rad, of slides m, of the key "limits", or of each joint's own. slides : (n,) bool. Raises FileError where they do not run from small
-    to large, or a slide's are beyond any rig."""
+    """(n, 2) rad, of slides m, of the key "limits", or of each joint's own. slides : (n,) bool. Raises FileError where
+    they do not run from small to large, or a slide's are beyond any rig."""
     rows = table.get("joints")
     twice = [i for i, row in enumerate(rows) if isinstance(row, dict) and "limits" in row and "limits" in table.tree]
     if twice:
-        table.fail(f"{table.name('joints')}.{twice[0] + 1}.limits is stated, and so is {table.name('limits')}: which holds?", "joints", twice[0],
-                   "limits")
+        table.fail(
+            f"{table.name('joints')}.{twice[0] + 1}.limits is stated, and so is {table.name('limits')}: which holds?",
+            "joints",
+            twice[0],
+            "limits",
+        )
     if "limits" not in table.tree and isinstance(rows[0], dict):
         own = [_table(one).limits for one in table.tables("joints")]
         for i, each in enumerate(own):
             if each is None:
-                table.fail(f"{table.name('joints')}.{i + 1}.limits is missing, and so is {table.name('limits')}", "joints", i)
+                table.fail(
+                    f"{table.name('joints')}.{i + 1}.limits is missing, and so is {table.name('limits')}", "joints", i
+                )
         return np.array(own, float)
     found = table.array("limits", (len(slides), 2))
     for i, (low, high) in enumerate(found):
         if not low < high:
-            table.fail(f"{table.name('limits')}[{i + 1}] must run from small to large, not {low:g} .. {high:g}", "limits", i)
+            table.fail(
+                f"{table.name('limits')}[{i + 1}] must run from small to large, not {low:g} .. {high:g}", "limits", i
+            )
         if slides[i]:
             for j in range(2):
                 table.numbers(float(found[i, j]), (), "limits", (i, j), LARGEST_RIG)

@@ -12,8 +12,14 @@ def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permis
     table.refuse_misspelt(("may",))
     may = table.get("may", [])
     words = (*map(repr, PERMITTED), f"'{TURN}NAME'")
-    if not isinstance(may, list) or not all(isinstance(word, str) and (word in PERMITTED or word.startswith(TURN)) for word in may):
-        table.fail(f"{table.name('may')} must list what experiments may do, of {', '.join(words)}, not {may!r}", "may", value=may)
+    if not isinstance(may, list) or not all(
+        isinstance(word, str) and (word in PERMITTED or word.startswith(TURN)) for word in may
+    ):
+        table.fail(
+            f"{table.name('may')} must list what experiments may do, of {', '.join(words)}, not {may!r}",
+            "may",
+            value=may,
+        )
     out = []
     for i, word in enumerate(may):
         allowed, problem = parse_permission(word, targets)
@@ -24,7 +30,9 @@ def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permis
 
 
 def turned_targets(table: Entries, targets: tuple[Target, ...]) -> tuple[Target, ...]:
-    """The targets, each cube that was taken off and put back with its quarter turns. Raises FileError for one that there is not."""
+    """The targets, each cube that was taken off and put back with its quarter turns. Raises FileError for one that
+    there is not.
+    """
     out, places = list(targets), {}
     for key in table.tree:
         name, problem = cube_named(key, targets)
@@ -35,5 +43,7 @@ def turned_targets(table: Entries, targets: tuple[Target, ...]) -> tuple[Target,
     for key, at in places.items():
         body = targets[at].body
         if all(target.turned is not None for target in out if target.body == body):
-            table.fail(f"turned: all targets of the {body} were taken off, so that nothing holds its frame", key, value=key)
+            table.fail(
+                f"turned: all targets of the {body} were taken off, so that nothing holds its frame", key, value=key
+            )
     return tuple(out)

@@ -42,18 +42,24 @@ LARGEST = 1 << 22  # bytes of a rig.toml
 
 
 def load(path: str | Path) -> Design:
-    """Design read from a rig.toml. Raises FileError with line and column for anything missing, malformed or implausible."""
+    """Design read from a rig.toml. Raises FileError with line and column for anything missing, malformed or
+    implausible.
+    """
     return design_of(entries(path))
 
 
 def entries(path: str | Path) -> Entries:
-    """The whole table that a rig.toml holds, its figures not yet looked at. Raises FileError where it cannot be read or is no TOML."""
+    """The whole table that a rig.toml holds, its figures not yet looked at. Raises FileError where it cannot be read or
+    is no TOML.
+    """
     path = Path(path)
     return entries_of(read_text(path, LARGEST, "no such file; every recording has a rig.toml"), path)
 
 
 def entries_of(text: str, path: Path) -> Entries:
-    """The whole table of a rig.toml's text. path : of the file, as complaints name it. Raises FileError where it is no TOML."""
+    """The whole table of a rig.toml's text. path : of the file, as complaints name it. Raises FileError where it is no
+    TOML.
+    """
     try:
         tree = tomllib.loads(text)
         places = value_positions(text)
@@ -71,26 +77,53 @@ def entries_of(text: str, path: Path) -> Entries:
 def design_of(root: Entries) -> Design:
     """Design of a whole rig.toml's Entries, lengths in m, angles in rad. Raises FileError as `load` does."""
     root.schema("rig.toml", SCHEMA)
-    root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
-                          "insitu", "controller", "sensors", "dynamics", "experiment", "turned"))
+    root.refuse_misspelt(
+        (
+            "schema",
+            "name",
+            "environment",
+            "mechanism",
+            "instrument",
+            "actuator",
+            "platform",
+            "camera",
+            "target",
+            "sensor",
+            "insitu",
+            "controller",
+            "sensors",
+            "dynamics",
+            "experiment",
+            "turned",
+        )
+    )
     root.table("dynamics", optional=True).refuse_misspelt(DYNAMICS)  # its figures are read by what needs them
     environment = root.table("environment", optional=True)
     environment.refuse_misspelt(("gravity",))
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
-    cameras, targets = camera_entries.cameras(root.tables("camera")), _targets(root.tables("target"), bodies_of(mechanism))
+    cameras, targets = (
+        camera_entries.cameras(root.tables("camera")),
+        _targets(root.tables("target"), bodies_of(mechanism)),
+    )
     targets = cube_turn_entries.turned_targets(root.table("turned", optional=True), targets)
     camera_entries.check_in_hand(root, cameras, targets, mechanism)
     camera_entries.check_of_stages(root, cameras, targets)
     return Design(
-        name=root.text("name", default="rig"), gravity=gravity, mechanism=mechanism,
+        name=root.text("name", default="rig"),
+        gravity=gravity,
+        mechanism=mechanism,
         instrument=instrument(root.table("instrument")) if "instrument" in root.tree else None,
-        actuator=actuator, platform=_platform(root.table("platform", optional=True)),
-        cameras=cameras, targets=targets, sensor=_sensor(root.table("sensor", optional=True)),
+        actuator=actuator,
+        platform=_platform(root.table("platform", optional=True)),
+        cameras=cameras,
+        targets=targets,
+        sensor=_sensor(root.table("sensor", optional=True)),
         insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
         controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
-        experiment=cube_turn_entries.experiment_permission(root.table("experiment", optional=True), targets))
+        experiment=cube_turn_entries.experiment_permission(root.table("experiment", optional=True), targets),
+    )
 
 
 def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Chain | Free:
@@ -101,7 +134,10 @@ def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Chain | Free:
     if kind == "chain":
         stages = [_stage(one) for one in table.tables("stage")]
         if len(stages) < 2:
-            table.fail(f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}", "kind")
+            table.fail(
+                f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}",
+                "kind",
+            )
         table.refuse_misspelt(("kind", "stage"))
         return Chain(tuple(stages))
     return _stage(table)
@@ -116,7 +152,9 @@ def _stage(table: Entries) -> Hexapod | Planar2 | Arm:
         return Arm(joints, arm_joint_entries.limits(table, slides), slides=slides)
     if kind == "planar2":
         table.refuse_misspelt(("kind", "base_joints", "strut_range"))
-        return Planar2(table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG))
+        return Planar2(
+            table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG)
+        )
     table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home"))
     base = table.array("base_joints", (6, 3), length_limit=LARGEST_RIG)
     platform = table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG)
@@ -124,7 +162,11 @@ def _stage(table: Entries) -> Hexapod | Planar2 | Arm:
     lengths = np.linalg.norm(hexapod.home.apply(platform) - base, axis=1)
     for i, (length, (low, high)) in enumerate(zip(lengths, hexapod.strut_range)):
         if not low <= length <= high:
-            table.fail(f"{table.name('home')} needs strut {i + 1} at {length:.6f} m, outside its strut_range {low:g} .. {high:g} m", "home")
+            table.fail(
+                f"{table.name('home')} needs strut {i + 1} at {length:.6f} m, outside its strut_range "
+                f"{low:g} .. {high:g} m",
+                "home",
+            )
     if singularity_text(hexapod):
         table.fail(f"{table.name('home')} {singularity_text(hexapod)}", "home")
     return hexapod
@@ -142,9 +184,11 @@ def _ranges(table: Entries, key: str, count: int, length_limit: float) -> np.nda
 
 def _actuator(table: Entries) -> Actuator:
     table.refuse_misspelt([field.name for field in fields(Actuator)])
-    return Actuator(table.number("screw_lead", None, above=0, most=1, unit="m"),
-                    table.text("joints", ("cardan-cardan", "cardan-ball"), default=None),
-                    table.number("max_speed", None, above=0, most=100, unit="m/s"))
+    return Actuator(
+        table.number("screw_lead", None, above=0, most=1, unit="m"),
+        table.text("joints", ("cardan-cardan", "cardan-ball"), default=None),
+        table.number("max_speed", None, above=0, most=100, unit="m/s"),
+    )
 
 
 def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Free, actuator: Actuator) -> Controller:
@@ -153,20 +197,37 @@ def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Fre
     if mechanism.kind not in ("hexapod", "planar2"):
         table.fail(f"[controller] drives struts; a mechanism of kind {mechanism.kind!r} has none")
     axes = table.get("axes", [])
-    if not isinstance(axes, list) or not all(isinstance(name, str) and name.isalnum() for name in axes) or len(set(axes)) not in (0, n):
+    if (
+        not isinstance(axes, list)
+        or not all(isinstance(name, str) and name.isalnum() for name in axes)
+        or len(set(axes)) not in (0, n)
+    ):
         table.fail(f"{table.name('axes')} must list {n} different names, got {axes!r}", "axes", value=axes)
     homing = table.flag("homing", True)
     speed = table.each("max_speed", n, actuator.max_speed or REQUIRED, above=0, most=100, unit="m/s")
     step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
     home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
     return Controller(
-        table.text("protocol", PROTOCOLS), _port(table, default=""), table.whole("baudrate", 1, default=115200),
-        table.text("usb", default=""), tuple(axes), homing, table.each("zero", n, 0.0, least=-LARGEST_RIG, most=LARGEST_RIG, unit="m"),
-        home, speed, table.each("max_acceleration", n, None, above=0, most=1000, unit="m/s^2"),
-        table.number("tolerance", default=1e-5, above=0, most=0.01, unit="m"), step, table.number("margin", default=0.1, least=0, most=1),
-        table.number("timeout", default=2.0, above=0, most=60, unit="s"), table.number("home_timeout", default=120.0, above=0, most=3600, unit="s"),
-        table.number("watchdog", default=1.0, above=0, most=60, unit="s"), table.text("kinematics", ("joint", "world"), default="joint"),
-        table.text("password", default="EMC"), table.text("enable_password", default="EMCTOO"))
+        table.text("protocol", PROTOCOLS),
+        _port(table, default=""),
+        table.whole("baudrate", 1, default=115200),
+        table.text("usb", default=""),
+        tuple(axes),
+        homing,
+        table.each("zero", n, 0.0, least=-LARGEST_RIG, most=LARGEST_RIG, unit="m"),
+        home,
+        speed,
+        table.each("max_acceleration", n, None, above=0, most=1000, unit="m/s^2"),
+        table.number("tolerance", default=1e-5, above=0, most=0.01, unit="m"),
+        step,
+        table.number("margin", default=0.1, least=0, most=1),
+        table.number("timeout", default=2.0, above=0, most=60, unit="s"),
+        table.number("home_timeout", default=120.0, above=0, most=3600, unit="s"),
+        table.number("watchdog", default=1.0, above=0, most=60, unit="s"),
+        table.text("kinematics", ("joint", "world"), default="joint"),
+        table.text("password", default="EMC"),
+        table.text("enable_password", default="EMCTOO"),
+    )
 
 
 def _port(table: Entries, default: object = REQUIRED) -> str:
@@ -179,32 +240,61 @@ def _port(table: Entries, default: object = REQUIRED) -> str:
 def _sensors(table: Entries) -> SensorPort:
     table.refuse_misspelt([field.name for field in fields(SensorPort)])
     channels = table.get("channels")
-    if not isinstance(channels, list) or not channels or not all(isinstance(name, str) and name.isidentifier() for name in channels) or (
-            len(set(channels)) != len(channels) or "t" in channels):
-        table.fail(f"{table.name('channels')} must list different names of channels, got {channels!r}", "channels", value=channels)
-    return SensorPort(_port(table), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
+    if (
+        not isinstance(channels, list)
+        or not channels
+        or not all(isinstance(name, str) and name.isidentifier() for name in channels)
+        or (len(set(channels)) != len(channels) or "t" in channels)
+    ):
+        table.fail(
+            f"{table.name('channels')} must list different names of channels, got {channels!r}",
+            "channels",
+            value=channels,
+        )
+    return SensorPort(
+        _port(table), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels)
+    )
 
 
 def _platform(table: Entries) -> Platform:
     table.refuse_misspelt([field.name for field in fields(Platform)])
-    return Platform(table.number("mass", None, least=0, unit="kg"),
-                    table.array("centre_of_mass", (3,), None, LARGEST_RIG), table.array("payload_centre_of_mass", (3,), None, LARGEST_RIG))
+    return Platform(
+        table.number("mass", None, least=0, unit="kg"),
+        table.array("centre_of_mass", (3,), None, LARGEST_RIG),
+        table.array("payload_centre_of_mass", (3,), None, LARGEST_RIG),
+    )
 
 
 def _limbs(table: Entries) -> MeasuringLimbs:
     table.refuse_misspelt(("base_joints", "platform_joints", "length_sigma"))
-    base, platform = (table.array(name, (None, 3), length_limit=LARGEST_RIG) for name in ("base_joints", "platform_joints"))
+    base, platform = (
+        table.array(name, (None, 3), length_limit=LARGEST_RIG) for name in ("base_joints", "platform_joints")
+    )
     if len(base) != len(platform) or not len(base):
-        table.fail(f"{table.name('platform_joints')} must have a row for each of the {len(base)} limbs of base_joints, got {len(platform)}",
-                   "platform_joints")
+        table.fail(
+            f"{table.name('platform_joints')} must have a row for each of the {len(base)} limbs of "
+            f"base_joints, got {len(platform)}",
+            "platform_joints",
+        )
     return MeasuringLimbs(base, platform, table.number("length_sigma", above=0, most=0.1, unit="m"))
 
 
 def _sensor(table: Entries) -> Sensor:
-    known = {"blur": (20, "px"), "defocus": (20, "px"), "vignetting": (1, ""), "gain": (1000, "grey levels"), "exposure": (10, "s"),
-             "read_noise": (100, "grey levels"), "electrons": (1e6, "")}
+    known = {
+        "blur": (20, "px"),
+        "defocus": (20, "px"),
+        "vignetting": (1, ""),
+        "gain": (1000, "grey levels"),
+        "exposure": (10, "s"),
+        "read_noise": (100, "grey levels"),
+        "electrons": (1e6, ""),
+    }
     table.refuse_misspelt((*known, "exposures", "bits"))
-    values = {name: table.number(name, least=0, most=most, unit=unit) for name, (most, unit) in known.items() if name in table.tree}
+    values = {
+        name: table.number(name, least=0, most=most, unit=unit)
+        for name, (most, unit) in known.items()
+        if name in table.tree
+    }
     if "exposures" in table.tree:
         values["exposures"] = table.whole("exposures", 1)
     if "bits" in table.tree and table.whole("bits", 8) not in (8, 12):
@@ -225,10 +315,16 @@ def _targets(tables: list[Entries], bodies: tuple[str, ...]) -> tuple[Target, ..
         keys: list[tuple[str | int, ...]] = [("faces", face) for face, _ in target.faces]
         for number, key in zip(target.ids, keys or [("marker", i, "id") for i in range(len(target.listed))]):
             if number >= DICTIONARIES[dictionary]:
-                table.fail(f"{dictionary} has identities 0..{DICTIONARIES[dictionary] - 1}, not {number}", *key, value=number)
+                table.fail(
+                    f"{dictionary} has identities 0..{DICTIONARIES[dictionary] - 1}, not {number}", *key, value=number
+                )
             if number in owners:
-                table.fail(f"marker {number} of target {name!r} already belongs to {owners[number]}: "
-                           "an identity may be used once in a rig", *key, value=number)
+                table.fail(
+                    f"marker {number} of target {name!r} already belongs to {owners[number]}: "
+                    "an identity may be used once in a rig",
+                    *key,
+                    value=number,
+                )
             owners[number] = f"target {name!r} (line {table.places[table.path + key][0]})"
         targets.append(target)
     return tuple(targets)
@@ -238,7 +334,9 @@ def _cube(table: Entries, name: str, body: str, dictionary: str) -> Target:
     edge = table.number("edge", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
     marker = table.number("marker", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
     if marker > edge:
-        table.fail(f"{table.name('marker')} = {marker:g} m does not fit on a cube of edge {edge:g} m", "marker", value=marker)
+        table.fail(
+            f"{table.name('marker')} = {marker:g} m does not fit on a cube of edge {edge:g} m", "marker", value=marker
+        )
     faces = table.table("faces")
     if not faces.tree:
         table.fail(f"{table.name('faces')} is empty", "faces")

@@ -1,4 +1,6 @@
-"""A rig.toml's text with cameras and markers written into it: what was measured replaces what stood there, all else stays as it was."""
+"""A rig.toml's text with cameras and markers written into it: what was measured replaces what stood there, all else
+stays as it was.
+"""
 
 from collections.abc import Iterable
 
@@ -29,14 +31,18 @@ def with_cameras(text: str, cameras: Iterable[Camera]) -> str:
 
 
 def camera_block(camera: Camera, placed: bool = False) -> str:
-    """Text of a [[camera]] table as rig.toml takes it. placed : whether its pose is known; else it is a place to fill in"""
+    """Text of a [[camera]] table as rig.toml takes it. placed : whether its pose is known; else it is a place to fill
+    in
+    """
     place = np.round(pose_to_vector(camera.pose), 10) if placed else np.zeros(6)
     remark = "" if placed else "   # camera in base: put in where it stands"
     matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
-    return (f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
-            f"distortion = {distortion}\n"
-            f"pose = {{ position = {place[:3].tolist()}, rotvec = {place[3:].tolist()} }}{remark}\n"
-            'shutter = "global"\n')
+    return (
+        f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
+        f"distortion = {distortion}\n"
+        f"pose = {{ position = {place[:3].tolist()}, rotvec = {place[3:].tolist()} }}{remark}\n"
+        'shutter = "global"\n'
+    )
 
 
 def with_places(text: str, places: dict[str, tuple[Marker, ...]]) -> str:
@@ -55,7 +61,14 @@ def with_places(text: str, places: dict[str, tuple[Marker, ...]]) -> str:
             position, rotvec = np.split(np.round(pose_to_vector(marker.pose), 10), 2)
             row, entry = tomlkit.table(), tomlkit.inline_table()
             entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
-            row.update({"id": int(marker.id), "side": float(marker.side), "margin": float(np.round(marker.margin, 9)), "pose": entry})
+            row.update(
+                {
+                    "id": int(marker.id),
+                    "side": float(marker.side),
+                    "margin": float(np.round(marker.margin, 9)),
+                    "pose": entry,
+                }
+            )
             rows.append(row)
         table["marker"] = rows
     return tomlkit.dumps(document)

@@ -1,4 +1,6 @@
-"""Kinds of machine, one module each, all with inverse, forward, jacobian and limits over a geometry of rig.model.design."""
+"""Kinds of machine, one module each, all with inverse, forward, jacobian and limits over a geometry of
+rig.model.design.
+"""
 
 from rig.model.mechanisms.kinematics_by_kind import ALL, axis_places, axis_units, kinematics_of, travel_unit
 from rig.model.mechanisms.kinematics_interface import Kind

@@ -1,6 +1,8 @@
-"""Serial arm of any number of joints that turn or slide: pose of joint values, geometric Jacobian, and joint values of a pose, numerically.
+"""Serial arm of any number of joints that turn or slide: pose of joint values, geometric Jacobian, and joint values of
+a pose, numerically.
 
-Distal Denavit-Hartenberg with Hayati's extra turn: A_i = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta), of a slide Rz(theta) Tz(d + q) ..
+Distal Denavit-Hartenberg with Hayati's extra turn: A_i = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta), of a slide
+Rz(theta) Tz(d + q) ..
 Joint values q are rad, of slides m.
 Sources: Denavit and Hartenberg 1955; Hayati, Robot arm geometric link parameter estimation, CDC 1983.
 """
@@ -24,11 +26,15 @@ REACH = 1.0  # m; a radian counts like so much
 def frames(q: np.ndarray, arm: Arm) -> np.ndarray:
     """(..., n + 2, 4, 4) homogeneous frames in the frame of poses: the arm's frames 0..n, then the platform.
 
-    q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or values not finite
+    q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or
+        values not finite
     """
     q = np.asarray(q, float)
     if q.shape[-1:] != (len(arm.joints),) or not np.isfinite(q).all():
-        raise ValueError(f"expected finite joint angles (..., {len(arm.joints)}) {'rad or m' if arm.slides.any() else 'rad'}, got shape {q.shape}")
+        raise ValueError(
+            f"expected finite joint angles (..., {len(arm.joints)}) "
+            f"{'rad or m' if arm.slides.any() else 'rad'}, got shape {q.shape}"
+        )
     out = np.empty((*q.shape[:-1], len(arm.joints) + 2, 4, 4))
     out[..., 0, :, :] = arm.base.as_matrix()
     links = link_transform(joint_rotations(q, arm), arm.rows.T)
@@ -46,25 +52,40 @@ def joint_rotations(q: np.ndarray, arm: Arm) -> np.ndarray:
 
 
 def link_transform(q: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """(..., 4, 4) transforms A of links: q (...,) rad, row = theta, d, a, alpha, beta, figures or arrays that broadcast with q."""
+    """(..., 4, 4) transforms A of links: q (...,) rad, row = theta, d, a, alpha, beta, figures or arrays that broadcast
+    with q.
+    """
     theta, d, a, alpha, beta = row
     ct, st = np.cos(q + theta), np.sin(q + theta)
     ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
     A = np.zeros((*np.shape(q), 4, 4))
-    A[..., 0, 0], A[..., 0, 1], A[..., 0, 2], A[..., 0, 3] = ct * cb - st * sa * sb, -st * ca, ct * sb + st * sa * cb, a * ct
-    A[..., 1, 0], A[..., 1, 1], A[..., 1, 2], A[..., 1, 3] = st * cb + ct * sa * sb, ct * ca, st * sb - ct * sa * cb, a * st
+    A[..., 0, 0], A[..., 0, 1], A[..., 0, 2], A[..., 0, 3] = (
+        ct * cb - st * sa * sb,
+        -st * ca,
+        ct * sb + st * sa * cb,
+        a * ct,
+    )
+    A[..., 1, 0], A[..., 1, 1], A[..., 1, 2], A[..., 1, 3] = (
+        st * cb + ct * sa * sb,
+        ct * ca,
+        st * sb - ct * sa * cb,
+        a * st,
+    )
     A[..., 2, 0], A[..., 2, 1], A[..., 2, 2], A[..., 2, 3] = -ca * sb, sa, ca * cb, d
     A[..., 3, 3] = 1
     return A
 
 
 def forward(q: np.ndarray, arm: Arm, guess: RigidTransform | None = None) -> RigidTransform:
-    """T_base_platform : RigidTransform (...) of joint values q (..., n) rad or m. guess : unused. Raises ValueError as `frames`."""
+    """T_base_platform : RigidTransform (...) of joint values q (..., n) rad or m. guess : unused. Raises ValueError as
+    `frames`.
+    """
     return RigidTransform.from_matrix(frames(q, arm)[..., -1, :, :])
 
 
 def jacobian(q: np.ndarray, arm: Arm, axes: str = "platform") -> np.ndarray:
-    """(..., 6, n) geometric Jacobian: velocity of the platform's origin (m/rad) over its turning rate (rad/rad), per joint, of slides per m.
+    """(..., 6, n) geometric Jacobian: velocity of the platform's origin (m/rad) over its turning rate (rad/rad), per
+    joint, of slides per m.
 
     q : (..., n) rad or m; axes : "platform", the tangent on the right, or "base", the axes in which poses are given
     Source: Whitney 1972; the columns are z x (p - o) over z, of a slide z over 0
@@ -88,7 +109,9 @@ def geometric_jacobian(matrices: np.ndarray, axes: str = "platform", slides: np.
 
 
 def limits(q: np.ndarray, arm: Arm) -> np.ndarray:
-    """How far joint values (..., n) lie outside the limits: (..., n) rad or m, negative below, positive above, 0 inside."""
+    """How far joint values (..., n) lie outside the limits: (..., n) rad or m, negative below, positive above, 0
+    inside.
+    """
     low, high = arm.limits.T
     return np.minimum(q - low, 0) + np.maximum(q - high, 0)
 
@@ -109,14 +132,18 @@ def reach(arm: Arm) -> float:
 
 
 def loads(T: RigidTransform, q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
-    """(m, n) N m, of slides N, with which the joints hold a wrench (m, 6) N, N m on the platform at joint values q (m, n) rad or m."""
+    """(m, n) N m, of slides N, with which the joints hold a wrench (m, 6) N, N m on the platform at joint values q (m,
+    n) rad or m.
+    """
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
 
 
 def links(T: RigidTransform, q: np.ndarray, arm: Arm, gravity: np.ndarray) -> np.ndarray:
-    """(m, n, 4 n) N m, of slides N, with which the joints hold each link, per kg at its frame and per kg m along that frame's x, y and z.
+    """(m, n, 4 n) N m, of slides N, with which the joints hold each link, per kg at its frame and per kg m along that
+    frame's x, y and z.
 
-    gravity : (3,) m/s^2 in the frame of poses. Source: Luh, Walker and Paul's recursion at rest, as a regressor: Gautier and Khalil 1990
+    gravity : (3,) m/s^2 in the frame of poses. Source: Luh, Walker and Paul's recursion at rest, as a regressor:
+        Gautier and Khalil 1990
     """
     chain, n = frames(q, arm), len(arm.joints)
     z, o, R = chain[:, :n, :3, 2], chain[:, : n + 1, :3, 3], chain[:, 1 : n + 1, :3, :3]
@@ -132,8 +159,8 @@ def links(T: RigidTransform, q: np.ndarray, arm: Arm, gravity: np.ndarray) -> np
 
 
 def grown(T: RigidTransform, q: np.ndarray, arm: Arm, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(deviation (m, n) rad or m, sway (m, 6)) of links whose offsets d and lengths a have grown by shares (m, n): the hand moves, no joint
-    does. A slide's scale is its travel with it."""
+    """(deviation (m, n) rad or m, sway (m, 6)) of links whose offsets d and lengths a have grown by shares (m, n): the
+    hand moves, no joint does. A slide's scale is its travel with it."""
     chain, rows = frames(q, arm), arm.rows
     before, turn = chain[:, : len(rows), :3], (joint_rotations(q, arm) + rows[:, 0])[..., None]
     along = np.cos(turn) * before[..., 0] + np.sin(turn) * before[..., 1]  # the common normal
@@ -148,7 +175,8 @@ def ends(T: RigidTransform, arm: Arm) -> None:
 
 
 def inverse(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None) -> np.ndarray:
-    """Joint values (..., n) rad or m of a pose, within the limits where such are found, near the guess where that leads there.
+    """Joint values (..., n) rad or m of a pose, within the limits where such are found, near the guess where that leads
+    there.
 
     T_base_platform : RigidTransform (...); guess : (n,) or (..., n) rad or m, the middle of the limits by default
     Raises Unreachable with the index of poses to which no start leads, and how near (m, rad) the arm comes
@@ -161,13 +189,15 @@ def inverse(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None 
     return q
 
 
-def solve(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None, starts: int = STARTS,
-          seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def solve(
+    T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None, starts: int = STARTS, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
     """(q (..., n) rad or m, left (...) m or rad): damped least squares from the guess, then from random starts.
 
     left : greater of the position's (m) and rotation's (rad) remaining error; above GOOD means no solution was found
     A solution outside the limits is only given where no start leads to one inside.
-    Source: Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, T-RO 2011 (the damping)
+    Source: Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, T-RO 2011 (the
+        damping)
     """
     target = T_base_platform.as_matrix()
     shape, n = target.shape[:-2], len(arm.joints)
@@ -197,7 +227,9 @@ def nearest_turn(q: np.ndarray, arm: Arm, near: np.ndarray) -> np.ndarray:
     low, high = arm.limits.T
     if arm.slides.any():
         out, turning = np.array(q, float), ~arm.slides
-        only = replace(arm, joints=arm.joints[turning], limits=arm.limits[turning], slides=np.zeros(int(turning.sum()), bool))
+        only = replace(
+            arm, joints=arm.joints[turning], limits=arm.limits[turning], slides=np.zeros(int(turning.sum()), bool)
+        )
         out[..., turning] = nearest_turn(out[..., turning], only, np.broadcast_to(near, out.shape)[..., turning])
         return out
     turn = 2 * np.pi
@@ -229,16 +261,23 @@ def _descend(q: np.ndarray, target: np.ndarray, arm: Arm) -> tuple[np.ndarray, n
         J = geometric_jacobian(chain, slides=arm.slides)
         damping = 0.5 * (e**2).sum(axis=1) + 1e-15  # vanishes with the error's square, so the end is Newton's
         if J.shape[-1] <= 6:
-            step = np.linalg.solve(np.swapaxes(J, 1, 2) @ J + damping[:, None, None] * np.eye(J.shape[-1]),
-                                   np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
+            step = np.linalg.solve(
+                np.swapaxes(J, 1, 2) @ J + damping[:, None, None] * np.eye(J.shape[-1]),
+                np.swapaxes(J, 1, 2) @ e[..., None],
+            )[..., 0]
         else:
-            step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6), e[..., None]))[..., 0]
+            step = (
+                np.swapaxes(J, 1, 2)
+                @ np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6), e[..., None])
+            )[..., 0]
         q[going] += step / np.maximum(1.0, np.abs(step).max(axis=1) / REACH)[:, None]
     return q, error
 
 
 def _twist(now: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(m, 6) tangent on the right, translation first, that leads from now to target (m, 4, 4), parts taken separately."""
+    """(m, 6) tangent on the right, translation first, that leads from now to target (m, 4, 4), parts taken
+    separately.
+    """
     R = np.swapaxes(now[:, :3, :3], 1, 2)
     move = (R @ (target[:, :3, 3:] - now[:, :3, 3:]))[..., 0]
     return np.concatenate([move, Rotation.from_matrix(R @ target[:, :3, :3]).as_rotvec()], axis=1)

@@ -1,6 +1,8 @@
-"""Joint torques, and forces of slides, of an arm's own weight and motion: recursive Newton-Euler, in the axes of poses, batched.
+"""Joint torques, and forces of slides, of an arm's own weight and motion: recursive Newton-Euler, in the axes of poses,
+batched.
 
-Source: Luh, Walker and Paul, On-line computational scheme for mechanical manipulators, 1980 (sliding joints: there too).
+Source: Luh, Walker and Paul, On-line computational scheme for mechanical manipulators, 1980 (sliding joints: there
+    too).
 """
 
 from dataclasses import dataclass
@@ -13,8 +15,10 @@ from rig.model.mechanisms import arm as mechanism
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
-    """mass : (n,) kg; centre : (n, 3) m, centre of mass in the link's Denavit-Hartenberg frame (the one behind its joint)
-    inertia : (n, 3, 3) kg m^2 about the centre of mass, in that frame's axes. What the hand holds belongs to the last link."""
+    """mass : (n,) kg; centre : (n, 3) m, centre of mass in the link's Denavit-Hartenberg frame (the one behind its
+    joint)
+    inertia : (n, 3, 3) kg m^2 about the centre of mass, in that frame's axes. What the hand holds belongs to the last
+        link."""
 
     mass: np.ndarray
     centre: np.ndarray
@@ -23,14 +27,19 @@ class Links:
     def __post_init__(self) -> None:
         n = len(self.mass)
         if np.shape(self.centre) != (n, 3) or np.shape(self.inertia) != (n, 3, 3) or (np.asarray(self.mass) < 0).any():
-            raise ValueError(f"expected masses (n,) >= 0, centres ({n}, 3) and inertias ({n}, 3, 3), got {np.shape(self.centre)}, "
-                             f"{np.shape(self.inertia)}")
+            raise ValueError(
+                f"expected masses (n,) >= 0, centres ({n}, 3) and inertias ({n}, 3, 3), got {np.shape(self.centre)}, "
+                f"{np.shape(self.inertia)}"
+            )
 
 
-def joint_torques(q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: Links, gravity: np.ndarray) -> np.ndarray:
+def joint_torques(
+    q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: Links, gravity: np.ndarray
+) -> np.ndarray:
     """(..., n) Nm, of slides N, that the joints bear for weight and motion alone: nothing touches the hand.
 
-    q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the axes of poses
+    q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the
+        axes of poses
     """
     chain = mechanism.frames(q, arm)
     speed, acceleration = np.broadcast_to(speed, np.shape(q)), np.broadcast_to(acceleration, np.shape(q))
@@ -55,7 +64,12 @@ def joint_torques(q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, ar
         a = a + np.cross(dw, to_next) + np.cross(w, np.cross(w, to_next))
     force, moment, out = zero, zero, np.empty(z.shape[:-1])
     for k in range(n - 1, -1, -1):
-        moment = moment + turn[k] + np.cross(centre[..., k, :] - o[..., k, :], push[k]) + np.cross(o[..., k + 1, :] - o[..., k, :], force)
+        moment = (
+            moment
+            + turn[k]
+            + np.cross(centre[..., k, :] - o[..., k, :], push[k])
+            + np.cross(o[..., k + 1, :] - o[..., k, :], force)
+        )
         force = force + push[k]
         out[..., k] = np.einsum("...i,...i->...", z[..., k, :], force if arm.slides[k] else moment)
     return out

@@ -1,4 +1,6 @@
-"""The joint solutions of a pose that many starts lead to, each once, for arms without a closed form; of few joints those that come nearest."""
+"""The joint solutions of a pose that many starts lead to, each once, for arms without a closed form; of few joints
+those that come nearest.
+"""
 
 from typing import NamedTuple
 
@@ -15,7 +17,9 @@ FAR = 0.05  # m and rad, that few joints may leave of a pose
 
 
 class Solutions(NamedTuple):
-    """q : (k, n) rad or m; rest : (k, 6) m and rad, tangent on the right that few joints leave; missed : (m, rad) how near the nearest comes."""
+    """q : (k, n) rad or m; rest : (k, 6) m and rad, tangent on the right that few joints leave; missed : (m, rad) how
+    near the nearest comes.
+    """
 
     q: np.ndarray
     rest: np.ndarray
@@ -23,7 +27,9 @@ class Solutions(NamedTuple):
 
 
 def inverse_solutions(T_base_platform: RigidTransform, arm: Arm, starts: int = STARTS) -> Solutions:
-    """Solutions of one pose () of an Arm, those within the limits first; of a redundant arm some of the many that there are."""
+    """Solutions of one pose () of an Arm, those within the limits first; of a redundant arm some of the many that there
+    are.
+    """
     n, (low, high) = len(arm.joints), arm.limits.T
     begin = np.random.default_rng(0).uniform(low, high, (starts, n))
     many = RigidTransform.from_matrix(np.tile(T_base_platform.as_matrix(), (starts, 1, 1)))

@@ -1,16 +1,18 @@
 """Kinematics in one global frame, step by step as a reader follows it: points and space vectors after each joint.
 
-Forward, the hand's points A, B, C (AB along z and AC along y at zero, 1 m each) turn about the axes where these stand at zero, or move along
-them, the last joint first. Inverse, joint 1 to joint 6: each is read from a point or a direction that the joints behind it cannot move, and the
-points are turned back before the next is read. A moves to where axes 5 and 6 cross; E is the elbow on axis 3, D the point on axis 4 (with three
-parallel axes; with a spherical wrist it is A itself); after the last step A, B, C lie where they are at zero.
+Forward, the hand's points A, B, C (AB along z and AC along y at zero, 1 m each) turn about the axes where these stand
+at zero, or move along them, the last joint first. Inverse, joint 1 to joint 6: each is read from a point or a direction
+that the joints behind it cannot move, and the points are turned back before the next is read. A moves to where axes 5
+and 6 cross; E is the elbow on axis 3, D the point on axis 4 (with three parallel axes; with a spherical wrist it is A
+itself); after the last step A, B, C lie where they are at zero.
 
-Where our order of reading differs. The source reads joint 5 after 2, 3 and 4, and joint 4 of a spherical wrist before 5, which its arms allow:
-there axis 5 is square to its neighbours, so that D and the turn of 4 can be seen in a front view. With axes that are not square, how far AB
-has turned about the parallel axes, or about axis 4, depends on joint 5: so joint 5's two values are read first (rig.model.mechanisms.wrist_branches
-has
-them at once for all branches), from the angle between AB and axis 2, or 4, which joints 2 to 4, or 4, do not change. Points are returned in
-the source's order all the same, and every joint is read from them, joint 5 once more.
+Where our order of reading differs. The source reads joint 5 after 2, 3 and 4, and joint 4 of a spherical wrist before
+5, which its arms allow:
+there axis 5 is square to its neighbours, so that D and the turn of 4 can be seen in a front view. With axes that are
+not square, how far AB has turned about the parallel axes, or about axis 4, depends on joint 5: so joint 5's two values
+are read first (rig.model.mechanisms.wrist_branches has
+them at once for all branches), from the angle between AB and axis 2, or 4, which joints 2 to 4, or 4, do not change.
+Points are returned in the source's order all the same, and every joint is read from them, joint 5 once more.
 Source: patent CN111488654A, claims 1 to 5
 """
 
@@ -26,8 +28,9 @@ from rig.model.mechanisms.successive_regression import FREE
 
 
 class Step(NamedTuple):
-    """What one step does and where points then are, in the global frame. joint : from 1, 0 for a step that moves none; value : of the joint, rad
-    or m; axis : (2, 3) a point (m) and the unit space vector about or along which it is moved; names : of the points; points : (k, 3) m."""
+    """What one step does and where points then are, in the global frame. joint : from 1, 0 for a step that moves none;
+    value : of the joint, rad or m; axis : (2, 3) a point (m) and the unit space vector about or along which it is
+        moved; names : of the points; points : (k, 3) m."""
 
     joint: int
     value: float
@@ -57,9 +60,11 @@ def forward(q: np.ndarray, arm: Arm) -> list[Step]:
 
 
 def inverse(T_base_platform: RigidTransform, six: SixR, q: np.ndarray) -> list[Step]:
-    """Steps by which a solution q (6,) rad of a pose is read, joint 1 to 6; the last leaves A, B, C as at zero, A at the crossing of 5 and 6.
+    """Steps by which a solution q (6,) rad of a pose is read, joint 1 to 6; the last leaves A, B, C as at zero, A at
+    the crossing of 5 and 6.
 
-    q : of rig.model.mechanisms.six_joint_inverse.inverse: of two readings the one near it is taken, and what a singular pose leaves free
+    q : of rig.model.mechanisms.six_joint_inverse.inverse: of two readings the one near it is taken, and what a singular
+        pose leaves free
     """
     way = _Way(six, np.asarray(q, float), T_base_platform)
     way.back(0, way.shoulder())
@@ -85,13 +90,16 @@ def inverse(T_base_platform: RigidTransform, six: SixR, q: np.ndarray) -> list[S
 
 
 def inverse_steps_of_solution(T_base_platform: RigidTransform, arm: Arm, q: np.ndarray) -> list[Step]:
-    """Steps by which the points of a pose () are returned by a solution q (n,) rad or m that was found otherwise, joint 1 to n, of any Arm.
+    """Steps by which the points of a pose () are returned by a solution q (n,) rad or m that was found otherwise, joint
+    1 to n, of any Arm.
 
     The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.
     """
     frame = global_frame(arm)
     chain = (frame.inv() * RigidTransform.from_matrix(mechanism.frames(np.zeros(len(q)), arm))).as_matrix()
-    moved = frame.inv() * T_base_platform * mechanism.forward(np.zeros(len(q)), arm).inv() * frame  # the hand since zero, in the global frame
+    moved = (
+        frame.inv() * T_base_platform * mechanism.forward(np.zeros(len(q)), arm).inv() * frame
+    )  # the hand since zero, in the global frame
     abc = moved.apply(hand_points(arm))
     steps = [Step(0, 0.0, np.zeros((2, 3)), tuple("ABC"), abc)]
     for i, value in enumerate(q):
@@ -102,11 +110,15 @@ def inverse_steps_of_solution(T_base_platform: RigidTransform, arm: Arm, q: np.n
 
 
 class _Way:
-    """The points of one pose on their way back to zero. abc : (3, 3) m; extra : {name: point} that joints still to be read move; steps : so far."""
+    """The points of one pose on their way back to zero. abc : (3, 3) m; extra : {name: point} that joints still to be
+    read move; steps : so far.
+    """
 
     def __init__(self, six: SixR, q: np.ndarray, T: RigidTransform) -> None:
         self.six, self.q = six, q
-        turn = six.frame.inv() * T * mechanism.forward(np.zeros(6), six.arm).inv() * six.frame  # of the hand since zero, in the global frame
+        turn = (
+            six.frame.inv() * T * mechanism.forward(np.zeros(6), six.arm).inv() * six.frame
+        )  # of the hand since zero, in the global frame
         R = turn.rotation.as_matrix()
         a = six.frame.inv().apply(T.translation) + R @ (six.key - six.hand[0])
         self.abc = np.array([a, a + R[:, 2], a + R[:, 1]])
@@ -124,7 +136,9 @@ class _Way:
         self.abc = rotate_points(self.abc, o, u, -value)
         self.extra = {name: rotate_points(point, o, u, -value) for name, point in self.extra.items()}
         self.steps.append(Step(i + 1, value, np.array([o, u]), **self.seen()))
-        self.extra = {name: point for name, point in self.extra.items() if i < {"E": 1, "D": 2}[name]}  # later joints leave it where it is
+        self.extra = {
+            name: point for name, point in self.extra.items() if i < {"E": 1, "D": 2}[name]
+        }  # later joints leave it where it is
 
     def seen(self) -> dict[str, Any]:
         """names and points of a Step, as they now are."""
@@ -145,7 +159,9 @@ class _Way:
         return self.two(4, float(axis @ v - tilt), float(axis @ np.cross(u, v)), float(axis @ self.carried(v) - tilt))
 
     def elbow(self, point: np.ndarray) -> None:
-        """Find E on axis 3, as far from axis 2 and from a point (3,) m as the links say; of two the one near the solution."""
+        """Find E on axis 3, as far from axis 2 and from a point (3,) m as the links say; of two the one near the
+        solution.
+        """
         o, u = self.six.points[1:3], self.six.axes[1]
         far = self.six.key if self.six.kind == "spherical" else self.six.points[3]
         arm, fore, d = (v - (u @ v) * u for v in (o[1] - o[0], far - o[1], point - o[0]))
@@ -160,18 +176,28 @@ class _Way:
         self.steps[-1] = self.steps[-1]._replace(**self.seen())
 
     def about(self, i: int | None, start: np.ndarray, end: np.ndarray) -> float:
-        """rad about axis i (from 0), or about the three parallel axes together, that takes a vector (3,) to another; free ones as in the solution."""
+        """rad about axis i (from 0), or about the three parallel axes together, that takes a vector (3,) to another;
+        free ones as in the solution.
+        """
         u = self.six.axes[1 if i is None else i]
         free = self.q[i] if i is not None else sum(self.q[k] * (self.six.axes[k] @ u) for k in (1, 2, 3))
-        return angle(start, end, u) if np.linalg.norm(np.cross(u, start)) > FREE and np.linalg.norm(np.cross(u, end)) > FREE else float(free)
+        return (
+            angle(start, end, u)
+            if np.linalg.norm(np.cross(u, start)) > FREE and np.linalg.norm(np.cross(u, end)) > FREE
+            else float(free)
+        )
 
     def two(self, i: int, a: float, b: float, c: float) -> float:
-        """rad, joint i (from 0) of a cos + b sin = c: of the two values the one near the solution, which a free joint takes."""
+        """rad, joint i (from 0) of a cos + b sin = c: of the two values the one near the solution, which a free joint
+        takes.
+        """
         r = float(np.hypot(a, b))
         if r < FREE:
             return float(self.q[i])
         middle, half = np.arctan2(b, a), np.arctan2(np.sqrt(max(r - c, 0.0) * max(r + c, 0.0)), c)
-        return float(min((wrap_angle(middle + half), wrap_angle(middle - half)), key=lambda t: abs(wrap_angle(t - self.q[i]))))
+        return float(
+            min((wrap_angle(middle + half), wrap_angle(middle - half)), key=lambda t: abs(wrap_angle(t - self.q[i])))
+        )
 
 
 def angle(a: np.ndarray, b: np.ndarray, u: np.ndarray) -> float:

@@ -1,7 +1,8 @@
-"""An arm's generalised momentum and what changes it: mass matrix, weight, and the part of Coriolis and centrifugal torques that momentum keeps.
+"""An arm's generalised momentum and what changes it: mass matrix, weight, and the part of Coriolis and centrifugal
+torques that momentum keeps.
 
-d(M v)/dt = tau + C^T v - g + J^T f, which needs no acceleration. Source: De Luca and Mattone, Actuator failure detection and
-isolation using generalized momenta, ICRA 2003.
+d(M v)/dt = tau + C^T v - g + J^T f, which needs no acceleration. Source: De Luca and Mattone, Actuator failure
+detection and isolation using generalized momenta, ICRA 2003.
 """
 
 import numpy as np
@@ -17,7 +18,8 @@ NO_GRAVITY = np.zeros(3)
 def mass_matrix(q: np.ndarray, arm: Arm, links: Links) -> np.ndarray:
     """(..., n, n) kg m^2 at joint values q (..., n) rad (slides: m, and kg)."""
     columns = [
-        arm_dynamics.joint_torques(q, np.zeros(np.shape(q)), np.broadcast_to(e, np.shape(q)), arm, links, NO_GRAVITY) for e in np.eye(np.shape(q)[-1])
+        arm_dynamics.joint_torques(q, np.zeros(np.shape(q)), np.broadcast_to(e, np.shape(q)), arm, links, NO_GRAVITY)
+        for e in np.eye(np.shape(q)[-1])
     ]
     return np.stack(columns, axis=-1)
 

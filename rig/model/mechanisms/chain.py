@@ -1,7 +1,7 @@
 """Mechanisms one upon the other, each moving the base of the next: a hexapod on a gantry.
 
-T_base_platform = T_1(x_1) T_2(x_2) .. T_n(x_n): the platform of each stage is the base of the next. More axes than six leave the
-inverse a choice: the configuration nearest to the middle of all travels, each axis in shares of its own.
+T_base_platform = T_1(x_1) T_2(x_2) .. T_n(x_n): the platform of each stage is the base of the next. More axes than six
+leave the inverse a choice: the configuration nearest to the middle of all travels, each axis in shares of its own.
 """
 
 from collections.abc import Iterator
@@ -25,7 +25,9 @@ LONGEST = 0.25  # of a travel, of one step
 
 
 def stages(values: np.ndarray, chain: Chain) -> Iterator[tuple[Stage, np.ndarray]]:
-    """(stage, its values (..., axes)) of commanded values (..., axes of all). Raises ValueError for another number of axes."""
+    """(stage, its values (..., axes)) of commanded values (..., axes of all). Raises ValueError for another number of
+    axes.
+    """
     values = np.asarray(values, float)
     if values.shape[-1:] != (len(chain.axes),):
         raise ValueError(f"expected values (..., {len(chain.axes)}) m or rad, got shape {values.shape}")
@@ -41,7 +43,9 @@ def stage_transforms(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
 
 
 def stage_poses(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
-    """[T_base_stage (...)] where every stage's platform stands in the chain's base, the last the chain's own. Raises what a stage's own raises."""
+    """[T_base_stage (...)] where every stage's platform stands in the chain's base, the last the chain's own. Raises
+    what a stage's own raises.
+    """
     out: list[RigidTransform] = []
     for T in stage_transforms(values, chain):
         out.append(out[-1] * T if out else T)
@@ -49,12 +53,16 @@ def stage_poses(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
 
 
 def forward(values: np.ndarray, chain: Chain, guess: RigidTransform | None = None) -> RigidTransform:
-    """T_base_platform (...) of commanded values (..., axes of all) m or rad. guess : unused; raises what a stage's own raises."""
+    """T_base_platform (...) of commanded values (..., axes of all) m or rad. guess : unused; raises what a stage's own
+    raises.
+    """
     return stage_poses(values, chain)[-1]
 
 
 def tangent_maps(parts: list[RigidTransform]) -> list[np.ndarray]:
-    """[(..., 6, 6)] of every stage: change of the whole chain's tangent with that of its own platform, both on the right."""
+    """[(..., 6, 6)] of every stage: change of the whole chain's tangent with that of its own platform, both on the
+    right.
+    """
     after, out = np.broadcast_to(np.eye(4), parts[0].as_matrix().shape), []
     for T in reversed(parts):
         R, t = after[..., :3, :3], after[..., :3, 3]
@@ -69,7 +77,10 @@ def tangent_maps(parts: list[RigidTransform]) -> list[np.ndarray]:
 def jacobian(values: np.ndarray, chain: Chain) -> np.ndarray:
     """(..., 6, axes of all) change of the pose's tangent on the right (m, rad) with the commanded values (m or rad)."""
     parts = stage_transforms(values, chain)
-    columns = [back @ _stage_jacobian(own, T, stage) for (stage, own), T, back in zip(stages(values, chain), parts, tangent_maps(parts))]
+    columns = [
+        back @ _stage_jacobian(own, T, stage)
+        for (stage, own), T, back in zip(stages(values, chain), parts, tangent_maps(parts))
+    ]
     return np.concatenate(columns, axis=-1)
 
 
@@ -82,7 +93,8 @@ def _stage_jacobian(values: np.ndarray, T: RigidTransform, stage: Stage) -> np.n
 
 
 def inverse(T_base_platform: RigidTransform, chain: Chain, guess: np.ndarray | None = None) -> np.ndarray:
-    """Commanded values (..., axes of all) of poses, the nearest to the middle of all travels that gives them. guess : where the search begins.
+    """Commanded values (..., axes of all) of poses, the nearest to the middle of all travels that gives them.
+    guess : where the search begins.
 
     Damped steps, what leaves the pose as it is spent on the way to the middle (Liegeois 1977)
     Raises Unreachable with the index of poses to which none leads
@@ -107,8 +119,11 @@ def inverse(T_base_platform: RigidTransform, chain: Chain, guess: np.ndarray | N
     left[going] = np.maximum(np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1))
     failed = np.flatnonzero(~(left <= GOOD))
     if len(failed):
-        raise Unreachable(f"{len(failed)} of {len(left)} poses are out of the chain's reach:", failed,
-                          [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed])
+        raise Unreachable(
+            f"{len(failed)} of {len(left)} poses are out of the chain's reach:",
+            failed,
+            [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed],
+        )
     return x.reshape(*T_base_platform.shape, -1)
 
 
@@ -138,7 +153,9 @@ def home(chain: Chain) -> np.ndarray:
 
 
 def loads(T: RigidTransform, values: np.ndarray, chain: Chain, wrench: np.ndarray) -> np.ndarray:
-    """(n, axes of all) N or N m with which the axes hold a wrench (n, 6) on the platform, each alone: what power they would do."""
+    """(n, axes of all) N or N m with which the axes hold a wrench (n, 6) on the platform, each alone: what power they
+    would do.
+    """
     return -np.einsum("nij,ni->nj", jacobian(values, chain), wrench)
 
 
@@ -148,7 +165,9 @@ def links(T: RigidTransform, values: np.ndarray, chain: Chain, gravity: np.ndarr
 
 
 def grown(T: RigidTransform, values: np.ndarray, chain: Chain, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(deviation (n, axes of all), sway (n, 6)) of stages whose axes' members have grown by shares (n, axes of all) of their length."""
+    """(deviation (n, axes of all), sway (n, 6)) of stages whose axes' members have grown by shares (n, axes of all) of
+    their length.
+    """
     parts, at, deviations, sway = stage_transforms(values, chain), 0, [], np.zeros((len(share), 6))
     for (stage, own), part, back in zip(stages(values, chain), parts, tangent_maps(parts)):
         longer, moved = KINDS[stage.kind].grown(part, own, stage, share[:, at : at + len(stage.axes)])

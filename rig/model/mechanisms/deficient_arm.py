@@ -1,10 +1,11 @@
-"""Arms of fewer than six joints: the joint values that bring the hand nearest to a pose, and what of the pose they leave.
+"""Arms of fewer than six joints: the joint values that bring the hand nearest to a pose, and what of the pose they
+leave.
 
-Position comes first; rotation is brought as near as the joints' motions that keep the position allow. A calibrated arm is led in as many
-directions as its owner's figures give it: in others it moves by a thousandth of what its joints do, and to make up for a tilt that no joint
-is there for would take turns of them.
-Sources: Nakamura, Hanafusa and Yoshikawa, Task-priority based redundancy control, IJRR 1987; Sugihara, T-RO 2011 (the damping); the lecture on
-the manipulator Jacobian: to make up for any error of a pose takes six joints
+Position comes first; rotation is brought as near as the joints' motions that keep the position allow. A calibrated arm
+is led in as many directions as its owner's figures give it: in others it moves by a thousandth of what its joints do,
+and to make up for a tilt that no joint is there for would take turns of them.
+Sources: Nakamura, Hanafusa and Yoshikawa, Task-priority based redundancy control, IJRR 1987; Sugihara, T-RO 2011 (the
+damping); the lecture on the manipulator Jacobian: to make up for any error of a pose takes six joints
 """
 
 from collections.abc import Callable
@@ -40,9 +41,15 @@ def reachable_directions(arm: Arm) -> Directions:
     return Directions(place, int(np.linalg.matrix_rank(J, rtol=NONE).max()) - place)
 
 
-def nearest_configuration(T_base_platform: RigidTransform, arm: Arm, start: np.ndarray, count: Directions,
-            effective: Callable[[np.ndarray], np.ndarray] | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(q (m, n) rad or m, rest (m, 6) m and rad, settled (m,) bool): joint values from a start (m, n) at which the hand is nearest to poses (m,).
+def nearest_configuration(
+    T_base_platform: RigidTransform,
+    arm: Arm,
+    start: np.ndarray,
+    count: Directions,
+    effective: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(q (m, n) rad or m, rest (m, 6) m and rad, settled (m,) bool): joint values from a start (m, n) at which the hand
+    is nearest to poses (m,).
 
     count : Directions in which it may be led; rest : tangent on the right, in the hand, that still leads to the pose
     effective : q (m, n) -> values (m, n) that the joints really take, q itself by default
@@ -61,7 +68,9 @@ def nearest_configuration(T_base_platform: RigidTransform, arm: Arm, start: np.n
 
 
 def _step(J: np.ndarray, error: np.ndarray, count: Directions) -> np.ndarray:
-    """(m, n) joints' step of Jacobians (m, 6, n) towards what is missing (m, 6): position first, rotation with what keeps it."""
+    """(m, n) joints' step of Jacobians (m, 6, n) towards what is missing (m, 6): position first, rotation with what
+    keeps it.
+    """
     first, keeps = _led(J[:, :3], error[:, :3], count.position)
     if not count.rotation:
         return first
@@ -70,10 +79,14 @@ def _step(J: np.ndarray, error: np.ndarray, count: Directions) -> np.ndarray:
 
 
 def _led(A: np.ndarray, error: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(step (m, n) by which A (m, 3, n) makes up for errors (m, 3) in its `count` best directions, (m, n, n) motions that do not touch these)."""
+    """(step (m, n) by which A (m, 3, n) makes up for errors (m, 3) in its `count` best directions, (m, n, n) motions
+    that do not touch these).
+    """
     U, s, Vt = np.linalg.svd(A, full_matrices=False)
     U, s, Vt = U[..., :count], s[..., :count], Vt[..., :count, :]
     along = (np.swapaxes(U, 1, 2) @ error[..., None])[..., 0]
-    damping = 0.5 * (along**2).sum(axis=1, keepdims=True) + 1e-15  # vanishes with the error's square, so the end is Newton's
+    damping = (
+        0.5 * (along**2).sum(axis=1, keepdims=True) + 1e-15
+    )  # vanishes with the error's square, so the end is Newton's
     step = (np.swapaxes(Vt, 1, 2) @ (s / (s**2 + damping) * along)[..., None])[..., 0]
     return step, np.eye(A.shape[2]) - np.swapaxes(Vt, 1, 2) @ Vt

@@ -28,7 +28,10 @@ def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     matrix = np.ascontiguousarray(T_base_platform.as_matrix())
     flat, out = matrix.reshape(-1, 4, 4), np.empty((matrix.size // 16, 6))
     hexapod_kernels.run_in_threads(
-        lambda part: hexapod_kernels.lengths(flat[part], hexapod.base_joints, hexapod.platform_joints, hexapod.strut_zeros, out[part]), len(flat)
+        lambda part: hexapod_kernels.lengths(
+            flat[part], hexapod.base_joints, hexapod.platform_joints, hexapod.strut_zeros, out[part]
+        ),
+        len(flat),
     )
     return out.reshape(*matrix.shape[:-2], 6)
 
@@ -50,8 +53,9 @@ def forward(lengths: np.ndarray, hexapod: Hexapod, guess: RigidTransform | None 
     lengths : (..., 6) m, as commanded (the strut zeros are added here)
     guess : RigidTransform () or (...), the home pose by default; decides which assembly is meant
     Returns T_base_platform : RigidTransform (...)
-    Raises NotConverged with index, lengths and residual (m) of those poses that have no solution near the guess, or whose
-    solution lies beyond a singularity, in another assembly; ValueError for a wrong shape or lengths that are not finite
+    Raises NotConverged with index, lengths and residual (m) of those poses that have no solution near the guess, or
+    whose solution lies beyond a singularity, in another assembly; ValueError for a wrong shape or lengths that are not
+    finite
     Source: Merlet, Parallel Robots, 2nd ed., ch. 4
     """
     lengths = np.asarray(lengths, float)
@@ -73,11 +77,15 @@ def forward(lengths: np.ndarray, hexapod: Hexapod, guess: RigidTransform | None 
             residual[part] = _newton(moved, flat[part], hexapod)
             matrix[part] = moved
         _check(matrix, began, residual, lengths, hexapod, again)
-    return RigidTransform(matrix.reshape(*lengths.shape[:-1], 4, 4), normalize=False, copy=False)  # of unit quaternions, normal as it is
+    return RigidTransform(
+        matrix.reshape(*lengths.shape[:-1], 4, 4), normalize=False, copy=False
+    )  # of unit quaternions, normal as it is
 
 
 def limits(lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
-    """How far commanded lengths (..., 6) lie outside the strut range: (..., 6) m, negative below, positive above, 0 inside."""
+    """How far commanded lengths (..., 6) lie outside the strut range: (..., 6) m, negative below, positive above, 0
+    inside.
+    """
     low, high = hexapod.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
 
@@ -106,7 +114,9 @@ def links(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, gravity: np.
 
 
 def grown(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(deviation (n, 6) m, sway (n, 6)) of struts grown by shares (n, 6) of their length: each is longer, nothing else moves."""
+    """(deviation (n, 6) m, sway (n, 6)) of struts grown by shares (n, 6) of their length: each is longer, nothing else
+    moves.
+    """
     return share * lengths, np.zeros((len(share), 6))
 
 
@@ -115,12 +125,20 @@ def ends(T: RigidTransform, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
     return hexapod.base_joints, transform_points(T, hexapod.platform_joints)
 
 
-def _side_by_side(lengths: np.ndarray, start: np.ndarray, hexapod: Hexapod, out: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
-    """Fill out, the matrix (n, 4, 4), residual (n,) m and crossed (n,) of lengths (n, 6) m, from start (n or 1, 4, 4)."""
+def _side_by_side(
+    lengths: np.ndarray, start: np.ndarray, hexapod: Hexapod, out: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> None:
+    """Fill out, the matrix (n, 4, 4), residual (n,) m and crossed (n,) of lengths (n, 6) m, from start (n or 1, 4,
+    4).
+    """
     q = Rotation.from_matrix(start[:, :3, :3]).as_quat(scalar_first=True)
     t = np.ascontiguousarray(start[:, :3, 3])
     struts = hexapod_kernels.Struts(
-        hexapod.base_joints, hexapod.platform_joints, _order(hexapod), 0.3 * float(np.linalg.norm(hexapod.home.translation)), MAX_TURN
+        hexapod.base_joints,
+        hexapod.platform_joints,
+        _order(hexapod),
+        0.3 * float(np.linalg.norm(hexapod.home.translation)),
+        MAX_TURN,
     )
 
     def solve(part: slice) -> None:
@@ -182,17 +200,39 @@ def _rotation(rotvec: np.ndarray) -> np.ndarray:
     return Rotation.from_rotvec(rotvec).as_matrix()
 
 
-def _check(matrix: np.ndarray, start: np.ndarray, residual: np.ndarray, lengths: np.ndarray, hexapod: Hexapod, doubtful: np.ndarray) -> None:
-    """Raise NotConverged for poses (n, 4, 4) without a solution, or of those doubtful (k,), solved beyond a singularity."""
+def _check(
+    matrix: np.ndarray,
+    start: np.ndarray,
+    residual: np.ndarray,
+    lengths: np.ndarray,
+    hexapod: Hexapod,
+    doubtful: np.ndarray,
+) -> None:
+    """Raise NotConverged for poses (n, 4, 4) without a solution, or of those doubtful (k,), solved beyond a
+    singularity.
+    """
     failed = np.flatnonzero(residual > 10 * TOLERANCE)
     if len(failed):
         worst = failed[np.argmax(residual[failed])]
-        raise NotConverged(f"{len(failed)} of {len(residual)} poses have no solution near the guess; worst leaves {residual[worst]:.3g} m "
-                           f"at lengths {lengths.reshape(-1, 6)[worst].round(6).tolist()} m", failed, lengths.reshape(-1, 6)[failed],
-                           residual[failed])
-    side, before = (np.linalg.det(_rows(part[:, :3, :3], part[:, :3, 3], hexapod)[1]) for part in (matrix[doubtful], start[doubtful]))
+        raise NotConverged(
+            f"{len(failed)} of {len(residual)} poses have no solution near the guess; worst leaves "
+            f"{residual[worst]:.3g} m "
+            f"at lengths {lengths.reshape(-1, 6)[worst].round(6).tolist()} m",
+            failed,
+            lengths.reshape(-1, 6)[failed],
+            residual[failed],
+        )
+    side, before = (
+        np.linalg.det(_rows(part[:, :3, :3], part[:, :3, 3], hexapod)[1])
+        for part in (matrix[doubtful], start[doubtful])
+    )
     crossed = doubtful[np.sign(side) != np.sign(before)]
     if len(crossed):
-        raise NotConverged(f"{len(crossed)} of {len(residual)} poses were found only beyond a singularity, in another assembly; first at "
-                           f"lengths {lengths.reshape(-1, 6)[crossed[0]].round(6).tolist()} m", crossed,
-                           lengths.reshape(-1, 6)[crossed], residual[crossed])
+        raise NotConverged(
+            f"{len(crossed)} of {len(residual)} poses were found only beyond a singularity, in another "
+            "assembly; first at "
+            f"lengths {lengths.reshape(-1, 6)[crossed[0]].round(6).tolist()} m",
+            crossed,
+            lengths.reshape(-1, 6)[crossed],
+            residual[crossed],
+        )

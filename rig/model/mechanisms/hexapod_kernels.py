@@ -1,8 +1,11 @@
-"""A hexapod's kinematics compiled: strut lengths of poses, and the poses of strut lengths eight at a time, side by side in the processor's lanes.
+"""A hexapod's kinematics compiled: strut lengths of poses, and the poses of strut lengths eight at a time, side by side
+in the processor's lanes.
 
-Newton on the pose as in `hexapod`, with a unit quaternion for the turn and the rows eliminated in one order for all, chosen at the start:
-what that order does not suit does not settle, is told by its residual and left to who calls. Each lane stands still once it has settled, so
-that a pose comes out the same to the last bit whatever stands beside it. Source: Merlet, Parallel Robots, 2nd ed., ch. 3 and 4
+Newton on the pose as in `hexapod`, with a unit quaternion for the turn and the rows eliminated in one order for all,
+chosen at the start:
+what that order does not suit does not settle, is told by its residual and left to who calls. Each lane stands still
+once it has settled, so that a pose comes out the same to the last bit whatever stands beside it. Source: Merlet,
+Parallel Robots, 2nd ed., ch. 3 and 4
 """
 
 from collections.abc import Callable
@@ -20,7 +23,9 @@ STEPS = 20  # at most; from where a guess is good it takes 4 or 5
 
 
 class Struts(NamedTuple):
-    """base, platform : (6, 3) m, joints; order : (6,) of the struts' elimination; reach : m, longest single step; turn : rad, likewise."""
+    """base, platform : (6, 3) m, joints; order : (6,) of the struts' elimination; reach : m, longest single step;
+    turn : rad, likewise.
+    """
 
     base: np.ndarray
     platform: np.ndarray
@@ -30,7 +35,9 @@ class Struts(NamedTuple):
 
 
 def run_in_threads(kernel: Callable[[slice], None], count: int, each: int = EACH) -> None:
-    """kernel(slice) over `count` things in stretches side by side on all cores (OMP_NUM_THREADS at most); what it runs must let go of the lock."""
+    """kernel(slice) over `count` things in stretches side by side on all cores (OMP_NUM_THREADS at most); what it runs
+    must let go of the lock.
+    """
     threads = min(worker_count(), count // each)
     if threads < 2:
         kernel(slice(0, count))
@@ -38,7 +45,9 @@ def run_in_threads(kernel: Callable[[slice], None], count: int, each: int = EACH
     edges = np.linspace(0, count, threads + 1).astype(int) // WIDTH * WIDTH
     edges[-1] = count
     with ThreadPoolExecutor(threads) as pool:
-        for done in [pool.submit(kernel, slice(low, high)) for low, high in zip(edges[:-1].tolist(), edges[1:].tolist())]:
+        for done in [
+            pool.submit(kernel, slice(low, high)) for low, high in zip(edges[:-1].tolist(), edges[1:].tolist())
+        ]:
             done.result()
 
 
@@ -58,7 +67,9 @@ def lengths(matrices: np.ndarray, base: np.ndarray, platform: np.ndarray, zeros:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _loops(R: np.ndarray, t: np.ndarray, wanted: np.ndarray, struts: Struts, M: np.ndarray, worst: np.ndarray) -> None:
-    """Into M (6, 7, lanes) the Jacobian's rows and what each strut lacks, in the elimination's order; into worst (lanes,) the largest lack."""
+    """Into M (6, 7, lanes) the Jacobian's rows and what each strut lacks, in the elimination's order; into worst
+    (lanes,) the largest lack.
+    """
     for v in range(WIDTH):
         worst[v] = 0.0
     for i in range(6):
@@ -111,8 +122,12 @@ def _rotations(q: np.ndarray, R: np.ndarray) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _step(q: np.ndarray, t: np.ndarray, R: np.ndarray, M: np.ndarray, limits: tuple[float, float, float], worst: np.ndarray) -> None:
-    """Move poses q (4, lanes), t (3, lanes) by the step that M leads to where they have not settled; limits : (reach, turn, tolerance)."""
+def _step(
+    q: np.ndarray, t: np.ndarray, R: np.ndarray, M: np.ndarray, limits: tuple[float, float, float], worst: np.ndarray
+) -> None:
+    """Move poses q (4, lanes), t (3, lanes) by the step that M leads to where they have not settled; limits : (reach,
+    turn, tolerance).
+    """
     for j in range(5, 0, -1):
         for i in range(j):
             for v in range(WIDTH):
@@ -136,15 +151,29 @@ def _step(q: np.ndarray, t: np.ndarray, R: np.ndarray, M: np.ndarray, limits: tu
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def poses(wanted: np.ndarray, struts: Struts, start: tuple[np.ndarray, np.ndarray], tolerance: float, matrices: np.ndarray, residual: np.ndarray,
-          crossed: np.ndarray) -> None:
+def poses(
+    wanted: np.ndarray,
+    struts: Struts,
+    start: tuple[np.ndarray, np.ndarray],
+    tolerance: float,
+    matrices: np.ndarray,
+    residual: np.ndarray,
+    crossed: np.ndarray,
+) -> None:
     """Poses into matrices (n, 4, 4) of strut lengths wanted (n, 6) m, zeros included, by Newton from where they start.
 
     start : quaternions (n or 1, 4), real part first, and positions (n or 1, 3) m; tolerance : m, of a strut
-    residual : (n,) m, filled with what is left; crossed : (n,) bool, whether the Jacobian's determinant changed its sign on the way
+    residual : (n,) m, filled with what is left; crossed : (n,) bool, whether the Jacobian's determinant changed its
+        sign on the way
     """
     n = len(wanted)
-    M, q, t, R, aim = np.empty((6, 7, WIDTH)), np.empty((4, WIDTH)), np.empty((3, WIDTH)), np.empty((9, WIDTH)), np.empty((6, WIDTH))
+    M, q, t, R, aim = (
+        np.empty((6, 7, WIDTH)),
+        np.empty((4, WIDTH)),
+        np.empty((3, WIDTH)),
+        np.empty((9, WIDTH)),
+        np.empty((6, WIDTH)),
+    )
     factor, worst, side, before = np.empty(WIDTH), np.empty(WIDTH), np.empty(WIDTH), np.empty(WIDTH)
     one = len(start[0]) == 1
     for at in range(0, n, WIDTH):

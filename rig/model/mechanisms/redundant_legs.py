@@ -1,8 +1,11 @@
-"""A platform on more legs than six: which six tell its pose, and by how much the others, whose lengths are known as well, do not close.
+"""A platform on more legs than six: which six tell its pose, and by how much the others, whose lengths are known as
+well, do not close.
 
-Legs are driven struts and measuring limbs alike. What a closure is expected to be follows from every leg's own error and from how well its
-geometry is known; one leg that is off by the same all along shows in all closures that depend on it, in proportions of its own.
-Source: Merlet, Parallel Robots, 2nd ed., ch. 5 and 9 (redundant sensors); Hexapod forward kinematics for the chosen six.
+Legs are driven struts and measuring limbs alike. What a closure is expected to be follows from every leg's own error
+and from how well its geometry is known; one leg that is off by the same all along shows in all closures that depend on
+it, in proportions of its own.
+Source: Merlet, Parallel Robots, 2nd ed., ch. 5 and 9 (redundant sensors); Hexapod forward kinematics for the chosen
+    six.
 """
 
 from dataclasses import dataclass
@@ -23,8 +26,10 @@ SINGULAR = 1e-6  # of the largest singular value: six legs that leave a platform
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Legs:
-    """k legs. names : (k,); base, platform : (k, 3) m, joints in the base and platform frames; zeros : (k,) m, what a leg is longer than it reads
-    home : T_base_platform; sigma : (k,) m of a reading; covariance : (7 k, 7 k) m^2 of base joint, platform joint and zero, leg by leg"""
+    """k legs. names : (k,); base, platform : (k, 3) m, joints in the base and platform frames; zeros : (k,) m, what a
+    leg is longer than it reads
+    home : T_base_platform; sigma : (k,) m of a reading; covariance : (7 k, 7 k) m^2 of base joint, platform joint and
+        zero, leg by leg"""
 
     names: tuple[str, ...]
     base: np.ndarray
@@ -37,14 +42,21 @@ class Legs:
     def six(self, chosen: np.ndarray) -> Hexapod:
         """The Hexapod of six of the legs (6,)."""
         length = np.linalg.norm(self.home.apply(self.platform[chosen]) - self.base[chosen], axis=1)
-        return Hexapod(self.base[chosen], self.platform[chosen], np.stack([0.2 * length, 3 * length], axis=1), self.home, self.zeros[chosen])
+        return Hexapod(
+            self.base[chosen],
+            self.platform[chosen],
+            np.stack([0.2 * length, 3 * length], axis=1),
+            self.home,
+            self.zeros[chosen],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Closures:
     """n poses by six legs. T_base_platform : RigidTransform (n,); checks : (k - 6,) indices of the other legs
     error : (n, k - 6) m, what these read less what the pose says; covariance : (n, k - 6, k - 6) m^2 expected of it
-    off : (k,) m, what each leg would have to be off by to explain the errors best, share : (k,) of their squares that this explains"""
+    off : (k,) m, what each leg would have to be off by to explain the errors best, share : (k,) of their squares that
+        this explains"""
 
     T_base_platform: RigidTransform
     checks: np.ndarray
@@ -54,25 +66,41 @@ class Closures:
     share: np.ndarray
 
 
-def combine_legs(parts: list[tuple[str, Hexapod | MeasuringLimbs, np.ndarray, np.ndarray]], home: RigidTransform) -> Legs:
-    """Legs of sets of n: (letter of their names, geometry, sigma (n,) m, covariance (7 n, 7 n) m^2 of its base joints, platform joints and zeros).
+def combine_legs(
+    parts: list[tuple[str, Hexapod | MeasuringLimbs, np.ndarray, np.ndarray]], home: RigidTransform
+) -> Legs:
+    """Legs of sets of n: (letter of their names, geometry, sigma (n,) m, covariance (7 n, 7 n) m^2 of its base joints,
+    platform joints and zeros).
 
     home : T_base_platform, about which they are looked for
     """
     blocks, names, zeros = [], list[str](), []
     for letter, m, sigma, covariance in parts:
         n = len(sigma)
-        order = np.array([[*range(3 * i, 3 * i + 3), *range(3 * (n + i), 3 * (n + i) + 3), 6 * n + i] for i in range(n)]).ravel()
+        order = np.array(
+            [[*range(3 * i, 3 * i + 3), *range(3 * (n + i), 3 * (n + i) + 3), 6 * n + i] for i in range(n)]
+        ).ravel()
         blocks.append(covariance[np.ix_(order, order)])
         names += [f"{letter}{i + 1}" for i in range(n)]
         zeros.append(m.strut_zeros if isinstance(m, Hexapod) else m.zeros)
-    base, platform = (np.concatenate([getattr(m, name) for _, m, *_ in parts]) for name in ("base_joints", "platform_joints"))
-    return Legs(tuple(names), base, platform, np.concatenate(zeros), home, np.concatenate([sigma for *_, sigma, _ in parts]),
-                scipy.linalg.block_diag(*blocks))
+    base, platform = (
+        np.concatenate([getattr(m, name) for _, m, *_ in parts]) for name in ("base_joints", "platform_joints")
+    )
+    return Legs(
+        tuple(names),
+        base,
+        platform,
+        np.concatenate(zeros),
+        home,
+        np.concatenate([sigma for *_, sigma, _ in parts]),
+        scipy.linalg.block_diag(*blocks),
+    )
 
 
 def leg_length_jacobians(of: Legs, T: RigidTransform) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(read (n, k) m, Jacobian (n, k, 6) of these with the tangent on the right, to_base (n, k, 3) their slope with a base joint) at poses (n,)."""
+    """(read (n, k) m, Jacobian (n, k, 6) of these with the tangent on the right, to_base (n, k, 3) their slope with a
+    base joint) at poses (n,).
+    """
     matrix = T.as_matrix()
     R, place = matrix[:, :3, :3], matrix[:, :3, 3]
     along = np.einsum("nij,kj->nki", R, of.platform) + place[:, None] - of.base
@@ -83,21 +111,31 @@ def leg_length_jacobians(of: Legs, T: RigidTransform) -> tuple[np.ndarray, np.nd
 
 
 def leg_parameter_jacobians(of: Legs, T: RigidTransform) -> np.ndarray:
-    """(n, k, 7 k) of what k legs read at poses (n,) with their base joints, platform joints and zeros, leg by leg, m/m."""
+    """(n, k, 7 k) of what k legs read at poses (n,) with their base joints, platform joints and zeros, leg by leg,
+    m/m.
+    """
     own = _slope(leg_length_jacobians(of, T)[2], T)
     return (np.eye(own.shape[1])[:, :, None] * own[:, :, None]).reshape(*own.shape[:2], -1)
 
 
 def _slope(to_base: np.ndarray, T: RigidTransform) -> np.ndarray:
-    """(n, k, 7) of what each leg reads with its own base joint, platform joint and zero. to_base : (n, k, 3), of the first"""
-    return np.concatenate([to_base, -np.einsum("nki,nij->nkj", to_base, T.as_matrix()[:, :3, :3]), -np.ones((*to_base.shape[:2], 1))], axis=2)
+    """(n, k, 7) of what each leg reads with its own base joint, platform joint and zero. to_base : (n, k, 3), of the
+    first
+    """
+    return np.concatenate(
+        [to_base, -np.einsum("nki,nij->nkj", to_base, T.as_matrix()[:, :3, :3]), -np.ones((*to_base.shape[:2], 1))],
+        axis=2,
+    )
 
 
 def best_six(of: Legs, T: RigidTransform) -> np.ndarray:
-    """(6,) indices of the legs that tell poses (n,) best: of all sixes the one whose worst-told direction, at the worst pose, is told best, each leg
-    counting by its reading's error and rotations by the platform's size. Raises RigError where none of them holds the platform"""
+    """(6,) indices of the legs that tell poses (n,) best: of all sixes the one whose worst-told direction, at the worst
+    pose, is told best, each leg counting by its reading's error and rotations by the platform's size. Raises RigError
+    where none of them holds the platform"""
     size = float(np.linalg.norm(of.platform - of.platform.mean(axis=0), axis=1).mean())
-    J = leg_length_jacobians(of, T[np.unique(np.linspace(0, len(T) - 1, min(len(T), LOOKED_AT)).round().astype(int))])[1]
+    J = leg_length_jacobians(of, T[np.unique(np.linspace(0, len(T) - 1, min(len(T), LOOKED_AT)).round().astype(int))])[
+        1
+    ]
     J = J / np.repeat([1.0, size], 3) / of.sigma[:, None]
     sets = np.array(list(combinations(range(len(of.names)), SIX)))
     values = np.linalg.svd(J[:, sets], compute_uv=False)  # (poses, sets, 6)
@@ -108,14 +146,17 @@ def best_six(of: Legs, T: RigidTransform) -> np.ndarray:
 
 
 def leg_closures(of: Legs, read: np.ndarray, chosen: np.ndarray) -> Closures:
-    """Closures of lengths read (n, k) m, poses by the legs chosen (6,). Raises NotConverged where these close on no pose, RigError for a choice
-    that leaves the platform loose"""
+    """Closures of lengths read (n, k) m, poses by the legs chosen (6,). Raises NotConverged where these close on no
+    pose, RigError for a choice that leaves the platform loose"""
     checks = np.setdiff1d(np.arange(len(of.names)), chosen)
     T = mechanism.forward(read[:, chosen], of.six(chosen))
     told, J, to_base = leg_length_jacobians(of, T)
     values = np.linalg.svd(J[:, chosen], compute_uv=False)
     if (values[:, -1] < SINGULAR * values[:, 0]).any():
-        raise RigError(f"{', '.join(of.names[i] for i in chosen)} leave the platform loose at pose {int((values[:, -1] / values[:, 0]).argmin())}")
+        raise RigError(
+            f"{', '.join(of.names[i] for i in chosen)} leave the platform loose at pose "
+            f"{int((values[:, -1] / values[:, 0]).argmin())}"
+        )
     back = np.linalg.solve(np.swapaxes(J[:, chosen], 1, 2), np.swapaxes(J[:, checks], 1, 2))
     by = np.zeros((len(read), len(checks), len(of.names)))  # closure per leg's reading
     by[:, np.arange(len(checks)), checks] = 1.0
@@ -129,7 +170,9 @@ def leg_closures(of: Legs, read: np.ndarray, chosen: np.ndarray) -> Closures:
 
 
 def _off(by: np.ndarray, error: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(off (k,) m, share (k,)): each leg's offset that explains the errors best alone, and the share of their squares that goes with it."""
+    """(off (k,) m, share (k,)): each leg's offset that explains the errors best alone, and the share of their squares
+    that goes with it.
+    """
     weighed = np.linalg.solve(covariance, by)
     right, gram = np.einsum("nci,nc->i", weighed, error), np.einsum("nci,nci->i", weighed, by)
     whole = np.einsum("nc,nc->", error, np.linalg.solve(covariance, error[..., None])[..., 0])

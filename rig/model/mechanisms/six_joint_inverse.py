@@ -1,7 +1,9 @@
-"""Six joints in one global frame: forward by turning the hand's three points, inverse in closed form with all eight branches.
+"""Six joints in one global frame: forward by turning the hand's three points, inverse in closed form with all eight
+branches.
 
-The frame stands at the crossing of axes 1 and 2 (or where 1 comes nearest to 2), z along axis 1, y along axis 2. It serves
-arms whose axes 4, 5, 6 cross (spherical wrist) with 2 parallel to 3, and arms with 2, 3, 4 parallel and 5 crossing 6.
+The frame stands at the crossing of axes 1 and 2 (or where 1 comes nearest to 2), z along axis 1, y along axis 2. It
+serves arms whose axes 4, 5, 6 cross (spherical wrist) with 2 parallel to 3, and arms with 2, 3, 4 parallel and 5
+crossing 6.
 Source: patent CN111488654A. Any other arm: rig.model.mechanisms.arm.inverse.
 """
 
@@ -22,15 +24,21 @@ REASONS = {
     successive_regression.TOO_NEAR: "too near the shoulder, by",
     successive_regression.TURNED_AWAY: "the wrist cannot point there, by",
 }
-SINGULAR = {successive_regression.SHOULDER: "shoulder", successive_regression.ELBOW: "elbow", successive_regression.WRIST: "wrist"}
+SINGULAR = {
+    successive_regression.SHOULDER: "shoulder",
+    successive_regression.ELBOW: "elbow",
+    successive_regression.WRIST: "wrist",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SixR:
     """An arm of six joints as points and space vectors at zero, in its global frame.
 
-    arm : Arm; kind : "spherical" or "parallel"; points, axes : (6, 3) m and unit vectors, each axis's point and direction
-    key : (3,) m, where the last axes cross; hand : (3, 3) m, points A, B, C of the hand, AB along z and AC along y, 1 m each
+    arm : Arm; kind : "spherical" or "parallel"; points, axes : (6, 3) m and unit vectors, each axis's point and
+        direction
+    key : (3,) m, where the last axes cross; hand : (3, 3) m, points A, B, C of the hand, AB along z and AC along y, 1 m
+        each
     frame : T_base_global
     """
 
@@ -46,7 +54,8 @@ class SixR:
 @dataclass(frozen=True, slots=True, eq=False)
 class Branches:
     """All inverse solutions. q : (..., 8, 6) rad in -pi .. pi, NaN where a branch is not there; there : (..., 8) bool
-    singular : (..., 8) sums of 1 shoulder, 2 elbow, 4 wrist, where two branches meet or a joint is free (then `near` was taken)
+    singular : (..., 8) sums of 1 shoulder, 2 elbow, 4 wrist, where two branches meet or a joint is free (then `near`
+        was taken)
     reason : (...) 0 or why there is no branch at all (REASONS); gap : (...) m or rad by which it fails."""
 
     q: np.ndarray
@@ -85,14 +94,18 @@ def six_joint_arm(arm: Arm) -> SixR:
 
 
 def global_frame(arm: Arm) -> RigidTransform:
-    """T_base_global of an Arm: where axes 1 and 2 cross or come nearest, z along 1, y along 2; its frame 0 where these are parallel."""
+    """T_base_global of an Arm: where axes 1 and 2 cross or come nearest, z along 1, y along 2; its frame 0 where these
+    are parallel.
+    """
     chain = mechanism.frames(np.zeros(len(arm.joints)), arm)
     o, u = chain[:2, :3, 3], chain[:2, :3, 2]
     y = u[1] - (u[1] @ u[0]) * u[0]
     if len(arm.joints) < 2 or np.linalg.norm(y) < EXACT:
         return RigidTransform.from_matrix(chain[0])
     y = y / np.linalg.norm(y)
-    return RigidTransform.from_components(_nearest(o[0], u[0], o[1], u[1]), Rotation.from_matrix(np.column_stack([np.cross(y, u[0]), y, u[0]])))
+    return RigidTransform.from_components(
+        _nearest(o[0], u[0], o[1], u[1]), Rotation.from_matrix(np.column_stack([np.cross(y, u[0]), y, u[0]]))
+    )
 
 
 def _kind(o: np.ndarray, u: np.ndarray) -> tuple[str, np.ndarray]:
@@ -105,8 +118,12 @@ def _kind(o: np.ndarray, u: np.ndarray) -> tuple[str, np.ndarray]:
         return "spherical", key
     if max(skewed(1, 2), skewed(1, 3), *meets[1:]) < EXACT and skewed(1, 4) > EXACT:
         return "parallel", key
-    raise RigError(f"no closed form: axes 2 and 3 are {skewed(1, 2):.3g} rad from parallel, 2 and 4 {skewed(1, 3):.3g} rad; axis 4 misses the "
-                   f"crossing of 5 and 6 by {meets[0]:.3g} m, and these each other by {meets[1]:.3g} m; take rig.model.mechanisms.arm.inverse")
+    raise RigError(
+        f"no closed form: axes 2 and 3 are {skewed(1, 2):.3g} rad from parallel, 2 and 4 {skewed(1, 3):.3g} "
+        "rad; axis 4 misses the "
+        f"crossing of 5 and 6 by {meets[0]:.3g} m, and these each other by {meets[1]:.3g} m; take "
+        "rig.model.mechanisms.arm.inverse"
+    )
 
 
 def _nearest(o: np.ndarray, u: np.ndarray, p: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -126,7 +143,9 @@ def _hand(matrix: np.ndarray, six: SixR) -> np.ndarray:
 
 
 def forward(q: np.ndarray, six: SixR) -> RigidTransform:
-    """T_base_platform : RigidTransform (...) of joint angles q (..., 6) rad, by turning A, B, C from the last joint to the first."""
+    """T_base_platform : RigidTransform (...) of joint angles q (..., 6) rad, by turning A, B, C from the last joint to
+    the first.
+    """
     q = np.asarray(q, float)
     abc = successive_regression.forward(np.ascontiguousarray(q.reshape(-1, 6)), six.points, six.axes, six.hand)
     y, z = abc[:, 2] - abc[:, 0], abc[:, 1] - abc[:, 0]
@@ -150,12 +169,18 @@ def inverse(T_base_platform: RigidTransform, six: SixR, near: np.ndarray | None 
     near = np.zeros(6) if near is None else np.asarray(near, float)
     q, flags, reason, gap = kernel(_hand(matrix.reshape(-1, 4, 4), six), six.points, six.axes, six.hand, six.key, near)
     there = flags >= 0
-    return Branches(q.reshape(*shape, 8, 6), there.reshape(*shape, 8), np.maximum(flags, 0).reshape(*shape, 8), reason.reshape(shape),
-                    gap.reshape(shape))
+    return Branches(
+        q.reshape(*shape, 8, 6),
+        there.reshape(*shape, 8),
+        np.maximum(flags, 0).reshape(*shape, 8),
+        reason.reshape(shape),
+        gap.reshape(shape),
+    )
 
 
 def nearest_solution(T_base_platform: RigidTransform, six: SixR, guess: np.ndarray) -> np.ndarray:
-    """(..., 6) rad, of all branches and whole turns the solution within the limits that is nearest to guess (..., 6) or (6,) rad.
+    """(..., 6) rad, of all branches and whole turns the solution within the limits that is nearest to guess (..., 6) or
+    (6,) rad.
 
     Raises Unreachable with the index of poses out of reach, or whose solutions all leave the limits
     """
@@ -166,6 +191,9 @@ def nearest_solution(T_base_platform: RigidTransform, six: SixR, guess: np.ndarr
     far = np.where(allowed, np.abs(q - guess[..., None, :]).max(axis=-1), np.inf)
     failed = np.flatnonzero(np.isinf(far.min(axis=-1)))
     if len(failed):
-        lines = [f"pose {i}: {found.why(i) if found.reason.ravel()[i] else 'every solution leaves the joint limits'}" for i in failed.tolist()]
+        lines = [
+            f"pose {i}: {found.why(i) if found.reason.ravel()[i] else 'every solution leaves the joint limits'}"
+            for i in failed.tolist()
+        ]
         raise Unreachable(f"{len(failed)} of {far[..., 0].size} poses cannot be taken:", failed, lines)
     return np.take_along_axis(q, np.argmin(far, axis=-1)[..., None, None], axis=-2)[..., 0, :]

@@ -1,9 +1,12 @@
-"""Successive regression, compiled: everything is a point or a space vector of one global frame, and joints are undone in turn.
+"""Successive regression, compiled: everything is a point or a space vector of one global frame, and joints are undone
+in turn.
 
-Forward, the hand's three points A, B, C turn about the axes where these stand at zero, the last joint first. Inverse, each
-joint is read from a point or a direction that the joints behind it cannot move, and then turned back before the next is read.
-Vectors are tuples of three numbers, so that nothing is allocated. Where two readings of a joint fall together, the small
-quantity between them is taken from factors and differences that keep its digits. Source: patent CN111488654A, claims 1-5.
+Forward, the hand's three points A, B, C turn about the axes where these stand at zero, the last joint first. Inverse,
+each joint is read from a point or a direction that the joints behind it cannot move, and then turned back before the
+next is read.
+Vectors are tuples of three numbers, so that nothing is allocated. Where two readings of a joint fall together, the
+small quantity between them is taken from factors and differences that keep its digits. Source: patent CN111488654A,
+claims 1-5.
 """
 
 from math import atan2, sqrt
@@ -60,7 +63,9 @@ def around(p: Vector, o: Vector, u: Vector, c: float, s: float) -> Vector:
 
 @njit(cache=True, error_model="numpy")
 def angle(a: Vector, b: Vector, u: Vector) -> tuple[float, float, float, float]:
-    """(angle from a to b about u, its cosine, its sine, product of their lengths across u); 0 where one lies along u."""
+    """(angle from a to b about u, its cosine, its sine, product of their lengths across u); 0 where one lies along
+    u.
+    """
     a, b = add(a, u, -dot(a, u)), add(b, u, -dot(b, u))
     s, c = dot(u, cross(a, b)), dot(a, b)
     size = sqrt(s * s + c * c)
@@ -77,9 +82,11 @@ def wrapped(t: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def readings(a: float, b: float, less: float, more: float) -> tuple[float, float, float]:
-    """The two angles of a cos x + b sin x = c, with r = hypot(a, b), less = r - c, more = r + c: (first, second, sine between).
+    """The two angles of a cos x + b sin x = c, with r = hypot(a, b), less = r - c, more = r + c: (first, second, sine
+    between).
 
-    less and more come in the form that keeps their digits where they are small; a negative one is the caller's to refuse.
+    less and more come in the form that keeps their digits where they are small; a negative one is the caller's to
+    refuse.
     """
     h = sqrt(max(less, 0.0) * max(more, 0.0))
     c = 0.5 * (more - less)
@@ -88,9 +95,11 @@ def readings(a: float, b: float, less: float, more: float) -> tuple[float, float
 
 
 @njit(cache=True, error_model="numpy")
-def shoulder(point: Vector, o: Vector, u1: Vector, u2: Vector, level: float) -> tuple[float, float, float, float, float]:
-    """Joint 1, by which the point, turned back about axis 1, lies at `level` along axis 2: (first, second, half their spread in m,
-    by how much the point is too near the axis, its distance, both in m)."""
+def shoulder(
+    point: Vector, o: Vector, u1: Vector, u2: Vector, level: float
+) -> tuple[float, float, float, float, float]:
+    """Joint 1, by which the point, turned back about axis 1, lies at `level` along axis 2: (first, second, half their
+    spread in m, by how much the point is too near the axis, its distance, both in m)."""
     w = add(point, o, -1.0)
     flat = add(u2, u1, -dot(u1, u2))
     a, b = dot(flat, w), -dot(flat, cross(u1, w))
@@ -101,7 +110,9 @@ def shoulder(point: Vector, o: Vector, u1: Vector, u2: Vector, level: float) -> 
 
 
 @njit(cache=True, error_model="numpy")
-def elbows(o: Vector, u: Vector, upper: float, fore: float, point: Vector) -> tuple[Vector, Vector, float, float, float, float]:
+def elbows(
+    o: Vector, u: Vector, upper: float, fore: float, point: Vector
+) -> tuple[Vector, Vector, float, float, float, float]:
     """Two elbow points, from o, at distance `upper` from the axis (o, u) and `fore` from a point, all seen along u:
     (first, second, height, by how much the point is too far, too near, its distance), all in m."""
     d = add(point, o, -1.0)

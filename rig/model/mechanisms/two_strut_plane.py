@@ -27,7 +27,8 @@ def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
 
 
 def forward(lengths: np.ndarray, planar: Planar2, guess: RigidTransform | None = None) -> RigidTransform:
-    """Hinge position, as an unrotated RigidTransform (...), of commanded lengths (..., 2) m: the crossing of two circles.
+    """Hinge position, as an unrotated RigidTransform (...), of commanded lengths (..., 2) m: the crossing of two
+    circles.
 
     guess : unused; the hinge is on the left of the line from base joint 1 to base joint 2
     Raises NotConverged with index, lengths and residual (m) where the circles do not meet
@@ -41,16 +42,25 @@ def forward(lengths: np.ndarray, planar: Planar2, guess: RigidTransform | None =
     if len(apart):
         pairs = lengths.reshape(-1, 2)[apart]
         residual = np.sqrt(-square.ravel()[apart])
-        raise NotConverged(f"{len(apart)} of {square.size} pairs of lengths do not meet; first {pairs[0].tolist()} m, {residual[0]:.3g} m apart",
-                           apart, pairs, residual)
+        raise NotConverged(
+            f"{len(apart)} of {square.size} pairs of lengths do not meet; first {pairs[0].tolist()} m, "
+            f"{residual[0]:.3g} m apart",
+            apart,
+            pairs,
+            residual,
+        )
     e = line / span
     position = np.zeros((*lengths.shape[:-1], 3))
-    position[..., :2] = planar.base_joints[0] + along[..., None] * e + np.sqrt(square)[..., None] * np.array([-e[1], e[0]])
+    position[..., :2] = (
+        planar.base_joints[0] + along[..., None] * e + np.sqrt(square)[..., None] * np.array([-e[1], e[0]])
+    )
     return RigidTransform.from_translation(position)
 
 
 def limits(lengths: np.ndarray, planar: Planar2) -> np.ndarray:
-    """How far commanded lengths (..., 2) lie outside the strut range: (..., 2) m, negative below, positive above, 0 inside."""
+    """How far commanded lengths (..., 2) lie outside the strut range: (..., 2) m, negative below, positive above, 0
+    inside.
+    """
     low, high = planar.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
 
@@ -66,7 +76,9 @@ def home(planar: Planar2) -> np.ndarray:
 
 
 def loads(T: RigidTransform, lengths: np.ndarray, planar: Planar2, wrench: np.ndarray) -> np.ndarray:
-    """(n, 2) N with which the struts push the hinge to hold a wrench (n, 6); what lies across the plane its guide bears."""
+    """(n, 2) N with which the struts push the hinge to hold a wrench (n, 6); what lies across the plane its guide
+    bears.
+    """
     return np.linalg.solve(np.swapaxes(jacobian(T, planar)[..., :2], 1, 2), -wrench[..., :2, None])[..., 0]
 
 
@@ -76,7 +88,9 @@ def links(T: RigidTransform, lengths: np.ndarray, planar: Planar2, gravity: np.n
 
 
 def grown(T: RigidTransform, lengths: np.ndarray, planar: Planar2, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(deviation (n, 2) m, sway (n, 6)) of struts grown by shares (n, 2) of their length: each is longer, nothing else moves."""
+    """(deviation (n, 2) m, sway (n, 6)) of struts grown by shares (n, 2) of their length: each is longer, nothing else
+    moves.
+    """
     return share * lengths, np.zeros((len(share), 6))
 
 

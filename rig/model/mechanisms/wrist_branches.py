@@ -1,4 +1,5 @@
-"""Closed-form inverses by successive regression of the two common kinds of six joints: spherical wrist, three parallel axes.
+"""Closed-form inverses by successive regression of the two common kinds of six joints: spherical wrist, three parallel
+axes.
 
 All branches: two shoulders, two elbows, two wrists. Points and axes are those at zero, in the global frame.
 Source: patent CN111488654A, claim 5 (there for parallel axes 2, 3, 4; the spherical wrist is read by the same steps).
@@ -59,7 +60,9 @@ def _hand(hands: np.ndarray, m: int, key: Vector) -> tuple[Vector, Vector, Vecto
 
 @njit(cache=True, error_model="numpy")
 def _bend(axis: Vector, u5: Vector, u6: Vector) -> tuple[float, float, float, float]:
-    """What joint 5 is read from: cos and sine parts of axis . turned(u6), and how far r + product and r - product are from 1."""
+    """What joint 5 is read from: cos and sine parts of axis . turned(u6), and how far r + product and r - product are
+    from 1.
+    """
     a, b = dot(_across(axis, u5), _across(u6, u5)), dot(axis, cross(u5, u6))
     r, tilt = np.sqrt(a * a + b * b), dot(axis, u5) * dot(u6, u5)
     return a, b, r + tilt - 1, r - tilt - 1
@@ -75,7 +78,9 @@ def _wrist(axis: Vector, v: Vector, bend: tuple[float, float, float, float]) -> 
 
 
 @njit(cache=True, error_model="numpy")
-def spherical(hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray, key: np.ndarray, near: np.ndarray) -> Found:
+def spherical(
+    hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray, key: np.ndarray, near: np.ndarray
+) -> Found:
     """Axes 4, 5, 6 cross in `key`; axes 2 and 3 are parallel.
 
     hands : (m, 3, 3) points A, B, C wanted, AB and AC of length 1, hand : (3, 3) the same at zero; key : (3,) at zero
@@ -110,7 +115,11 @@ def spherical(hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.
                 t2, c, s, _ = _set(near[1]) if span < FREE else angle(arm, e1 if n2 == 0 else e2, u2)
                 t3, d, e, _ = angle(fore, add(around(W1, o2, u2, c, -s), o3, -1.0), u3)
                 s, e = -s, -e
-                x, y, z = about(about(x1, u2, c, s), u3, d, e), about(about(y1, u2, c, s), u3, d, e), about(about(z1, u2, c, s), u3, d, e)
+                x, y, z = (
+                    about(about(x1, u2, c, s), u3, d, e),
+                    about(about(y1, u2, c, s), u3, d, e),
+                    about(about(z1, u2, c, s), u3, d, e),
+                )
                 v, w = seen(u6, x, y, z), seen(mark, x, y, z)
                 first5, second5, h5, miss = _wrist(u4, v, bend)
                 if miss > SLACK:
@@ -134,7 +143,9 @@ def spherical(hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.
 
 @njit(cache=True, error_model="numpy")
 def _within(turn: float, point: Vector, last: Vector, u: Vector, upper: float, fore: float) -> float:
-    """The turn itself where it leaves point - turned(last) within the elbow's reach, else one that brings it there if any does."""
+    """The turn itself where it leaves point - turned(last) within the elbow's reach, else one that brings it there if
+    any does.
+    """
     flat, span = _across(point, u), _across(last, u)
     a, b = np.sqrt(dot(flat, flat)), np.sqrt(dot(span, span))
     least, most = max(abs(upper - fore), abs(a - b)), min(upper + fore, a + b)
@@ -147,8 +158,12 @@ def _within(turn: float, point: Vector, last: Vector, u: Vector, upper: float, f
 
 
 @njit(cache=True, error_model="numpy")
-def parallel(hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray, key: np.ndarray, near: np.ndarray) -> Found:
-    """Axes 2, 3, 4 are parallel; axes 5 and 6 cross in `key`. Arguments, hands (m, 3, 3) first, and results as of `spherical`."""
+def parallel(
+    hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray, key: np.ndarray, near: np.ndarray
+) -> Found:
+    """Axes 2, 3, 4 are parallel; axes 5 and 6 cross in `key`. Arguments, hands (m, 3, 3) first, and results as of
+    `spherical`.
+    """
     q, flags = np.full((len(hands), 8, 6), np.nan), np.full((len(hands), 8), -1)
     reason, gap = np.zeros(len(hands), np.int64), np.zeros(len(hands))
     o1, o2, o3, o4 = row(points, 0), row(points, 1), row(points, 2), row(points, 3)
@@ -179,7 +194,9 @@ def parallel(hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.n
                 t5 = first5 if n5 == 0 else second5
                 c, s = np.cos(t5), np.sin(t5)
                 turn, d, e, size = angle(about(u6, u5, c, s), v, u2)
-                if size < FREE**2:  # axis 6 along 2: one motion of all four leaves the hand still, so take a place of it that can be
+                if (
+                    size < FREE**2
+                ):  # axis 6 along 2: one motion of all four leaves the hand still, so take a place of it that can be
                     turn = angle(about(about(mark, u6, np.cos(near[5]), np.sin(near[5])), u5, c, s), w, u2)[0]
                     turn, d, e, _ = _set(_within(turn, add(P1, o2, -1.0), last, u2, upper, lower))
                 t6 = angle(mark, about(about(w, u2, d, -e), u5, c, -s), u6)[0]

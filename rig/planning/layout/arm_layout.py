@@ -1,6 +1,8 @@
-"""A rig.toml of a shipped arm that cameras see: cubes in its hand before fixed cameras, or cameras in its hand before cubes that stand.
+"""A rig.toml of a shipped arm that cameras see: cubes in its hand before fixed cameras, or cameras in its hand before
+cubes that stand.
 
-The arm is to move about one posture, far from its singular ones, in which hand and cubes stay in view: its limits are narrowed to that.
+The arm is to move about one posture, far from its singular ones, in which hand and cubes stay in view: its limits are
+narrowed to that.
 """
 
 import numpy as np
@@ -11,7 +13,16 @@ from rig.model.mechanism_kinds import arm_of
 from rig.model.mechanisms import arm as mechanism
 from rig.planning.configuration_sets import low_discrepancy
 from rig.planning.layout import shipped_arms
-from rig.planning.layout.layout_elements import FACES, Ring, camera, camera_lines, camera_pose, check_layout, cube_lines, cube_ring_lines
+from rig.planning.layout.layout_elements import (
+    FACES,
+    Ring,
+    camera,
+    camera_lines,
+    camera_pose,
+    check_layout,
+    cube_lines,
+    cube_ring_lines,
+)
 
 TRIED = 400  # postures, of which the one with the best conditioned Jacobian is taken
 TURNS = {"cubes": 0.45, "hand": 0.3}  # rad either way that every joint may turn, by what is carried
@@ -22,8 +33,8 @@ WIDE = 0.75  # rad to either side that a camera in the hand sees
 def arm_layout(name: str, carried: str, cameras: int, size: tuple[int, int], cubes: int, dictionary: str) -> str:
     """Text of a rig.toml of a shipped arm.
 
-    carried : "cubes" or "hand", for cameras in the hand; cameras : how many; size : px of the images; cubes : how many in the hand and on the
-    base, or three times as many before the hand
+    carried : "cubes" or "hand", for cameras in the hand; cameras : how many; size : px of the images; cubes : how many
+    in the hand and on the base, or three times as many before the hand
     Raises RigError for a name that there is not, a dictionary with too few identities, or figures that make no rig
     """
     text = shipped_arms.shipped_arm_rig_toml(name).replace(shipped_arms.INSTRUMENT, "")
@@ -33,8 +44,13 @@ def arm_layout(name: str, carried: str, cameras: int, size: tuple[int, int], cub
     T = mechanism.forward(low_discrepancy(arm.limits, 64, 1.0), arm)
     middle = T.translation.mean(axis=0)
     reach = float(np.linalg.norm(T.translation - middle, axis=1).max())
-    lines += _cubes_in_hand(middle, reach, cameras, size, cubes, dictionary) if carried == "cubes" else \
-        _cameras_in_hand(mechanism.forward(arm.limits.mean(axis=1), arm), reach, cameras, size, 3 * cubes, dictionary)
+    lines += (
+        _cubes_in_hand(middle, reach, cameras, size, cubes, dictionary)
+        if carried == "cubes"
+        else _cameras_in_hand(
+            mechanism.forward(arm.limits.mean(axis=1), arm), reach, cameras, size, 3 * cubes, dictionary
+        )
+    )
     return "\n".join(lines) + "\n"
 
 
@@ -60,19 +76,29 @@ def _narrowed(text: str, arm: Arm) -> str:
     return tomlkit.dumps(document)
 
 
-def _cubes_in_hand(middle: np.ndarray, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str) -> list[str]:
+def _cubes_in_hand(
+    middle: np.ndarray, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str
+) -> list[str]:
     edge_platform, edge_base = (share * reach * (2 / np.sqrt(max(cubes, 4))) for share in (0.24, 0.3))
     low = middle - [0, 0, 0.8 * reach - edge_base / 2]
     return camera_lines(middle, reach, cameras, *size) + cube_ring_lines(
-        cubes, dictionary, Ring(np.array([0, 0, edge_platform / 2]), 0.22 * reach, edge_platform, 0.35), Ring(low, reach, edge_base, 0.35))
+        cubes,
+        dictionary,
+        Ring(np.array([0, 0, edge_platform / 2]), 0.22 * reach, edge_platform, 0.35),
+        Ring(low, reach, edge_base, 0.35),
+    )
 
 
-def _cameras_in_hand(T: RigidTransform, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str) -> list[str]:
+def _cameras_in_hand(
+    T: RigidTransform, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str
+) -> list[str]:
     """Cameras that look out of the hand, along its z, and cubes in a field before it, their +z towards it."""
     lines, apart = list[str](), 0.12 * reach
     for i in range(cameras):
         angle = 2 * np.pi * i / cameras
-        at = RigidTransform.from_translation(apart * np.array([np.cos(angle), np.sin(angle), 0]) if cameras > 1 else [0.0, 0, 0])
+        at = RigidTransform.from_translation(
+            apart * np.array([np.cos(angle), np.sin(angle), 0]) if cameras > 1 else [0.0, 0, 0]
+        )
         lines += camera(f"cam{i}", at, WIDE, size, "hand")
     ahead = T.rotation.apply([0, 0, 1.0])
     far = 1.6 * reach

@@ -11,8 +11,16 @@ HEIGHT_SHARE = 1.5  # home height over the base's radius
 STROKE_SHARE = 0.33  # of the base's radius
 
 
-def hexapod_layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 1024, cubes: int = 4, dictionary: str = "DICT_5X5_100",
-           name: str = "hexapod", limbs: int = 0) -> str:
+def hexapod_layout(
+    radius: float,
+    cameras: int = 3,
+    width: int = 1280,
+    height: int = 1024,
+    cubes: int = 4,
+    dictionary: str = "DICT_5X5_100",
+    name: str = "hexapod",
+    limbs: int = 0,
+) -> str:
     """Text of a rig.toml.
 
     radius : m, of the circle of base joints; cameras : how many, evenly around; width, height : px
@@ -26,22 +34,50 @@ def hexapod_layout(radius: float, cameras: int = 3, width: int = 1280, height: i
     home = np.array([0, 0, HEIGHT_SHARE * radius])
     length = np.linalg.norm(platform + home - base, axis=1)
     half = STROKE_SHARE * radius / 2
-    lines = ['schema = "rig/1"', f'name = "{name}"', "", "[environment]", "gravity = [0.0, 0.0, -9.80665]   # m/s^2, base frame", "",
-             "[mechanism]", 'kind = "hexapod"', f"base_joints = {toml_rows(base)}   # m, base frame, strut 1..6",
-             f"platform_joints = {toml_rows(platform)}   # m, platform frame",
-             f"strut_range = {toml_rows(np.stack([length - half, length + half], axis=1))}   # m, joint centre to joint centre",
-             f"home = {{ position = {toml_row(home)}, rotvec = [0.0, 0.0, 0.0] }}   # platform in base", "",
-             "[actuator]", "screw_lead = 0.004   # m per revolution", 'joints = "cardan-cardan"', f"max_speed = {0.17 * radius:.4g}   # m/s", "",
-             "[platform]", f"mass = {450 * radius**3:.4g}   # kg", f"centre_of_mass = [0.0, 0.0, {0.07 * radius:.4g}]   # m, platform frame",
-             f"payload_centre_of_mass = [0.0, 0.0, {0.4 * radius:.4g}]"]
+    lines = [
+        'schema = "rig/1"',
+        f'name = "{name}"',
+        "",
+        "[environment]",
+        "gravity = [0.0, 0.0, -9.80665]   # m/s^2, base frame",
+        "",
+        "[mechanism]",
+        'kind = "hexapod"',
+        f"base_joints = {toml_rows(base)}   # m, base frame, strut 1..6",
+        f"platform_joints = {toml_rows(platform)}   # m, platform frame",
+        f"strut_range = {toml_rows(np.stack([length - half, length + half], axis=1))}   # m, joint centre to "
+        "joint centre",
+        f"home = {{ position = {toml_row(home)}, rotvec = [0.0, 0.0, 0.0] }}   # platform in base",
+        "",
+        "[actuator]",
+        "screw_lead = 0.004   # m per revolution",
+        'joints = "cardan-cardan"',
+        f"max_speed = {0.17 * radius:.4g}   # m/s",
+        "",
+        "[platform]",
+        f"mass = {450 * radius**3:.4g}   # kg",
+        f"centre_of_mass = [0.0, 0.0, {0.07 * radius:.4g}]   # m, platform frame",
+        f"payload_centre_of_mass = [0.0, 0.0, {0.4 * radius:.4g}]",
+    ]
     if limbs:
-        lines += ["", "[insitu]", f"base_joints = {toml_rows(_limb_joints(radius * 1.1, LIMB_PAIRS[0], limbs))}   # m, base frame, limb 1..{limbs}",
-                  f"platform_joints = {toml_rows(_limb_joints(radius * PLATFORM_SHARE * 0.9, LIMB_PAIRS[1], limbs))}   # m, platform frame",
-                  f"length_sigma = 1e-6   # m, of one reading (sensors.csv, m1..m{limbs})"]
+        lines += [
+            "",
+            "[insitu]",
+            f"base_joints = {toml_rows(_limb_joints(radius * 1.1, LIMB_PAIRS[0], limbs))}   # m, base frame, "
+            f"limb 1..{limbs}",
+            "platform_joints = "
+            f"{toml_rows(_limb_joints(radius * PLATFORM_SHARE * 0.9, LIMB_PAIRS[1], limbs))}   # m, platform "
+            "frame",
+            f"length_sigma = 1e-6   # m, of one reading (sensors.csv, m1..m{limbs})",
+        ]
     lines += camera_lines(np.array([0, 0, 0.45 * home[2]]), radius, cameras, width, height)
     edge_platform, edge_base = 0.62 * radius / np.sqrt(cubes), 0.7 * radius / np.sqrt(cubes)
-    lines += cube_ring_lines(cubes, dictionary, Ring(np.array([0, 0, edge_platform / 2]), 0.45 * radius, edge_platform, 0.35),
-                   Ring(np.array([0, 0, edge_base / 2]), 1.25 * radius, edge_base, 0.9))
+    lines += cube_ring_lines(
+        cubes,
+        dictionary,
+        Ring(np.array([0, 0, edge_platform / 2]), 0.45 * radius, edge_platform, 0.35),
+        Ring(np.array([0, 0, edge_base / 2]), 1.25 * radius, edge_base, 0.9),
+    )
     return "\n".join(lines) + "\n"
 
 
@@ -51,6 +87,8 @@ def _joints(radius: float, half_angle: float, turn: float) -> np.ndarray:
 
 
 def _limb_joints(radius: float, half_angle: float, count: int) -> np.ndarray:
-    """(count, 3) m of measuring limbs: three pairs as struts have them; those beyond six stand inside, each pair turned on from the last."""
+    """(count, 3) m of measuring limbs: three pairs as struts have them; those beyond six stand inside, each pair turned
+    on from the last.
+    """
     rounds = [_joints(radius * 0.8**k, half_angle, k * (half_angle + 0.5)) for k in range((count + 5) // 6)]
     return np.concatenate(rounds)[:count]

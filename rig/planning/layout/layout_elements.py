@@ -18,7 +18,9 @@ FILLED = 1.6  # times that reach what fills the image
 
 
 class Ring(NamedTuple):
-    """Where cubes stand around a body. centre : (3,) m; radius, edge : m, of the circle and of a cube; turn : rad, of the first cube"""
+    """Where cubes stand around a body. centre : (3,) m; radius, edge : m, of the circle and of a cube; turn : rad, of
+    the first cube
+    """
 
     centre: np.ndarray
     radius: float
@@ -27,23 +29,34 @@ class Ring(NamedTuple):
 
 
 def check_layout(radius: float, cameras: int, cubes: int, dictionary: str) -> None:
-    """Raise RigError for figures that make no rig, or a dictionary with too few identities for two bodies with so many cubes."""
+    """Raise RigError for figures that make no rig, or a dictionary with too few identities for two bodies with so many
+    cubes.
+    """
     if not 0.01 <= radius <= 20:
         raise RigError(f"a radius of {radius:g} m makes no rig; expected 0.01 .. 20 m")
     if cameras < 1 or cubes < 1:
         raise RigError(f"expected at least one camera and one cube, got {cameras} and {cubes}")
     if 2 * cubes * len(FACES) > DICTIONARIES.get(dictionary, 0):
-        raise RigError(f"{2 * cubes} cubes need {2 * cubes * len(FACES)} identities; {dictionary} has {DICTIONARIES.get(dictionary, 0)}")
+        raise RigError(
+            f"{2 * cubes} cubes need {2 * cubes * len(FACES)} identities; {dictionary} has "
+            f"{DICTIONARIES.get(dictionary, 0)}"
+        )
 
 
 def camera_lines(middle: np.ndarray, reach: float, count: int, width: int, height: int) -> list[str]:
-    """Lines of so many cameras evenly around a middle (3,) m, that see as far as `reach` m from it. width, height : px"""
+    """Lines of so many cameras evenly around a middle (3,) m, that see as far as `reach` m from it. width,
+    height : px
+    """
     distance = DISTANCE_SHARE * reach
     lines = []
     for i in range(count):
         around = 0.35 + 2 * np.pi * i / count
-        eye = middle + distance * np.array([np.cos(ELEVATION) * np.cos(around), np.cos(ELEVATION) * np.sin(around), np.sin(ELEVATION)])
-        lines += camera(f"cam{i}", camera_pose(eye, (middle - eye) / distance), np.arcsin(FILLED / DISTANCE_SHARE), (width, height))
+        eye = middle + distance * np.array(
+            [np.cos(ELEVATION) * np.cos(around), np.cos(ELEVATION) * np.sin(around), np.sin(ELEVATION)]
+        )
+        lines += camera(
+            f"cam{i}", camera_pose(eye, (middle - eye) / distance), np.arcsin(FILLED / DISTANCE_SHARE), (width, height)
+        )
     return lines
 
 
@@ -51,29 +64,55 @@ def camera_pose(eye: np.ndarray, ahead: np.ndarray) -> RigidTransform:
     """Pose of a camera at a place (3,) m that looks along a unit direction (3,), level, OpenCV axes."""
     right = np.cross(ahead, [0, 0, 1.0] if abs(ahead[2]) < 0.999 else [0, 1.0, 0])
     right /= np.linalg.norm(right)
-    return RigidTransform.from_components(eye, Rotation.from_matrix(np.stack([right, np.cross(ahead, right), ahead], axis=1)))
+    return RigidTransform.from_components(
+        eye, Rotation.from_matrix(np.stack([right, np.cross(ahead, right), ahead], axis=1))
+    )
 
 
-def camera(name: str, pose: RigidTransform, half_angle: float, size: tuple[int, int], mount: str = "fixed") -> list[str]:
-    """Lines of a camera that sees so far to the sides (rad). pose : in the base, or of one in the hand in the platform; size : px"""
+def camera(
+    name: str, pose: RigidTransform, half_angle: float, size: tuple[int, int], mount: str = "fixed"
+) -> list[str]:
+    """Lines of a camera that sees so far to the sides (rad). pose : in the base, or of one in the hand in the platform;
+    size : px
+    """
     width, height = size
     focal = 0.5 * min(width, 1.25 * height) / np.tan(half_angle)
     position, rotvec = np.split(pose_to_vector(pose), 2)
     matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]
     where = "base" if mount == "fixed" else "platform"
-    return ["", "[[camera]]", f'name = "{name}"', f"width = {width}", f"height = {height}", f"matrix = {toml_rows(matrix)}",
-            "distortion = [-0.1, 0.08, 0.0, 0.0, 0.0]   # OpenCV k1 k2 p1 p2 k3",
-            f"pose = {{ position = {toml_row(position)}, rotvec = {toml_row(rotvec)} }}   # camera in {where}, OpenCV axes",
-            *([] if mount == "fixed" else [f'mount = "{mount}"']), 'shutter = "global"']
+    return [
+        "",
+        "[[camera]]",
+        f'name = "{name}"',
+        f"width = {width}",
+        f"height = {height}",
+        f"matrix = {toml_rows(matrix)}",
+        "distortion = [-0.1, 0.08, 0.0, 0.0, 0.0]   # OpenCV k1 k2 p1 p2 k3",
+        f"pose = {{ position = {toml_row(position)}, rotvec = {toml_row(rotvec)} }}   # camera in {where}, OpenCV axes",
+        *([] if mount == "fixed" else [f'mount = "{mount}"']),
+        'shutter = "global"',
+    ]
 
 
-def cube_lines(name: str, body: str, dictionary: str, first: int, edge: float, place: Iterable[float], turn: Iterable[float]) -> list[str]:
-    """Lines of a cube on a body, its identities from `first` on. edge : m; place : (3,) m of its centre; turn : (3,) rotation vector, rad"""
+def cube_lines(
+    name: str, body: str, dictionary: str, first: int, edge: float, place: Iterable[float], turn: Iterable[float]
+) -> list[str]:
+    """Lines of a cube on a body, its identities from `first` on. edge : m; place : (3,) m of its centre; turn : (3,)
+    rotation vector, rad
+    """
     faces = ", ".join(f'"{face}" = {first + k}' for k, face in enumerate(FACES))
     turned = ", ".join(f"{value:.6f}" if value else "0.0" for value in turn)
-    return ["", "[[target]]", f'name = "{name}"', f'body = "{body}"', f"edge = {edge:.6g}   # m", f"marker = {MARKER_SHARE * edge:.6g}   # m",
-            f'dictionary = "{dictionary}"', f"faces = {{ {faces} }}",
-            f"pose = {{ position = {toml_row(place)}, rotvec = [{turned}] }}   # cube in body"]
+    return [
+        "",
+        "[[target]]",
+        f'name = "{name}"',
+        f'body = "{body}"',
+        f"edge = {edge:.6g}   # m",
+        f"marker = {MARKER_SHARE * edge:.6g}   # m",
+        f'dictionary = "{dictionary}"',
+        f"faces = {{ {faces} }}",
+        f"pose = {{ position = {toml_row(place)}, rotvec = [{turned}] }}   # cube in body",
+    ]
 
 
 def cube_ring_lines(cubes: int, dictionary: str, platform: Ring, base: Ring) -> list[str]:

@@ -18,7 +18,9 @@ rotation_sigma = 1e-4   # rad
 
 def shipped_arm_names() -> list[str]:
     """Names of the arms that are shipped, sorted."""
-    return sorted(entry.name.removesuffix(".toml") for entry in (files("rig") / "arms").iterdir() if entry.name.endswith(".toml"))
+    return sorted(
+        entry.name.removesuffix(".toml") for entry in (files("rig") / "arms").iterdir() if entry.name.endswith(".toml")
+    )
 
 
 def shipped_arm_path(text: str) -> Path:
@@ -26,7 +28,9 @@ def shipped_arm_path(text: str) -> Path:
     if Path(text).exists() or Path(text).suffix:
         return Path(text)
     if text not in shipped_arm_names():
-        raise RigError(f"there is no file {text!r}, nor is it one of the shipped arms: {', '.join(shipped_arm_names())}")
+        raise RigError(
+            f"there is no file {text!r}, nor is it one of the shipped arms: {', '.join(shipped_arm_names())}"
+        )
     return Path(str(files("rig") / "arms" / f"{text}.toml"))
 
 
@@ -37,7 +41,9 @@ def load_shipped_arm(text: str) -> Design:
 
 
 def shipped_arm_rig_toml(name: str) -> str:
-    """Text of a rig.toml with a shipped arm that an instrument measures. Raises RigError for a name that there is not."""
+    """Text of a rig.toml with a shipped arm that an instrument measures. Raises RigError for a name that there is
+    not.
+    """
     if name not in shipped_arm_names():
         raise RigError(f"there is no arm {name!r}; there are {', '.join(shipped_arm_names())}")
     return (files("rig") / "arms" / f"{name}.toml").read_text(encoding="utf-8") + INSTRUMENT

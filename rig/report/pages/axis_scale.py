@@ -13,7 +13,9 @@ ROOM = 0.05  # of the range, on either side of the values
 
 @dataclass(frozen=True)
 class Scale:
-    """Values low .. high at places start .. end of a figure; log : by their logarithm; whole : of whole numbers, as frames are."""
+    """Values low .. high at places start .. end of a figure; log : by their logarithm; whole : of whole numbers, as
+    frames are.
+    """
 
     low: float
     high: float
@@ -40,7 +42,12 @@ class Scale:
         first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
         wide = last - first > 2
         every = -(-(last - first) // 6)
-        found = [k * 10.0**p for p in range(first, last + 1) if (p - first) % every == 0 for k in ((1,) if wide else (1, 2, 5))]
+        found = [
+            k * 10.0**p
+            for p in range(first, last + 1)
+            if (p - first) % every == 0
+            for k in ((1,) if wide else (1, 2, 5))
+        ]
         return [v for v in found if self.low <= v * (1 + 1e-9) and v <= self.high * (1 + 1e-9)]
 
     def said(self) -> str:
@@ -48,9 +55,15 @@ class Scale:
         return f"{self.low:.6g} {self.high:.6g} {self.start:.1f} {self.end:.1f}" + (" log" if self.log else "")
 
 
-def scale_of_values(values: np.ndarray, ends: tuple[float, float], log: bool = False, limits: tuple[float, float] | None = None,
-           whole: bool = False) -> Scale:
-    """Scale that holds all finite values (n,), positive ones where it is logarithmic. ends : (2,) places; limits : in place of the values' own
+def scale_of_values(
+    values: np.ndarray,
+    ends: tuple[float, float],
+    log: bool = False,
+    limits: tuple[float, float] | None = None,
+    whole: bool = False,
+) -> Scale:
+    """Scale that holds all finite values (n,), positive ones where it is logarithmic. ends : (2,) places; limits : in
+    place of the values' own
     whole : whether they are whole numbers"""
     known = np.asarray(values, float).ravel()
     known = known[np.isfinite(known) & ((known > 0) | (not log))]

@@ -45,20 +45,30 @@ def list_html(lines: Iterable[str], ordered: bool = False) -> str:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A table that scrolls where it is wider than the page. header : of its columns, "" for one without; rows : of text and numbers"""
+    """A table that scrolls where it is wider than the page. header : of its columns, "" for one without; rows : of text
+    and numbers
+    """
     lines = [[str(cell) for cell in row] for row in rows]
     said = [_of_text(column) for column in zip(*lines)] or [False] * len(header)
     head = "".join(
-        f'<th scope="col"{_style(cell, text, WORDY)}>{escape_html(cell)}</th>' if cell else "<td></td>" for cell, text in zip(header, said)
+        f'<th scope="col"{_style(cell, text, WORDY)}>{escape_html(cell)}</th>' if cell else "<td></td>"
+        for cell, text in zip(header, said)
     )
-    cells = [[f"<td{_style(cell, text, LONG)}>{escape_html(cell)}</td>" for cell, text in zip(line, said)] for line in lines]
+    cells = [
+        [f"<td{_style(cell, text, LONG)}>{escape_html(cell)}</td>" for cell, text in zip(line, said)] for line in lines
+    ]
     body = "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
     name = escape_html(", ".join(filter(None, header)))
-    return f'<div class="scroll" tabindex="0" role="group" aria-label="table of {name}"><table><tr>{head}</tr>{body}</table></div>'
+    return (
+        '<div class="scroll" tabindex="0" role="group" aria-label="table of '
+        f'{name}"><table><tr>{head}</tr>{body}</table></div>'
+    )
 
 
 def _of_text(column: Sequence[str]) -> bool:
-    """Whether a column is of text, which begins at its left; of numbers, which end at its right, it is when half of its cells begin with one."""
+    """Whether a column is of text, which begins at its left; of numbers, which end at its right, it is when half of its
+    cells begin with one.
+    """
     said = [cell for cell in column if cell]
     return 2 * sum(re.match(r"[-+±]?[\d.]", cell) is not None for cell in said) < len(said)
 

@@ -17,7 +17,9 @@ FEWEST = 5  # values of a patch that is drawn
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrows:
-    """at : (n, 2) in the plane's own units; by : (n, 2) values in `unit`, drawn so many times `enlarged`; colour : as of a figure's Series"""
+    """at : (n, 2) in the plane's own units; by : (n, 2) values in `unit`, drawn so many times `enlarged`; colour : as
+    of a figure's Series
+    """
 
     at: np.ndarray
     by: np.ndarray
@@ -28,7 +30,9 @@ class Arrows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """centre : (n, 2) of square cells of `size`, both in the plane's own units; values : (n,) in `unit`, shown by their shade"""
+    """centre : (n, 2) of square cells of `size`, both in the plane's own units; values : (n,) in `unit`, shown by their
+    shade
+    """
 
     centre: np.ndarray
     values: np.ndarray
@@ -38,18 +42,31 @@ class Cells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quads:
-    """corners : (n, 4, 2) of outlines, in the plane's own units, the first of which is marked; colour : as of a figure's Series, -1 for grey"""
+    """corners : (n, 4, 2) of outlines, in the plane's own units, the first of which is marked; colour : as of a
+    figure's Series, -1 for grey
+    """
 
     corners: np.ndarray
     colour: int = -1
 
 
-def image_plane(title: str, below: str, size: tuple[float, float], layers: Sequence[Arrows | Cells | Quads], dots: np.ndarray | None = None) -> str:
-    """A figure of an image. below : a line below it; size : (width, height) px; dots : (n, 2) px of places marked, or None"""
+def image_plane(
+    title: str,
+    below: str,
+    size: tuple[float, float],
+    layers: Sequence[Arrows | Cells | Quads],
+    dots: np.ndarray | None = None,
+) -> str:
+    """A figure of an image. below : a line below it; size : (width, height) px; dots : (n, 2) px of places marked, or
+    None
+    """
     width, height = size
     scale = (WIDTH - 8) / width
     tall = scale * height
-    parts = [text(4, 14, title, style="name"), f'<rect class="frame" x="4" y="{TOP:.1f}" width="{WIDTH - 8}" height="{tall:.1f}"/>']
+    parts = [
+        text(4, 14, title, style="name"),
+        f'<rect class="frame" x="4" y="{TOP:.1f}" width="{WIDTH - 8}" height="{tall:.1f}"/>',
+    ]
 
     def placed(points: np.ndarray) -> np.ndarray:
         return points * scale + [4 + scale / 2, TOP + scale / 2]
@@ -67,7 +84,9 @@ def image_plane(title: str, below: str, size: tuple[float, float], layers: Seque
 
 
 def patch_means(uv: np.ndarray, values: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
-    """(centres (c, 2), means (c, k)) of values (n, k) at places uv (n, 2) >= 0, over square cells, sized in uv's unit, that hold FEWEST or more."""
+    """(centres (c, 2), means (c, k)) of values (n, k) at places uv (n, 2) >= 0, over square cells, sized in uv's unit,
+    that hold FEWEST or more.
+    """
     keys, index, count = np.unique((uv // cell).astype(int) @ [1, 1000], return_inverse=True, return_counts=True)
     centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
     total = np.zeros((len(keys), values.shape[1]))
@@ -81,21 +100,30 @@ def _cells(cells: Cells, placed: Placed, scale: float, below: float) -> list[str
     greatest = float(np.nanmax(cells.values, initial=1e-300))
     at, half = placed(cells.centre), cells.size * scale / 2
     ends = np.clip(np.hstack([at - half, at + half]), [4, TOP, 4, TOP], [WIDTH - 4, below, WIDTH - 4, below])
-    return [f'<rect class="shade" fill-opacity="{0.08 + 0.72 * max(value, 0.0) / greatest:.2f}" x="{left:.1f}" y="{top:.1f}" '
-            f'width="{right - left:.1f}" height="{bottom - top:.1f}">{tooltip(f"{value:.4g} {cells.unit}")}</rect>'
-            for (left, top, right, bottom), value in zip(ends.tolist(), cells.values.tolist()) if value == value]
+    return [
+        f'<rect class="shade" fill-opacity="{0.08 + 0.72 * max(value, 0.0) / greatest:.2f}" x="{left:.1f}" '
+        f'y="{top:.1f}" '
+        f'width="{right - left:.1f}" height="{bottom - top:.1f}">{tooltip(f"{value:.4g} {cells.unit}")}</rect>'
+        for (left, top, right, bottom), value in zip(ends.tolist(), cells.values.tolist())
+        if value == value
+    ]
 
 
 def _arrows(arrows: Arrows, placed: Placed, scale: float) -> str:
     every = max(-(-len(arrows.at) // MOST), 1)
     at, by = placed(arrows.at[::every]), arrows.by[::every] * arrows.enlarged * scale
     d = "".join(f"M{x:.1f} {y:.1f}l{u:.1f} {v:.1f}" for (x, y), (u, v) in zip(at.tolist(), by.tolist()))
-    return (f'<path class="arrows c{arrows.colour} valued" data-unit="{escape_html(arrows.unit)}" data-enlarged="{arrows.enlarged * scale:.6g}" '
-            f'd="{d}"/>')
+    return (
+        f'<path class="arrows c{arrows.colour} valued" data-unit="{escape_html(arrows.unit)}" '
+        f'data-enlarged="{arrows.enlarged * scale:.6g}" '
+        f'd="{d}"/>'
+    )
 
 
 def _quads(quads: Quads, placed: Placed) -> str:
     inward = quads.corners[:, :1] + MARKED * (quads.corners[:, 2:3] - quads.corners[:, :1])
-    d = "".join("M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in corners) + f"ZL{x:.1f} {y:.1f}"
-                for *corners, (x, y) in placed(np.concatenate([quads.corners, inward], axis=1)).tolist())
+    d = "".join(
+        "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in corners) + f"ZL{x:.1f} {y:.1f}"
+        for *corners, (x, y) in placed(np.concatenate([quads.corners, inward], axis=1)).tolist()
+    )
     return f'<path class="line {"grey" if quads.colour < 0 else f"c{quads.colour}"}" d="{d}"/>'

@@ -1,4 +1,6 @@
-"""One page of all pages below a folder: each with its verdict, the latest first; kept up to date by the commands that write pages there."""
+"""One page of all pages below a folder: each with its verdict, the latest first; kept up to date by the commands that
+write pages there.
+"""
 
 import html
 import os
@@ -19,12 +21,17 @@ NAME = "index.html"
 KIND = "index"
 DEPTH = 3  # folders down to which pages are looked for, and up to which an index is
 HEAD = 8192  # characters in which a page says what it is
-SAID = re.compile('<meta name="generator" content="rig ([a-z]+)"><meta name="description" content="([^:"]*): ([^"]*)"><title>([^<]*)</title>')
+SAID = re.compile(
+    '<meta name="generator" content="rig ([a-z]+)"><meta name="description" content="([^:"]*): '
+    '([^"]*)"><title>([^<]*)</title>'
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A page. path; kind, title, state, why : as it says them, and as later recordings have it; changed : s, when it was written"""
+    """A page. path; kind, title, state, why : as it says them, and as later recordings have it; changed : s, when it
+    was written
+    """
 
     path: Path
     kind: str
@@ -35,7 +42,8 @@ class Found:
 
 
 def read_page_summary(path: Path) -> Found | None:
-    """What a page says, and what refuted the result beside it later; None for a file that is no page of ours, or cannot be read.
+    """What a page says, and what refuted the result beside it later; None for a file that is no page of ours, or cannot
+    be read.
 
     Raises FileError for a list of refuted results that is none
     """
@@ -48,7 +56,10 @@ def read_page_summary(path: Path) -> Found | None:
     if said is None or said[2] not in list(State):
         return None
     later = refutations.refutations_of_file(path.with_suffix(".json"))
-    state, why = worst_state([State(said[2]), *(one.state for one in later)]), "; ".join([*(one.line for one in later), html.unescape(said[3])])
+    state, why = (
+        worst_state([State(said[2]), *(one.state for one in later)]),
+        "; ".join([*(one.line for one in later), html.unescape(said[3])]),
+    )
     return Found(path, said[1], html.unescape(said[4]), state, why, changed)
 
 
@@ -65,8 +76,12 @@ def index_page(path: Path, folder: Path) -> None:
     count = {state: sum(found.state == state for found in known) for state in WORST}
     state = worst_state([found.state for found in known])
     why = ", ".join(f"{count[state]} {state}" for state in WORST if count[state]) or "there is no page yet"
-    items = "".join(f'<li><span class="badge {found.state}">{found.state}</span> <a href="{_way(found.path, folder)}">{html.escape(found.title)}</a>'
-                    f'<br><span class="note">{inline_html(capitalised(found.why))}</span></li>' for found in known)
+    items = "".join(
+        f'<li><span class="badge {found.state}">{found.state}</span> <a '
+        f'href="{_way(found.path, folder)}">{html.escape(found.title)}</a>'
+        f'<br><span class="note">{inline_html(capitalised(found.why))}</span></li>'
+        for found in known
+    )
     parts = [heading("Pages"), f'<ul class="pages">{items}</ul>'] if known else []
     steps = [] if known else ["Begin with a recording: `rig measure REC --out measured`"]
     write_page(path, Page(KIND, folder.resolve().name, Verdict(state, why), parts, steps))
@@ -75,12 +90,23 @@ def index_page(path: Path, folder: Path) -> None:
 def index_above(place: Path) -> Path | None:
     """The index in the folder of a page or in one above it, None where there is none."""
     folders = (place.resolve().parent, *place.resolve().parents[1:DEPTH])
-    return next((folder / NAME for folder in folders if (found := read_page_summary(folder / NAME)) is not None and found.kind == KIND), None)
+    return next(
+        (
+            folder / NAME
+            for folder in folders
+            if (found := read_page_summary(folder / NAME)) is not None and found.kind == KIND
+        ),
+        None,
+    )
 
 
 def refresh_indices(written: Iterable[Path]) -> None:
     """Write anew the indices above pages that were written. One that somebody changed stays as it is."""
-    for index in {index for place in written if place.suffix == ".html" and place.name != NAME and (index := index_above(place)) is not None}:
+    for index in {
+        index
+        for place in written
+        if place.suffix == ".html" and place.name != NAME and (index := index_above(place)) is not None
+    }:
         with Outputs(KIND) as outputs:
             try:
                 place = outputs.file(index)
@@ -90,10 +116,20 @@ def refresh_indices(written: Iterable[Path]) -> None:
 
 
 def page_links(place: Path, sources: Iterable[Path] = ()) -> list[Link]:
-    """Links of a page that will be at a place: to the index above it, and to the pages of what it was made from, folders or files."""
+    """Links of a page that will be at a place: to the index above it, and to the pages of what it was made from,
+    folders or files.
+    """
     index, own = index_above(place), place.resolve()
-    near = [path for source in sources for path in (sorted(source.glob("*.html")) if source.is_dir() else [source.with_suffix(".html")])]
-    known = [found for path in near if path.resolve() != own and (found := read_page_summary(path)) is not None and found.kind != KIND]
+    near = [
+        path
+        for source in sources
+        for path in (sorted(source.glob("*.html")) if source.is_dir() else [source.with_suffix(".html")])
+    ]
+    known = [
+        found
+        for path in near
+        if path.resolve() != own and (found := read_page_summary(path)) is not None and found.kind != KIND
+    ]
     first = [] if index is None else [Link("All pages", _way(index, own.parent))]
     return [*first, *(Link(found.title, _way(found.path, own.parent)) for found in known)]
 

@@ -1,4 +1,6 @@
-"""The one template of all pages that commands write: a verdict first, what to do next, then the parts; one file that needs no network."""
+"""The one template of all pages that commands write: a verdict first, what to do next, then the parts; one file that
+needs no network.
+"""
 
 import html
 from collections.abc import Sequence
@@ -11,7 +13,8 @@ from rig.formats.output_files import write_text
 from rig.report.pages.html_elements import capitalised, inline_html, list_html
 from rig.report.verdict import Verdict
 
-SHUT = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"  # nothing is fetched from anywhere
+# nothing is fetched from anywhere
+SHUT = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
 
 
 class Link(NamedTuple):
@@ -23,9 +26,10 @@ class Link(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What a page says. kind : of page, "measure"; title : what it is of; verdict; parts : HTML as rig.report.pages.html_elements and its figures
-    make it
-    next_steps : what to do next, commands between backticks; links : to other pages; scripts : of this page's own, JavaScript"""
+    """What a page says. kind : of page, "measure"; title : what it is of; verdict; parts : HTML as
+    rig.report.pages.html_elements and its figures make it
+    next_steps : what to do next, commands between backticks; links : to other pages; scripts : of this page's own,
+        JavaScript"""
 
     kind: str
     title: str
@@ -46,14 +50,19 @@ def page_html(page: Page) -> str:
     state, why = page.verdict.state, page.verdict.why
     links = "".join(f'<a href="{html.escape(link.path)}">{html.escape(link.label)}</a>' for link in page.links)
     steps = list_html(map(capitalised, page.next_steps), ordered=len(page.next_steps) > 1)
-    style, script = read_asset("theme.css") + read_asset("document.css") + read_asset("figure.css"), read_asset("document.js")
+    style, script = (
+        read_asset("theme.css") + read_asset("document.css") + read_asset("figure.css"),
+        read_asset("document.js"),
+    )
     described = html.escape(f"{state}: {why}")
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
+        'content="width=device-width, initial-scale=1">'
         f'<meta http-equiv="Content-Security-Policy" content="{SHUT}"><meta name="color-scheme" content="light dark">'
         f'<meta name="generator" content="rig {html.escape(page.kind)}"><meta name="description" content="{described}">'
         f"<title>{html.escape(page.title)}</title><style>{style}</style></head>\n<body>\n"
-        f'<header class="{state}"><p class="verdict"><strong>{state}</strong> {inline_html(capitalised(why))}.</p><h1>{html.escape(page.title)}</h1>'
+        f'<header class="{state}"><p class="verdict"><strong>{state}</strong> '
+        f"{inline_html(capitalised(why))}.</p><h1>{html.escape(page.title)}</h1>"
         + (f'<nav aria-label="other pages">{links}</nav>' if links else "")
         + "</header>\n<main>\n"
         + (f'<section class="next"><h2>What to do next</h2>{steps}</section>\n' if page.next_steps else "")

@@ -1,4 +1,6 @@
-"""Figures with axes: dots, lines, bars and intervals over two scales, in units that the caller has chosen; a panel is as wide as a phone."""
+"""Figures with axes: dots, lines, bars and intervals over two scales, in units that the caller has chosen; a panel is
+as wide as a phone.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +20,8 @@ COLOURS = 6  # that figure.css has
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
     """What is drawn of one kind. x, y : (n,) values, NaN where there is none; name : "" for none
-    kind : dots, crosses, line, rings (with `half`, (n,) half of an interval); colour : 0 .. COLOURS - 1, or -1 for grey"""
+    kind : dots, crosses, line, rings (with `half`, (n,) half of an interval); colour : 0 .. COLOURS - 1, or -1 for
+        grey"""
 
     x: np.ndarray
     y: np.ndarray
@@ -33,17 +36,27 @@ def panel_row(*figures: str) -> str:
     return '<div class="panels">' + "".join(figures) + "</div>"
 
 
-def plot_panel(title: str, labels: tuple[str, str], series: Sequence[Series], log: bool = False, limits: tuple[float, float] | None = None,
-          level: float | None = None, high: float = HIGH) -> str:
-    """A figure of series. labels : (x, y) with their units; log : of y; limits : of y, in place of the values' own; level : y of a line drawn
-    across, or None; high : of its drawing, in the figure's own units"""
+def plot_panel(
+    title: str,
+    labels: tuple[str, str],
+    series: Sequence[Series],
+    log: bool = False,
+    limits: tuple[float, float] | None = None,
+    level: float | None = None,
+    high: float = HIGH,
+) -> str:
+    """A figure of series. labels : (x, y) with their units; log : of y; limits : of y, in place of the values' own;
+    level : y of a line drawn across, or None; high : of its drawing, in the figure's own units"""
     legend = [s for s in series if s.name]
     rows = _rows([s.name for s in legend])
     top = 19.0 + (TEXT + 7) + 18.0 * (max(row for row, _ in rows) + 1 if rows else 0)
     bottom = top + high
     halves = [s.half for s in series if s.half is not None]
-    ys = [s.y for s in series] + [s.y + sign * half for s in series if (half := s.half) is not None for sign in (-1, 1)] if halves else \
-         [s.y for s in series]
+    ys = (
+        [s.y for s in series] + [s.y + sign * half for s in series if (half := s.half) is not None for sign in (-1, 1)]
+        if halves
+        else [s.y for s in series]
+    )
     across = np.concatenate([s.x for s in series])
     x = scale_of_values(across, (LEFT, RIGHT), whole=bool(np.all(across == np.round(across))))
     y = scale_of_values(np.concatenate(ys + ([] if level is None else [np.array([level])])), (bottom, top), log, limits)
@@ -55,23 +68,44 @@ def plot_panel(title: str, labels: tuple[str, str], series: Sequence[Series], lo
     return svg(int(bottom + BELOW + 17 * len(_below(labels[0]))), f"{title}: {labels[1]} over {labels[0]}", parts, said)
 
 
-def bar_chart(title: str, names: Sequence[str], groups: Sequence[tuple[str, Sequence[float], int]], unit: str, marked: Sequence[str] = ()) -> str:
-    """Bars lying one below the other, for each name one of each group. groups : (its name, values in the unit, colour); marked : names in bold"""
+def bar_chart(
+    title: str,
+    names: Sequence[str],
+    groups: Sequence[tuple[str, Sequence[float], int]],
+    unit: str,
+    marked: Sequence[str] = (),
+) -> str:
+    """Bars lying one below the other, for each name one of each group. groups : (its name, values in the unit, colour);
+    marked : names in bold
+    """
     rows = _rows([g[0] for g in groups])
     top = 10.0 + TEXT + 7 + 18.0 * (max(row for row, _ in rows) + 1)
     deep = 12 * len(groups) + 8
     most = max([v for _, values, _ in groups for v in values if np.isfinite(v)], default=0.0) or 1.0
     left = 16 + min(160.0, 1.1 * max([text_width(n, TEXT) for n in names], default=1.0))
     named = f"{title}, {unit}" if unit else title
-    parts = [text(4, 14, named, style="name"), *_legend([Series(np.zeros(0), np.zeros(0), g[0], "bars", g[2]) for g in groups], rows, TEXT + 24.0)]
+    parts = [
+        text(4, 14, named, style="name"),
+        *_legend([Series(np.zeros(0), np.zeros(0), g[0], "bars", g[2]) for g in groups], rows, TEXT + 24.0),
+    ]
     for k, name in enumerate(names):
         at = top + deep * k
         parts.append(text(left - 8, at + 6 * len(groups) + 4, name, "end", "name" if name in marked else ""))
         for row, (group, values, colour) in enumerate(groups):
             long = (RIGHT - 60 - left) * values[k] / most if np.isfinite(values[k]) else 0.0
-            parts.append(f'<rect class="fill {_colour(colour)}" x="{left:.1f}" y="{at + 12 * row:.1f}" width="{long:.1f}" height="10">'
-                         f"{tooltip(f'{name}, {group}: {values[k]:.4g} {unit}')}</rect>")
-            parts.append(text(left + long + 4, at + 12 * row + 9, _plain(values[k]) if np.isfinite(values[k]) else "", style="small"))
+            parts.append(
+                f'<rect class="fill {_colour(colour)}" x="{left:.1f}" y="{at + 12 * row:.1f}" '
+                f'width="{long:.1f}" height="10">'
+                f"{tooltip(f'{name}, {group}: {values[k]:.4g} {unit}')}</rect>"
+            )
+            parts.append(
+                text(
+                    left + long + 4,
+                    at + 12 * row + 9,
+                    _plain(values[k]) if np.isfinite(values[k]) else "",
+                    style="small",
+                )
+            )
     return svg(int(top + deep * len(names) + 4), f"{title}, {unit}", parts)
 
 
@@ -84,9 +118,15 @@ def _axes(x: Scale, y: Scale, labels: tuple[str, str]) -> list[str]:
     bottom, top = y.start, y.end
     parts = [f'<path class="axis" d="M{LEFT} {top:.1f}V{bottom:.1f}H{RIGHT}"/>']
     for v in x.ticks:
-        parts += [f'<path class="tick" d="M{float(x.at(v)):.1f} {top:.1f}V{bottom:.1f}"/>', text(float(x.at(v)), bottom + 16, f"{v:g}", "middle")]
+        parts += [
+            f'<path class="tick" d="M{float(x.at(v)):.1f} {top:.1f}V{bottom:.1f}"/>',
+            text(float(x.at(v)), bottom + 16, f"{v:g}", "middle"),
+        ]
     for v in y.ticks:
-        parts += [f'<path class="tick" d="M{LEFT} {float(y.at(v)):.1f}H{RIGHT}"/>', text(LEFT - 5, float(y.at(v)) + 4, f"{v:g}", "end")]
+        parts += [
+            f'<path class="tick" d="M{LEFT} {float(y.at(v)):.1f}H{RIGHT}"/>',
+            text(LEFT - 5, float(y.at(v)) + 4, f"{v:g}", "end"),
+        ]
     below = [text((LEFT + RIGHT) / 2, bottom + 33 + 17 * k, line, "middle") for k, line in enumerate(_below(labels[0]))]
     return [*parts, *below, text(4, top - 9, labels[1])]
 
@@ -112,8 +152,12 @@ def _legend(series: Sequence[Series], rows: Sequence[tuple[int, float]], top: fl
     parts = []
     for s, (row, at) in zip(series, rows):
         y = top + 18 * row - 8
-        parts += [f'<path class="{_style(s)}" d="M{at + 7:.1f} {y - 4:.1f}h0.01"/>' if s.kind != "bars" else
-                  f'<rect class="{_style(s)}" x="{at + 2:.1f}" y="{y - 9:.1f}" width="10" height="10"/>', text(at + 18, y, s.name)]
+        parts += [
+            f'<path class="{_style(s)}" d="M{at + 7:.1f} {y - 4:.1f}h0.01"/>'
+            if s.kind != "bars"
+            else f'<rect class="{_style(s)}" x="{at + 2:.1f}" y="{y - 9:.1f}" width="10" height="10"/>',
+            text(at + 18, y, s.name),
+        ]
         if s.kind == "line":
             parts[-2] = f'<path class="{_style(s)}" d="M{at:.1f} {y - 4:.1f}h14"/>'
     return parts
@@ -140,6 +184,9 @@ def _drawn(s: Series, x: Scale, y: Scale) -> str:
     drawn = ""
     if s.half is not None:
         ends = np.clip(np.stack([y.at((s.y - s.half)[known]), y.at((s.y + s.half)[known])], axis=1), y.end, y.start)
-        drawn = f'<path class="whisker{_style(s).removeprefix(s.kind)}" d="' + "".join(
-            f"M{a:.1f} {low:.1f}V{high:.1f}" for (a, _), (low, high) in zip(at.tolist(), ends.tolist())) + '"/>'
+        drawn = (
+            f'<path class="whisker{_style(s).removeprefix(s.kind)}" d="'
+            + "".join(f"M{a:.1f} {low:.1f}V{high:.1f}" for (a, _), (low, high) in zip(at.tolist(), ends.tolist()))
+            + '"/>'
+        )
     return drawn + f'<path class="{_style(s)} valued"{name} d="{d}"/>'

@@ -1,7 +1,8 @@
-"""HTTP on the loopback for one run: a page, its events as they come, its images, and a button. Nothing is read from the disk on request.
+"""HTTP on the loopback for one run: a page, its events as they come, its images, and a button. Nothing is read from the
+disk on request.
 
-Who asks must come from this computer, name it as the host, come from no other site, and know the token; every path is one of a
-fixed few. See docs/operating.md for what that guards against.
+Who asks must come from this computer, name it as the host, come from no other site, and know the token; every path is
+one of a fixed few. See docs/operating.md for what that guards against.
 """
 
 import hmac
@@ -23,13 +24,23 @@ from urllib.parse import parse_qs, urlsplit
 from rig.errors import RigError
 
 HOST = "127.0.0.1"
-FILES = {"/": ("page.html", "text/html; charset=utf-8"), "/page.js": ("page.js", "text/javascript; charset=utf-8"),
-         "/view3d.js": ("view3d.js", "text/javascript; charset=utf-8"), "/theme.css": ("theme.css", "text/css; charset=utf-8"),
-         "/page.css": ("page.css", "text/css; charset=utf-8")}
-HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY",
-           "Cross-Origin-Resource-Policy": "same-origin",
-           "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-                                      "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"}
+FILES = {
+    "/": ("page.html", "text/html; charset=utf-8"),
+    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/view3d.js": ("view3d.js", "text/javascript; charset=utf-8"),
+    "/theme.css": ("theme.css", "text/css; charset=utf-8"),
+    "/page.css": ("page.css", "text/css; charset=utf-8"),
+}
+HEADERS = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "X-Frame-Options": "DENY",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' "
+    "data:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+}
 ALIVE = 10.0  # s between signs of life on a line without events
 LAST = 1.0  # s that browsers have to take the last event
 LINES = 16  # browsers that may listen at a time
@@ -40,7 +51,9 @@ HEADERS_WITHIN = 3.0  # s that a connection has to send its first request
 
 
 class PageServer:
-    """Serves a run's page until closed. stop : what the button does; port : 0 for any that is free. url : with the token."""
+    """Serves a run's page until closed. stop : what the button does; port : 0 for any that is free. url : with the
+    token.
+    """
 
     def __init__(self, stop: Callable[[], None], port: int = 0) -> None:
         self.token = secrets.token_urlsafe(24)
@@ -48,7 +61,10 @@ class PageServer:
         self._draw: Callable[[], dict] = dict
         self._images: dict[str, Callable[[], bytes]] = {}
         self._changed, self._number, self._open, self._lines = threading.Condition(), 0, True, 0
-        self._drawing, self._drawn = threading.Lock(), (-1, b"")  # number of the event that was drawn last, and what it came to
+        self._drawing, self._drawn = (
+            threading.Lock(),
+            (-1, b""),
+        )  # number of the event that was drawn last, and what it came to
         try:
             self._server = _Server((HOST, port), _Handler)
         except OSError as error:
@@ -92,7 +108,9 @@ class PageServer:
         return None if made is None else made()
 
     def listen(self, after: int, seconds: float) -> tuple[int, bytes, bool] | None:
-        """(number, event, whether more may come) newer than number `after`, waited for so long (s); None where none came."""
+        """(number, event, whether more may come) newer than number `after`, waited for so long (s); None where none
+        came.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._number > after or not self._open, seconds)
             if self._number == after and self._open:
@@ -116,7 +134,8 @@ class PageServer:
 class _Server(ThreadingHTTPServer):
     """Connections are counted from their first byte, as each takes a file and a thread of the run's own process.
 
-    strangers : {connection: s on the monotonic clock when it came}, the oldest first; known : connections whose token was right
+    strangers : {connection: s on the monotonic clock when it came}, the oldest first; known : connections whose token
+        was right
     """
 
     daemon_threads = True
@@ -128,7 +147,9 @@ class _Server(ThreadingHTTPServer):
         super().__init__(*arguments)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer a connection in a thread of its own, and close the oldest one without a token where there are too many."""
+        """Answer a connection in a thread of its own, and close the oldest one without a token where there are too
+        many.
+        """
         with self.counting:
             self.strangers[request] = time.monotonic()
             oldest = next(iter(self.strangers)) if len(self.strangers) > STRANGERS else None
@@ -166,7 +187,9 @@ class _Server(ThreadingHTTPServer):
             request.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that went away is no error of the run's; a mistake of ours is reported, and costs the page alone."""
+        """A browser that went away is no error of the run's; a mistake of ours is reported, and costs the page
+        alone.
+        """
         if not isinstance(sys.exception(), OSError):
             print(f"the run's page: {sys.exception()!r}; the run goes on", file=sys.stderr)
 
@@ -186,7 +209,9 @@ class _Handler(BaseHTTPRequestHandler):
         if path in FILES:
             name, kind = FILES[path]
             data = resources.files("rig.report.pages").joinpath(name).read_bytes()
-            self._reply(HTTPStatus.OK, data.replace(b"TOKEN", self.server.page.token.encode()) if path == "/" else data, kind)
+            self._reply(
+                HTTPStatus.OK, data.replace(b"TOKEN", self.server.page.token.encode()) if path == "/" else data, kind
+            )
         elif path == "/events":
             self._events()
         elif path == "/image":
@@ -214,7 +239,9 @@ class _Handler(BaseHTTPRequestHandler):
         page, port = self.server.page, self.server.page.port
         here = (f"{HOST}:{port}", f"localhost:{port}")
         try:
-            if not (self.requestline.isascii() and self.requestline.isprintable()):  # control characters part words, or are dropped from a URL
+            if not (
+                self.requestline.isascii() and self.requestline.isprintable()
+            ):  # control characters part words, or are dropped from a URL
                 raise ValueError("no address")
             url = urlsplit(self.path)
             query = parse_qs(url.query, max_num_fields=MOST_FIELDS)
@@ -226,13 +253,20 @@ class _Handler(BaseHTTPRequestHandler):
             reason = "only this computer"
         elif self.headers.get("Host") not in here:
             reason = "another host was asked for"
-        elif (post and origin is None) or (origin is not None and origin not in tuple(f"http://{name}" for name in here)):
+        elif (post and origin is None) or (
+            origin is not None and origin not in tuple(f"http://{name}" for name in here)
+        ):
             reason = "another site asks"
         elif self.headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
             reason = "another site asks"
         elif not hmac.compare_digest(query.get("token", [""])[0].encode(), page.token.encode()):
             reason = "the token is missing or wrong; use the address that `rig run --page` printed"
-        elif url.scheme or url.netloc or self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
+        elif (
+            url.scheme
+            or url.netloc
+            or self.headers.get("Content-Length", "0") != "0"
+            or "Transfer-Encoding" in self.headers
+        ):
             reason = "that is no request for this page"
         elif not self.server.admit(self.connection):
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections")

@@ -11,11 +11,15 @@ BETWEEN, EDGE, LINE = 10, 6, 18  # units between figures, around them, and of a 
 
 
 def standalone_svg(title: str, words: str, figures: Sequence[str]) -> str:
-    """Text of an SVG file of figures as rig.report.pages.svg_elements makes them, one below the other. title : for those who cannot see it; words :
-    above them
+    """Text of an SVG file of figures as rig.report.pages.svg_elements makes them, one below the other. title : for
+    those who cannot see it;
+    words : above them
     Raises ValueError for what is no figure"""
     lines = wrap_text(words, TEXT, WIDTH)
-    parts = [f'<svg class="figure">{text(EDGE + 4, EDGE + 14 + LINE * k, line, style="soft")}</svg>' for k, line in enumerate(lines)]
+    parts = [
+        f'<svg class="figure">{text(EDGE + 4, EDGE + 14 + LINE * k, line, style="soft")}</svg>'
+        for k, line in enumerate(lines)
+    ]
     below = EDGE + LINE * len(lines) + BETWEEN
     for figure in figures:
         found = re.match(rf'<svg class="figure" role="img" viewBox="0 0 {WIDTH} (\d+)"', figure)
@@ -25,6 +29,9 @@ def standalone_svg(title: str, words: str, figures: Sequence[str]) -> str:
         parts.append(figure.replace("<svg ", f'<svg x="{EDGE}" y="{below}" width="{WIDTH}" height="{high}" ', 1))
         below += high + BETWEEN
     across, down = WIDTH + 2 * EDGE, below - BETWEEN + EDGE
-    return (f'<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{across}" height="{down}" viewBox="0 0 {across} {down}">'
-            f"<title>{escape_html(title)}</title><style>{read_asset('theme.css')}{read_asset('figure.css')}</style>"
-            '<rect width="100%" height="100%" rx="8" style="fill:var(--card)"/>' + "\n".join(parts) + "</svg>\n")
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{across}" height="{down}" viewBox="0 0 '
+        f'{across} {down}">'
+        f"<title>{escape_html(title)}</title><style>{read_asset('theme.css')}{read_asset('figure.css')}</style>"
+        '<rect width="100%" height="100%" rx="8" style="fill:var(--card)"/>' + "\n".join(parts) + "</svg>\n"
+    )

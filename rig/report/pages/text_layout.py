@@ -3,8 +3,23 @@
 import html
 import re
 
-NARROW = {".": 0.32, ",": 0.32, ":": 0.34, " ": 0.32, "-": 0.37, "i": 0.28, "l": 0.28, "t": 0.4, "r": 0.42, "f": 0.36, "(": 0.4, ")": 0.4}
-LETTER = 0.645  # of a letter's height, the width of a digit and the most of a usual letter in the widest of common typefaces
+NARROW = {
+    ".": 0.32,
+    ",": 0.32,
+    ":": 0.34,
+    " ": 0.32,
+    "-": 0.37,
+    "i": 0.28,
+    "l": 0.28,
+    "t": 0.4,
+    "r": 0.42,
+    "f": 0.36,
+    "(": 0.4,
+    ")": 0.4,
+}
+LETTER = (
+    0.645  # of a letter's height, the width of a digit and the most of a usual letter in the widest of common typefaces
+)
 
 
 def escape_html(text: str) -> str:

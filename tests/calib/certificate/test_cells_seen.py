@@ -1,4 +1,6 @@
-"""Boxes that lie behind each other are drawn as rectangles that do not overlap, each with the worst of what is behind it."""
+"""Boxes that lie behind each other are drawn as rectangles that do not overlap, each with the worst of what is behind
+it.
+"""
 
 import numpy as np
 

@@ -1,4 +1,6 @@
-"""A certificate from simulated recordings: what it promises is so, what it refuses, and what is written keeps its schema."""
+"""A certificate from simulated recordings: what it promises is so, what it refuses, and what is written keeps its
+schema.
+"""
 
 import importlib.util
 import io
@@ -59,24 +61,39 @@ def _made(folder, secret, rig_text, design, route, seed):
     folder.mkdir()
     (folder / "rig.toml").write_text(rig_text)
     frames = np.arange(len(done.t))
-    recording_tables.write_table(folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{k},{t:.4f},cam0," for k, t in zip(frames, done.t)])
-    recording_tables.write_table(folder / "commands.csv", ("t", *design.mechanism.axes),
-                        [",".join(f"{v:.9f}" for v in (t, *row)) for t, row in zip(done.commands.t, done.commands.values)])
+    recording_tables.write_table(
+        folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{k},{t:.4f},cam0," for k, t in zip(frames, done.t)]
+    )
+    recording_tables.write_table(
+        folder / "commands.csv",
+        ("t", *design.mechanism.axes),
+        [",".join(f"{v:.9f}" for v in (t, *row)) for t, row in zip(done.commands.t, done.commands.values)],
+    )
     seen = T * exp(OWN * rng.normal(size=(len(frames), 6)))
-    recording_tables.write_poses(folder / "poses.csv", Poses(frames, seen, np.tile(np.diag(OWN**2), (len(frames), 1, 1))))
+    recording_tables.write_poses(
+        folder / "poses.csv", Poses(frames, seen, np.tile(np.diag(OWN**2), (len(frames), 1, 1)))
+    )
     return folder
 
 
 @pytest.fixture(scope="module")
 def held(tmp_path_factory, design, rig_text):
-    """A rig with backlash in strut 3, calibrated from one recording; another held out, with ladders and repeats; and what is certified of it."""
+    """A rig with backlash in strut 3, calibrated from one recording; another held out, with ladders and repeats; and
+    what is certified of it.
+    """
     folder = tmp_path_factory.mktemp("certify")
-    secret = secret_machine.draw_machine(design, np.random.default_rng(5), 1.0, (parse_effect(f"backlash:strut3:gap={GAP}"),))
+    secret = secret_machine.draw_machine(
+        design, np.random.default_rng(5), 1.0, (parse_effect(f"backlash:strut3:gap={GAP}"),)
+    )
     _made(folder / "fit", secret, rig_text, design, "sobol:40,ladder:1", 1)
     _made(folder / "other", secret, rig_text, design, "sobol:62,ladder:3,repeat:12,moving:4", 2)
     rig("calibrate", folder / "fit", "--out", folder / "cal.json")
-    out = rig("certify", folder / "cal.json", folder / "other", "--out", folder / "made", "--tolerance", "15um", "1mrad")
-    return SimpleNamespace(folder=folder, secret=secret, out=out, tree=json.loads((folder / "made" / "certificate.json").read_text()))
+    out = rig(
+        "certify", folder / "cal.json", folder / "other", "--out", folder / "made", "--tolerance", "15um", "1mrad"
+    )
+    return SimpleNamespace(
+        folder=folder, secret=secret, out=out, tree=json.loads((folder / "made" / "certificate.json").read_text())
+    )
 
 
 def test_the_certificate_keeps_its_published_schema(held):
@@ -89,28 +106,55 @@ def test_the_certificate_keeps_its_published_schema(held):
 
 
 def test_the_claim_is_compared_with_the_held_out_recording(held):
-    """Backlash that the calibration's claim holds: kept, in a line and in JSON; the same claim a fifth as large is refuted, marked and bad."""
+    """Backlash that the calibration's claim holds: kept, in a line and in JSON; the same claim a fifth as large is
+    refuted, marked and bad.
+    """
     claim, lines = held.tree["claim"], held.out.splitlines()
-    one, = claim["recordings"]
+    (one,) = claim["recordings"]
     middle, low, high = one["position"]["claimed"]
-    assert claim["kept"] and one["recording"] == "other" and one["position"]["beyond_noise"] < high and low < middle and one["rotation"]["kept"]
-    assert any(line.startswith("The calibration's claim is kept by other: position error ") and f"{middle * 1e6:.1f} um (" in line for line in lines)
+    assert (
+        claim["kept"]
+        and one["recording"] == "other"
+        and one["position"]["beyond_noise"] < high
+        and low < middle
+        and one["rotation"]["kept"]
+    )
+    assert any(
+        line.startswith("The calibration's claim is kept by other: position error ")
+        and f"{middle * 1e6:.1f} um (" in line
+        for line in lines
+    )
     small = json.loads((held.folder / "cal.json").read_text())
     small["claim"]["after"] = [[value / 5 for value in three] for three in small["claim"]["after"]]
     (held.folder / "small").mkdir()
     (held.folder / "small" / "cal.json").write_text(json.dumps(small))
-    out = rig("certify", held.folder / "small" / "cal.json", held.folder / "other", "--out", held.folder / "small" / "made.json", ok=False)
+    out = rig(
+        "certify",
+        held.folder / "small" / "cal.json",
+        held.folder / "other",
+        "--out",
+        held.folder / "small" / "made.json",
+        ok=False,
+    )
     made = json.loads((held.folder / "small" / "made.json").read_text())
     jsonschema.validate(made, certificate_json.certificate_schema())
-    assert "The calibration's claim is NOT kept by other" in out and made["claim"]["kept"] is False and made["verdict"]["state"] == "bad"
+    assert (
+        "The calibration's claim is NOT kept by other" in out
+        and made["claim"]["kept"] is False
+        and made["verdict"]["state"] == "bad"
+    )
 
 
 @pytest.mark.slow
 def test_a_folder_of_all_lacks_the_pdf_where_nothing_draws_it_and_says_so(held, monkeypatch):
     there = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else there(name, *rest))
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else there(name, *rest)
+    )
     rig("certify", held.folder / "cal.json", held.folder / "other", "--out", held.folder / "plain")
-    assert {path.name for path in (held.folder / "plain").glob("cert*")} == {f"certificate.{kind}" for kind in ("json", "html", "xml")}
+    assert {path.name for path in (held.folder / "plain").glob("cert*")} == {
+        f"certificate.{kind}" for kind in ("json", "html", "xml")
+    }
 
 
 def test_the_promise_is_so(held, design):
@@ -121,17 +165,33 @@ def test_the_promise_is_so(held, design):
     true = motion_simulation.run_machine(held.secret.true, route.commands, route.t, held.secret.effects).T_base_platform
     lengths = np.linalg.norm(pose_difference(correction.predict(goals), true)[:, :3], axis=1)
     promise = held.tree["promise"]
-    assert promise["n"] == 62 + 1 + 3, "each configuration once, the ladder's not, and neither what was exposed on the way"
+    assert promise["n"] == 62 + 1 + 3, (
+        "each configuration once, the ladder's not, and neither what was exposed on the way"
+    )
     assert np.quantile(lengths, 0.95) <= promise["position_m"] < 2 * np.quantile(lengths, 0.95)
     assert promise["position"]["lower"] <= np.quantile(lengths, 0.95) and held.tree["conditions"]["moving"] == 4
 
 
 def test_the_first_line_says_whose_scale_it_is(held):
-    assert held.out.splitlines()[1].startswith("Nobody certified the scale") and held.tree["scale"]["certified"] is False
-    out = rig("certify", held.folder / "cal.json", held.folder / "other", "--out", held.folder / "scaled.json", "--scale-uncertainty", "50e-6",
-              "--scale-source", "certificate 17")
+    assert (
+        held.out.splitlines()[1].startswith("Nobody certified the scale") and held.tree["scale"]["certified"] is False
+    )
+    out = rig(
+        "certify",
+        held.folder / "cal.json",
+        held.folder / "other",
+        "--out",
+        held.folder / "scaled.json",
+        "--scale-uncertainty",
+        "50e-6",
+        "--scale-source",
+        "certificate 17",
+    )
     scaled = json.loads((held.folder / "scaled.json").read_text())
-    assert "50 um/m, by certificate 17" in out.splitlines()[1] and scaled["promise"]["position_m"] > held.tree["promise"]["position_m"]
+    assert (
+        "50 um/m, by certificate 17" in out.splitlines()[1]
+        and scaled["promise"]["position_m"] > held.tree["promise"]["position_m"]
+    )
     assert scaled["promise"]["position"]["scale"] == pytest.approx(1.645 * 50e-6 * 0.45 * 0.7, rel=0.5)
 
 
@@ -145,37 +205,69 @@ def test_reversal_is_the_backlash_that_is_there(held):
 
 def test_symbols_of_iso_230_2_stand_with_their_arrows(held):
     axis = held.tree["iso230"][2]
-    assert axis["M"] <= axis["E"] and max(axis["E_up"], axis["E_down"]) <= axis["E"] and max(axis["R_up"], axis["R_down"]) <= axis["R"]
+    assert (
+        axis["M"] <= axis["E"]
+        and max(axis["E_up"], axis["E_down"]) <= axis["E"]
+        and max(axis["R_up"], axis["R_down"]) <= axis["R"]
+    )
     page = (held.folder / "made" / "certificate.html").read_text()
     assert all(f"{name}{arrow}<" in page for name in "EAR" for arrow in "\u2191\u2193") and ">M<" in page
 
 
 def test_a_test_that_is_not_the_standards_says_so(held):
     found = held.tree["iso9283"]
-    assert not found["formal"] and "poses were visited 30 times or more, where the standard has 5" in found["not_met"][0]
+    assert (
+        not found["formal"] and "poses were visited 30 times or more, where the standard has 5" in found["not_met"][0]
+    )
     assert "not formal: " in (held.folder / "made" / "certificate.html").read_text()
 
 
 def test_physics_that_is_undone_is_part_of_what_is_certified(held):
-    """A calibration that knows the backlash promises as much better as the machine then is; temperatures add through what they correct."""
+    """A calibration that knows the backlash promises as much better as the machine then is; temperatures add through
+    what they correct.
+    """
     known = calibration_file.load(held.folder / "cal.json")
     other = recording_folder.load(held.folder / "other")
-    warm = replace(other, sensors=Sensors(np.arange(0.0, 4000, 30), {"ambient_temperature_C": 20 + np.random.default_rng(0).normal(0, 0.1, 134)}))
+    warm = replace(
+        other,
+        sensors=Sensors(
+            np.arange(0.0, 4000, 30), {"ambient_temperature_C": 20 + np.random.default_rng(0).normal(0, 0.1, 134)}
+        ),
+    )
     samples = sample_recording(other)
-    plain = pose_error_promise(combined_held_out_poses(known, [(other, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)).position
-    design, effects = held.secret.true, tuple(map(parse_effect, (f"backlash:strut3:gap={GAP}", "base_expansion:rig:coefficient=12e-6")))
+    plain = pose_error_promise(
+        combined_held_out_poses(known, [(other, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)
+    ).position
+    design, effects = (
+        held.secret.true,
+        tuple(map(parse_effect, (f"backlash:strut3:gap={GAP}", "base_expansion:rig:coefficient=12e-6"))),
+    )
     count = len(coordinates_of(effects))
-    physics = Physics(effects, np.zeros((count, count)), np.zeros((42, count)), design.gravity, design.actuator, design.platform,
-                      {"ambient_temperature_C": (20.0, 0.1)})
+    physics = Physics(
+        effects,
+        np.zeros((count, count)),
+        np.zeros((42, count)),
+        design.gravity,
+        design.actuator,
+        design.platform,
+        {"ambient_temperature_C": (20.0, 0.1)},
+    )
     wiser, fit = replace(known, physics=physics), recording_folder.load(held.folder / "fit")
     refined, _ = calibrate(wiser.with_physics(fit, sample_recording(fit).samples), known.correction.nominal, "none")
     wiser = replace(wiser, correction=refined)
-    better = pose_error_promise(combined_held_out_poses(wiser, [(warm, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)).position
+    better = pose_error_promise(
+        combined_held_out_poses(wiser, [(warm, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)
+    ).position
     assert better.upper < 0.75 * plain.upper
     assert thermometer_covariance(known, [(warm, samples.samples)]) is None
     added = thermometer_covariance(wiser, [(warm, samples.samples)])
-    at, both = samples.samples.t, [Sensors(np.array([0.0, 4000]), {"ambient_temperature_C": np.full(2, degrees)}) for degrees in (20.0, 20.1)]
-    poses = [motion_simulation.run_machine(design, other.commands, at, effects, sensors).T_base_platform for sensors in both]
+    at, both = (
+        samples.samples.t,
+        [Sensors(np.array([0.0, 4000]), {"ambient_temperature_C": np.full(2, degrees)}) for degrees in (20.0, 20.1)],
+    )
+    poses = [
+        motion_simulation.run_machine(design, other.commands, at, effects, sensors).T_base_platform for sensors in both
+    ]
     moved = np.linalg.norm(pose_difference(*poses)[:, :3], axis=1)
     assert rms_uncertainty(added)[0] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.25), "the log's noise is 0.1 K"
 
@@ -190,7 +282,15 @@ def test_what_was_fitted_is_no_evidence(held, tmp_path):
     (copy / "poses.csv").write_text("\n".join([lines[0], *lines[-3:]]) + "\n")
     done = rig("certify", held.folder / "cal.json", copy, "--out", tmp_path / "no.json", ok=False)
     assert f"3 of {frames} frames" in done and "took part in fitting" in done, "a few rows are enough"
-    done = rig("certify", held.folder / "cal.json", held.folder / "other", held.folder / "other", "--out", tmp_path / "no.json", ok=False)
+    done = rig(
+        "certify",
+        held.folder / "cal.json",
+        held.folder / "other",
+        held.folder / "other",
+        "--out",
+        tmp_path / "no.json",
+        ok=False,
+    )
     assert "does not count twice" in done
 
 
@@ -204,36 +304,61 @@ def test_too_few_say_what_they_can_promise(held, tmp_path, design, rig_text):
 
 def test_decisions_are_guarded(held):
     position, rotation = held.tree["conformity"]
-    assert (position["verdict"], rotation["verdict"]) == (OPEN, OPEN), "66 poses are too few for a decision with 97.5 % confidence"
+    assert (position["verdict"], rotation["verdict"]) == (OPEN, OPEN), (
+        "66 poses are too few for a decision with 97.5 % confidence"
+    )
     assert rotation["guard"] is None and position["tolerance"] == pytest.approx(15e-6)
 
 
 def test_the_page_says_it_all(held):
     page = (held.folder / "made" / "certificate.html").read_text()
-    assert "Nobody certified the scale" in page and page.count("<svg") == 2 and "ISO 230-2" in page and "ISO 9283" in page
+    assert (
+        "Nobody certified the scale" in page and page.count("<svg") == 2 and "ISO 230-2" in page and "ISO 9283" in page
+    )
     assert "inputs_sha256" in page
 
 
 DCC = "{https://ptb.de/dcc}"
 CHILDREN = {  # of elements of DCC 3.3.0, in their order; those with a mark must be there
-    "digitalCalibrationCertificate": "administrativeData! measurementResults!", "software": "name! release!",
+    "digitalCalibrationCertificate": "administrativeData! measurementResults!",
+    "software": "name! release!",
     "statement": "name traceable norm declaration conformity",
-    "coreData": "countryCodeISO3166_1! usedLangCodeISO639_1! mandatoryLangCodeISO639_1! uniqueIdentifier! beginPerformanceDate! endPerformanceDate! "
-                "performanceLocation! issueDate", "item": "name! manufacturer! identifications!", "manufacturer": "name!",
+    "coreData": "countryCodeISO3166_1! usedLangCodeISO639_1! mandatoryLangCodeISO639_1! uniqueIdentifier! "
+    "beginPerformanceDate! endPerformanceDate! "
+    "performanceLocation! issueDate",
+    "item": "name! manufacturer! identifications!",
+    "manufacturer": "name!",
     "identification": "issuer! value! name",
-    "contact": "name! location!", "customer": "name! location!", "respPerson": "person! mainSigner", "measurementResults": "measurementResult!",
-    "measurementResult": "name! description usedMethods influenceConditions results!", "usedMethod": "name! norm",
+    "contact": "name! location!",
+    "customer": "name! location!",
+    "respPerson": "person! mainSigner",
+    "measurementResults": "measurementResult!",
+    "measurementResult": "name! description usedMethods influenceConditions results!",
+    "usedMethod": "name! norm",
     "influenceCondition": "name! data!",
-    "result": "name! description data!", "quantity": "name real constant", "real": "value! unit! measurementUncertaintyUnivariate!",
-    "constant": "value! unit!", "measurementUncertaintyUnivariate": "standardMU expandedMU coverageIntervalMU",
-    "standardMU": "valueStandardMU! distribution!", "expandedMU": "valueExpandedMU! coverageFactor! coverageProbability! distribution!",
-    "coverageIntervalMU": "valueStandardMU! intervalMin! intervalMax! coverageProbability! distribution!"}
+    "result": "name! description data!",
+    "quantity": "name real constant",
+    "real": "value! unit! measurementUncertaintyUnivariate!",
+    "constant": "value! unit!",
+    "measurementUncertaintyUnivariate": "standardMU expandedMU coverageIntervalMU",
+    "standardMU": "valueStandardMU! distribution!",
+    "expandedMU": "valueExpandedMU! coverageFactor! coverageProbability! distribution!",
+    "coverageIntervalMU": "valueStandardMU! intervalMin! intervalMax! coverageProbability! distribution!",
+}
 
 
 def test_the_digital_calibration_certificate_has_the_published_structure(held):
     root = ElementTree.parse(held.folder / "made" / "certificate.xml").getroot()
     administrative = [part.tag.removeprefix(DCC) for part in root[0]]
-    assert sorted(administrative) == ["calibrationLaboratory", "coreData", "customer", "dccSoftware", "items", "respPersons", "statements"]
+    assert sorted(administrative) == [
+        "calibrationLaboratory",
+        "coreData",
+        "customer",
+        "dccSoftware",
+        "items",
+        "respPersons",
+        "statements",
+    ]
     seen = set()
     for element in root.iter():
         name = element.tag.split("}")[1]
@@ -241,7 +366,9 @@ def test_the_digital_calibration_certificate_has_the_published_structure(held):
             order = CHILDREN[name].replace("!", "").split()
             places = [order.index(child.tag.split("}")[1]) for child in element]
             assert places == sorted(places), name
-            assert {word[:-1] for word in CHILDREN[name].split() if word[-1] == "!"} <= {child.tag.split("}")[1] for child in element}, name
+            assert {word[:-1] for word in CHILDREN[name].split() if word[-1] == "!"} <= {
+                child.tag.split("}")[1] for child in element
+            }, name
             seen.add(name)
         if name in ("release", "value", "uniqueIdentifier", "norm", "content"):
             assert element.text == " ".join(element.text.split()) != ""
@@ -255,16 +382,26 @@ def test_a_bound_is_written_with_its_coverage_and_a_contribution_with_its_factor
     root = ElementTree.parse(held.folder / "made" / "certificate.xml").getroot()
     real = {quantity[0][0].text: quantity[1] for quantity in root.iter(DCC + "quantity")}
     interval = {part.tag.split("}")[1]: part.text for part in real["bound of the position error"][2][0]}
-    assert float(interval["intervalMax"]) == pytest.approx(held.tree["promise"]["position_m"]) and float(interval["coverageProbability"]) == 0.95
+    assert (
+        float(interval["intervalMax"]) == pytest.approx(held.tree["promise"]["position_m"])
+        and float(interval["coverageProbability"]) == 0.95
+    )
     budget = {row["name"]: row for row in held.tree["budget"]["rows"]}
     expanded = {part.tag.split("}")[1]: part.text for part in real["geometry, position"][2][0]}
     assert float(expanded["valueExpandedMU"]) == pytest.approx(budget["geometry"]["position"])
-    assert float(expanded["coverageFactor"]) == pytest.approx(budget["geometry"]["k"][0], abs=1e-4) and expanded["distribution"] == "normal"
+    assert (
+        float(expanded["coverageFactor"]) == pytest.approx(budget["geometry"]["k"][0], abs=1e-4)
+        and expanded["distribution"] == "normal"
+    )
 
 
-@pytest.mark.skipif("DCC_SCHEMAS" not in os.environ, reason="DCC_SCHEMAS names no folder with dcc.xsd and SI_Format.xsd")
+@pytest.mark.skipif(
+    "DCC_SCHEMAS" not in os.environ, reason="DCC_SCHEMAS names no folder with dcc.xsd and SI_Format.xsd"
+)
 def test_the_digital_calibration_certificate_keeps_ptbs_schema(held):
-    """dcc.xsd and SI_Format.xsd as PTB publishes them (LGPL-3): https://ptb.de/dcc/v3.3.0/dcc.xsd and the D-SI's that it imports."""
+    """dcc.xsd and SI_Format.xsd as PTB publishes them (LGPL-3): https://ptb.de/dcc/v3.3.0/dcc.xsd and the D-SI's that
+    it imports.
+    """
     etree = pytest.importorskip("lxml.etree")
     folder = Path(os.environ["DCC_SCHEMAS"])
 
@@ -274,9 +411,13 @@ def test_the_digital_calibration_certificate_keeps_ptbs_schema(held):
             if (folder / name).exists():
                 return self.resolve_filename(str(folder / name), context)
             space = "http://www.w3.org/2000/09/xmldsig#" if "xmldsig" in url else "http://qudt.org/vocab/"
-            return self.resolve_string(f'''<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" targetNamespace="{space}">
-                <xs:element name="Signature"/><xs:simpleType name="quantitykind"><xs:restriction base="xs:string"/></xs:simpleType>
-                </xs:schema>''', context)
+            return self.resolve_string(
+                f'''<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" targetNamespace="{space}">
+                <xs:element name="Signature"/><xs:simpleType name="quantitykind"><xs:restriction \
+base="xs:string"/></xs:simpleType>
+                </xs:schema>''',
+                context,
+            )
 
     parser = etree.XMLParser()
     parser.resolvers.add(Local())
@@ -293,8 +434,17 @@ def test_paper_has_every_page(held):
     assert pdf.startswith(b"%PDF") and pdf.count(b"/Type /Page ") >= 2
 
 
-@pytest.mark.parametrize("words, said", [(("--tolerance", "20"), "is no tolerance"), (("--tolerance", "20um", "3mm"), "one length and one angle"),
-                                         (("--country", "de"), "two capital letters"), (("--scale-source", "x"), "--scale-uncertainty says"),
-                                         (("--out", "made.txt"), "is written as")])
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (("--tolerance", "20"), "is no tolerance"),
+        (("--tolerance", "20um", "3mm"), "one length and one angle"),
+        (("--country", "de"), "two capital letters"),
+        (("--scale-source", "x"), "--scale-uncertainty says"),
+        (("--out", "made.txt"), "is written as"),
+    ],
+)
 def test_what_makes_no_sense_is_refused(held, tmp_path, words, said):
-    assert said in rig("certify", held.folder / "cal.json", held.folder / "other", "--out", tmp_path / "c.json", *words, ok=False)
+    assert said in rig(
+        "certify", held.folder / "cal.json", held.folder / "other", "--out", tmp_path / "c.json", *words, ok=False
+    )

@@ -25,7 +25,10 @@ def decided(upper, lower, tolerances=(("position", 10.0), ("rotation", 2.0)), ce
 
 
 def test_decisions_keep_a_guard_band():
-    found = [decided(upper, lower).verdict for upper, lower in ((0.99, 0.9), (1.01, 0.9), (1.3, 0.8), (1.3, 0.99), (1.3, 1.01))]
+    found = [
+        decided(upper, lower).verdict
+        for upper, lower in ((0.99, 0.9), (1.01, 0.9), (1.3, 0.8), (1.3, 0.99), (1.3, 1.01))
+    ]
     assert found == [CONFORMS, OPEN, OPEN, OPEN, FAILS]
     assert decided(1.3, 0.8).guard == pytest.approx(3.0) and decided(1.3, 0.8).upper == pytest.approx(13.0)
 

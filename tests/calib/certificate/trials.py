@@ -1,7 +1,9 @@
-"""Fresh rigs at pose level, each calibrated, certified from a few of its poses and held against all of them: is the promise kept?
+"""Fresh rigs at pose level, each calibrated, certified from a few of its poses and held against all of them: is the
+promise kept?
 
-No images and no bundle adjustment: poses come with an instrument's noise of known covariance, a part of it shared by a recording. What
-is sampled is what is promised about: the held-out poses are a random few of thousands that the machine took in one run.
+No images and no bundle adjustment: poses come with an instrument's noise of known covariance, a part of it shared by a
+recording. What is sampled is what is promised about: the held-out poses are a random few of thousands that the machine
+took in one run.
 """
 
 from dataclasses import dataclass
@@ -23,20 +25,34 @@ from rig.model.pose import exp, pose_difference
 from rig.planning import plan
 from synthetic import secret_machine
 
-KINDS = ("backlash", "hysteresis", "thermal_expansion", "base_expansion", "compliance", "joint_clearance", "creep", "cyclic_error", "screw_coupling",
-         "scale_error")
+KINDS = (
+    "backlash",
+    "hysteresis",
+    "thermal_expansion",
+    "base_expansion",
+    "compliance",
+    "joint_clearance",
+    "creep",
+    "cyclic_error",
+    "screw_coupling",
+    "scale_error",
+)
 POSES = 2000  # noise-free ones, from which the true 95th percentile is taken
 FITTED = 120
 SIZES = (59, 80, 120, 200)  # held out
-OWN, COMMON = np.repeat([3.2e-6, 2.4e-5], 3), np.repeat([2.4e-6, 4.2e-6], 3)  # m and rad an axis, as three cameras have it
+OWN, COMMON = (
+    np.repeat([3.2e-6, 2.4e-5], 3),
+    np.repeat([2.4e-6, 4.2e-6], 3),
+)  # m and rad an axis, as three cameras have it
 SPREAD = 0.7  # of the tolerance about what is true, as a logarithm
 
 
 @dataclass(frozen=True)
 class Trial:
-    """effects : their names; n held out; share : of all true poses within both promises; coverage : promised; as_good : whether `coverage` of true
-    poses lie within both tolerances; verdict : with 97.5 % limits, "" with too few poses for one
-    per quantity: true quantile of the coverage, promise, limit as measured."""
+    """effects : their names; n held out; share : of all true poses within both promises; coverage : promised;
+    as_good : whether `coverage` of true poses lie within both tolerances; verdict : with 97.5 % limits, "" with too few
+        poses for
+    one per quantity: true quantile of the coverage, promise, limit as measured."""
 
     effects: tuple
     n: int
@@ -65,7 +81,10 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
     rng = np.random.default_rng([18, seed])
     strokes = design.mechanism.strut_range
     goals = np.concatenate(
-        [plan.low_discrepancy(strokes, FITTED, seed=seed), plan.scale_to_strokes(strokes, rng.uniform(-1, 1, (POSES, 6)), plan.FILL)]
+        [
+            plan.low_discrepancy(strokes, FITTED, seed=seed),
+            plan.scale_to_strokes(strokes, rng.uniform(-1, 1, (POSES, 6)), plan.FILL),
+        ]
     )
     route = plan.settled_plan(goals, strokes.mean(axis=1), plan.plan_speed(design))
     warmth, _ = secret_machine.draw_temperatures(float(route.commands.t[-1]), rng)
@@ -95,11 +114,27 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
     tolerance = quantiles * np.exp(rng.uniform(-SPREAD, SPREAD, 2))
     verdict = ""
     if n >= least_sample_size(level[0], GUARD):
-        depth = depth_bound(poses, poses.first, (Unit(POSITION, tolerance[0]), Unit(ROTATION, tolerance[1])), (level[0], GUARD), 0.0, rng)
+        depth = depth_bound(
+            poses,
+            poses.first,
+            (Unit(POSITION, tolerance[0]), Unit(ROTATION, tolerance[1])),
+            (level[0], GUARD),
+            0.0,
+            rng,
+        )
         verdict = tolerance_conformity(tuple(zip(("position", "rotation"), tolerance)), depth, True, (0, 0))[0].verdict
     as_good = (real <= tolerance).all(axis=1).mean() >= level[0]
-    return Trial(names, n, float(share), level[0], bool(as_good), verdict, tuple(quantiles), tuple(b.upper for b in bounds),
-                 tuple(b.measured for b in bounds))
+    return Trial(
+        names,
+        n,
+        float(share),
+        level[0],
+        bool(as_good),
+        verdict,
+        tuple(quantiles),
+        tuple(b.upper for b in bounds),
+        tuple(b.measured for b in bounds),
+    )
 
 
 def lengths(errors):
@@ -110,7 +145,9 @@ def lengths(errors):
 def _drawn(kind, design, route, motion, rng):
     place = str(rng.choice(kind.places))
     axes = mechanisms.axis_places(design.mechanism)
-    return kind.drawn(axes[rng.integers(len(axes))] if place == "axis" else place, Drawing(design, route.t, motion, None), rng)
+    return kind.drawn(
+        axes[rng.integers(len(axes))] if place == "axis" else place, Drawing(design, route.t, motion, None), rng
+    )
 
 
 def _samples(route, goals, true, at, rng, factor):

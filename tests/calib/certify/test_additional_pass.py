@@ -1,4 +1,6 @@
-"""Passes over configurations, over poses and over both, in the whole of them and in a part: exact, undone, held out, kept in order."""
+"""Passes over configurations, over poses and over both, in the whole of them and in a part: exact, undone, held out,
+kept in order.
+"""
 
 from dataclasses import replace
 
@@ -12,8 +14,8 @@ from calib.certify.platform_certification import model_covariance
 from calib.correct.correction import Correction
 from calib.correct.interpolation import interpolation_methods
 from calib.correct.interpolation.field import Known
-from calib.correct.interpolation.restricted_map import Part, Within
 from calib.correct.interpolation.repeated_passes import Passes
+from calib.correct.interpolation.restricted_map import Part, Within
 from calib.files import calibration_file
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
@@ -38,15 +40,24 @@ def leaning(T):
 def machine(design):
     """(Calibration by the true geometry, Samples of the leaning machine at 200 configurations)."""
     true = secret_machine.draw_machine(design, np.random.default_rng(3)).true.mechanism
-    before = Calibration(Correction(design.mechanism, true, (None,) * AXES), np.eye(42) * 1e-12, np.zeros(6), (), (), None,
-                         {"recording": "first", "created": "then", "data": ["1"]})
+    before = Calibration(
+        Correction(design.mechanism, true, (None,) * AXES),
+        np.eye(42) * 1e-12,
+        np.zeros(6),
+        (),
+        (),
+        None,
+        {"recording": "first", "created": "then", "data": ["1"]},
+    )
     return before, seen(before, low_discrepancy(design.mechanism.strut_range, 200, 0.8, 5))
 
 
 def seen(before, commands):
     n = len(commands)
     T = leaning(before.correction.predict(commands)) * exp(OWN * np.random.default_rng(1).normal(size=(n, 6)))
-    return Samples(np.arange(n), np.arange(n) * 10.0, commands, T, np.tile(np.diag(OWN**2), (n, 1, 1)), np.zeros((n, 6, 0)))
+    return Samples(
+        np.arange(n), np.arange(n) * 10.0, commands, T, np.tile(np.diag(OWN**2), (n, 1, 1)), np.zeros((n, 6, 0))
+    )
 
 
 def left(correction, before, wanted):
@@ -58,7 +69,11 @@ def left(correction, before, wanted):
 def test_a_map_over_poses_takes_what_depends_on_the_pose(machine, design, space):
     before, samples = machine
     done, tried, count = certify_additional_pass(samples, before, Pass("polynomial", space), np.random.default_rng(0))
-    assert count == 200 and len(done.correction.posed) == 1 and (done.correction.extension is not None) == (space == "both")
+    assert (
+        count == 200
+        and len(done.correction.posed) == 1
+        and (done.correction.extension is not None) == (space == "both")
+    )
     assert done.held_out.after.position[0] < 0.1 * tried[0].held_out.after.position[0]
     wanted = hexapod.forward(low_discrepancy(design.mechanism.strut_range, 50, 0.7, 9), design.mechanism)
     assert np.abs(pose_difference(done.correction.predict(done.correction.inverse(wanted)), wanted)).max() < 1e-11
@@ -81,7 +96,9 @@ def test_a_pass_in_a_part_leaves_the_rest_as_it_was_and_knows_it_no_better(machi
     before, samples = machine
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     high[0] = 0.02  # m, x of poses
-    done, _, count = certify_additional_pass(samples, before, Pass("polynomial", "pose", poses=Part(low, high)), np.random.default_rng(0))
+    done, _, count = certify_additional_pass(
+        samples, before, Pass("polynomial", "pose", poses=Part(low, high)), np.random.default_rng(0)
+    )
     x = before.correction.predict(samples.commanded).translation[:, 0]
     assert count == (x <= 0.02).sum() < 200
     commands = low_discrepancy(design.mechanism.strut_range, 300, 0.8, 11)
@@ -99,28 +116,37 @@ def test_a_part_of_the_configuration_space_bounds_what_takes_part(machine):
     before, samples = machine
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     low[2] = np.median(samples.commanded[:, 2])
-    done, _, count = certify_additional_pass(samples, before, Pass("polynomial", "configuration", Part(low, high)), np.random.default_rng(0))
+    done, _, count = certify_additional_pass(
+        samples, before, Pass("polynomial", "configuration", Part(low, high)), np.random.default_rng(0)
+    )
     assert count == 100 and isinstance(done.correction.extension.fields[0], Within)
     assert not done.correction.rho(samples.commanded - 0.05).any()
     with pytest.raises(NotEnoughData, match="none of 200 samples"):
-        certify_additional_pass(samples, before, Pass("polynomial", "configuration", Part(low + 9, high)), np.random.default_rng(0))
+        certify_additional_pass(
+            samples, before, Pass("polynomial", "configuration", Part(low + 9, high)), np.random.default_rng(0)
+        )
 
 
 def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):
     before, samples = machine
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     high[2] = 0.45
-    done, _, _ = certify_additional_pass(samples, before, Pass("polynomial", "both", poses=Part(low, high)), np.random.default_rng(0))
+    done, _, _ = certify_additional_pass(
+        samples, before, Pass("polynomial", "both", poses=Part(low, high)), np.random.default_rng(0)
+    )
     source = calibration_file.pass_provenance({"recording": "b", "data": ["2"]}, before, {"number": 2, "space": "both"})
     calibration_file.save(
-        tmp_path / "c.json", Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, source)
+        tmp_path / "c.json",
+        Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, source),
     )
     text = (tmp_path / "c.json").read_text()
     assert '"calibration/3"' in text
     again = calibration_file.load(tmp_path / "c.json")
     commands = samples.commanded[:40]
     assert np.abs(pose_difference(again.correction.predict(commands), done.correction.predict(commands))).max() < 1e-14
-    assert again.provenance["pass"]["space"] == "both" and again.provenance["passes"] == [{"recording": "first", "created": "then"}]
+    assert again.provenance["pass"]["space"] == "both" and again.provenance["passes"] == [
+        {"recording": "first", "created": "then"}
+    ]
     (tmp_path / "c.json").write_text(text.replace('"rz"', '"ry"'))
     with pytest.raises(FileError, match="coordinates"):
         calibration_file.load(tmp_path / "c.json")
@@ -133,7 +159,10 @@ def test_a_part_is_whole_within_fades_smoothly_and_knows_its_slope():
     rng = np.random.default_rng(0)
     x = np.concatenate([rng.uniform(-0.2, 1.2, (300, 1)), rng.uniform(1.0, 2.2, (300, 1))], axis=1)
     field = Within(
-        interpolation_methods.fit_field("polynomial", Known(x, np.sin(x), np.full(x.shape, 1e-6), np.array([[-0.2, 1.2], [1.0, 2.2]]))), part
+        interpolation_methods.fit_field(
+            "polynomial", Known(x, np.sin(x), np.full(x.shape, 1e-6), np.array([[-0.2, 1.2], [1.0, 2.2]]))
+        ),
+        part,
     )
     for one in x[:40]:
         np.testing.assert_allclose(field.gradient(one), jacobian(field.value, one), atol=1e-4)
@@ -149,7 +178,10 @@ def test_a_part_that_bounds_nothing_is_refused(low, high):
 def test_an_earlier_pass_speaks_where_a_later_one_does_not_hold():
     x = np.linspace(0, 1, 21)[:, None]
     first, second = (
-        interpolation_methods.fit_field("polynomial", Known(x, size * x, np.full((21, 1), size**2), np.array([[0.0, 1.0]]))) for size in (1.0, 0.1)
+        interpolation_methods.fit_field(
+            "polynomial", Known(x, size * x, np.full((21, 1), size**2), np.array([[0.0, 1.0]]))
+        )
+        for size in (1.0, 0.1)
     )
     both = Passes((first, Within(second, Part(np.array([-np.inf]), np.array([0.5])))))
     at = np.array([[0.2], [0.9]])

@@ -1,4 +1,6 @@
-"""Play of a machine stands out in what is held out of a balanced plan; in a Sobol sequence's own order it looked like a map."""
+"""Play of a machine stands out in what is held out of a balanced plan; in a Sobol sequence's own order it looked like a
+map.
+"""
 
 from pathlib import Path
 
@@ -25,18 +27,33 @@ def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) ->
     (tmp_path / "rig.toml").write_text(text)
     design = design_file.load(tmp_path / "rig.toml")
     gaps = np.random.default_rng(seed).uniform(20e-6, 80e-6, 6)
-    secret = secret_machine.draw_machine(design, np.random.default_rng(100 + seed), 1.0,
-                        [require_size(require_place(parse_effect(f"backlash:strut{i + 1}:gap={gap}"), design)) for i, gap in enumerate(gaps)])
+    secret = secret_machine.draw_machine(
+        design,
+        np.random.default_rng(100 + seed),
+        1.0,
+        [
+            require_size(require_place(parse_effect(f"backlash:strut{i + 1}:gap={gap}"), design))
+            for i, gap in enumerate(gaps)
+        ],
+    )
 
     def recorded(route: plan.Plan, name: str) -> Samples:
         rng = np.random.default_rng(seed)
-        recording_simulation.write_recording(recording_simulation.simulate(secret, route, rng), tmp_path / name, text, rng)
+        recording_simulation.write_recording(
+            recording_simulation.simulate(secret, route, rng), tmp_path / name, text, rng
+        )
         return sample_recording(recording_folder.load(tmp_path / name)).samples
 
-    done = certify(fitted := recorded(plan.build_plan(design, "sobol:40", seed), "fit"), design.mechanism, np.random.default_rng(0))
+    done = certify(
+        fitted := recorded(plan.build_plan(design, "sobol:40", seed), "fit"), design.mechanism, np.random.default_rng(0)
+    )
     other = recorded(plan.build_plan(design, "sobol:60", 900 + seed), "other")
-    true = float(np.sqrt((errors_before_and_after(done.correction, other)[1][:, :3] ** 2).sum(axis=1).mean()))  # m, measuring included
+    true = float(
+        np.sqrt((errors_before_and_after(done.correction, other)[1][:, :3] ** 2).sum(axis=1).mean())
+    )  # m, measuring included
     assert done.held_out is not None
-    assert done.held_out.after.position[0] > 5 * done.held_out.floor[0] and done.held_out.after.position[0] > 0.95 * true
+    assert (
+        done.held_out.after.position[0] > 5 * done.held_out.floor[0] and done.held_out.after.position[0] > 0.95 * true
+    )
     claim = workspace_claim_of(fitted, done, np.random.default_rng(0))
     assert claim.after is not None and claim.after[0][2] > 0.95 * true

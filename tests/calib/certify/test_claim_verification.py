@@ -1,4 +1,6 @@
-"""A claim held against poses: noise of each pose averages out, shared noise does not, rotation counts, and a base that was moved is recognised."""
+"""A claim held against poses: noise of each pose averages out, shared noise does not, rotation counts, and a base that
+was moved is recognised.
+"""
 
 from dataclasses import replace
 
@@ -23,7 +25,8 @@ def claimed(position=POSITION, rotation=ROTATION):
 
 
 def trial(design, seed, size, own=5e-6, shared=0.0, count=60, turned=None):
-    """(predicted poses, Samples) of a machine whose smooth error is so many times the claim's upper end; own, shared : m, and five times that in rad
+    """(predicted poses, Samples) of a machine whose smooth error is so many times the claim's upper end; own,
+    shared : m, and five times that in rad
     turned : as size for rotation, the same by default"""
     rng = np.random.default_rng(seed)
     commands = plan.low_discrepancy(design.mechanism.strut_range, count, 0.8, seed)[rng.permutation(count)]
@@ -33,8 +36,14 @@ def trial(design, seed, size, own=5e-6, shared=0.0, count=60, turned=None):
     error *= np.repeat([size * POSITION / position, (size if turned is None else turned) * ROTATION / rotation], 3)
     sigma, factor = np.repeat([own, 5 * own], 3), np.repeat([shared, 5 * shared], 3)
     T = predicted * exp(error) * exp(sigma * rng.normal(size=(count, 6)) + factor * rng.normal(size=6))
-    samples = Samples(np.arange(count), np.arange(count) * 10.0, commands, T, np.tile(np.diag(sigma**2), (count, 1, 1)),
-                      np.tile(np.diag(factor), (count, 1, 1)))
+    samples = Samples(
+        np.arange(count),
+        np.arange(count) * 10.0,
+        commands,
+        T,
+        np.tile(np.diag(sigma**2), (count, 1, 1)),
+        np.tile(np.diag(factor), (count, 1, 1)),
+    )
     return predicted, samples
 
 
@@ -105,7 +114,9 @@ def test_the_adjoint_takes_a_tangent_to_the_other_side():
 
 
 def test_a_claim_that_names_something_unexplained_is_refuted_by_half_as_much_again():
-    """What is unexplained differs from one recording to another: an error beyond chance that is within REFUTES refutes no such claim."""
+    """What is unexplained differs from one recording to another: an error beyond chance that is within REFUTES refutes
+    no such claim.
+    """
     part = Part(47e-6, 24e-6, 1.3, 1.13, 40e-6)
     strict = Verification(60, None, part)
     assert strict.refutes and stands(strict) == "NOT kept"

@@ -1,4 +1,6 @@
-"""Extensions over the configuration space: exact on their grid, the best one by held-out poses, and promised no better than they are."""
+"""Extensions over the configuration space: exact on their grid, the best one by held-out poses, and promised no better
+than they are.
+"""
 
 from dataclasses import replace
 
@@ -39,7 +41,10 @@ def test_corrected_poses_are_exact_at_the_samples(gridded, design, alone):
     samples, true = gridded
     done, _ = certify_extended(samples, design.mechanism, Asked("simplex", alone), np.random.default_rng(0))
     on = slice(0, 144)
-    assert np.abs(pose_difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max() < 1e-9
+    assert (
+        np.abs(pose_difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max()
+        < 1e-9
+    )
     assert done.held_out.after.n == 30 and done.held_out.after.position[0] < 0.2 * done.held_out.before.position[0]
     assert (done.correction.fitted is done.correction.nominal) == alone
 
@@ -50,19 +55,30 @@ def test_auto_takes_what_does_best_on_poses_held_out(gridded, design):
     done, tried = certify_extended(samples, design.mechanism, Asked("auto", False), np.random.default_rng(0))
     figures = {one.kind: one.held_out.after.position[0] for one in tried if one.held_out}
     chosen = [one.kind for one in tried if one.chosen]
-    assert len(chosen) == 1 and chosen != ["none"] and {"simplex", "linear", "delaunay", "axes", "radial", "polynomial", "none"} == set(figures)
+    assert (
+        len(chosen) == 1
+        and chosen != ["none"]
+        and {"simplex", "linear", "delaunay", "axes", "radial", "polynomial", "none"} == set(figures)
+    )
     assert figures[chosen[0]] < 1.3 * min(figures.values()) < figures["none"]
     wanted = workspace(design, 60)
     left = [
-        rms(pose_difference(wanted, real(c.inverse(wanted), true, coupled)))[0] for c in (done.correction, replace(done.correction, extension=None))
+        rms(pose_difference(wanted, real(c.inverse(wanted), true, coupled)))[0]
+        for c in (done.correction, replace(done.correction, extension=None))
     ]
     assert left[0] < left[1]
 
 
 def test_where_noise_explains_all_that_is_left_a_smooth_field_is_empty(design):
-    done, _ = certify_extended(sampled(design, 1, 60)[0], design.mechanism, Asked("radial", False), np.random.default_rng(0))
+    done, _ = certify_extended(
+        sampled(design, 1, 60)[0], design.mechanism, Asked("radial", False), np.random.default_rng(0)
+    )
     field = done.correction.extension
-    assert field.parts == (None,) * 6 and field.inflation == 1 and done.held_out.after.position[0] < 0.1 * done.held_out.before.position[0]
+    assert (
+        field.parts == (None,) * 6
+        and field.inflation == 1
+        and done.held_out.after.position[0] < 0.1 * done.held_out.before.position[0]
+    )
 
 
 def test_scattered_samples_leave_the_grids_out_of_auto_and_refuse_them_by_name(design):
@@ -78,7 +94,9 @@ def test_an_extended_calibration_is_kept_and_says_how_sure_it_is(gridded, design
     samples, true = gridded
     done, _ = certify_extended(samples, design.mechanism, Asked("linear", True), np.random.default_rng(0))
     claim = claim_without_geometry(samples, done, np.random.default_rng(0))
-    kept = Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim)
+    kept = Calibration(
+        done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim
+    )
     calibration_file.save(tmp_path / "c.json", kept)
     again = calibration_file.load(tmp_path / "c.json")
     inner = low_discrepancy(design.mechanism.strut_range, 80, 0.55, 3)
@@ -94,30 +112,39 @@ def test_an_extended_calibration_is_kept_and_says_how_sure_it_is(gridded, design
 
 def test_the_single_step_misses_what_the_fixed_point_meets(gridded, design):
     samples, _ = gridded
-    correction = certify_extended(samples, design.mechanism, Asked("linear", True), np.random.default_rng(0))[0].correction
+    correction = certify_extended(samples, design.mechanism, Asked("linear", True), np.random.default_rng(0))[
+        0
+    ].correction
     wanted = workspace(design, 40)
     exact, step = correction.inverse(wanted), correction.single_step(wanted)
     x = hexapod.inverse(wanted, design.mechanism)
     np.testing.assert_allclose(step, x + correction.summand(x), atol=1e-15)
     np.testing.assert_allclose(exact, x + correction.summand(exact), atol=1e-11)
     assert 1e-7 < np.abs(step - exact).max() < 1e-4 and single_step_errors(correction)[1] > 1e-7
-    np.testing.assert_allclose(correction.corrected_forward(x).as_matrix(), hexapod.forward(step, design.mechanism).as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(
+        correction.corrected_forward(x).as_matrix(), hexapod.forward(step, design.mechanism).as_matrix(), atol=1e-9
+    )
 
 
 def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path):
-    """The other way round, through the command: what a measuring machine reads, corrected, with a covariance that its errors keep to."""
+    """The other way round, through the command: what a measuring machine reads, corrected, with a covariance that its
+    errors keep to.
+    """
     from rig.cli.command_line import main
     from rig.recording import recording_folder
 
     samples, true = gridded
     done, _ = certify_extended(samples, design.mechanism, Asked("simplex", False), np.random.default_rng(0))
     calibration_file.save(
-        tmp_path / "c.json", Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), None, {"seed": 0}, None)
+        tmp_path / "c.json",
+        Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), None, {"seed": 0}, None),
     )
     read = low_discrepancy(design.mechanism.strut_range, 40, 0.55, 6)
     lines = [f"{k}," + ",".join(f"{v:.9f}" for v in row) for k, row in enumerate(read)]
     (tmp_path / "r.csv").write_text("\n".join(["frame,l1,l2,l3,l4,l5,l6", *lines]) + "\n")
-    assert main(["correct", str(tmp_path / "c.json"), "--forward", str(tmp_path / "r.csv"), "--out", str(tmp_path / "p.csv")]) in (0, None)
+    assert main(
+        ["correct", str(tmp_path / "c.json"), "--forward", str(tmp_path / "r.csv"), "--out", str(tmp_path / "p.csv")]
+    ) in (0, None)
     got = recording_folder.load_poses(tmp_path / "p.csv")
     T = real(read, true, coupled)
     error, before = pose_difference(got.T_base_platform, T), pose_difference(hexapod.forward(read, design.mechanism), T)
@@ -125,11 +152,25 @@ def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path
     ratio = (error[:, :3] ** 2).sum() / np.trace(got.covariance[:, :3, :3], axis1=1, axis2=2).sum()
     assert 0.05 < ratio < 4
     (tmp_path / "r.csv").write_text("frame,l1,l2,l3,l4,l5,l6\n0,1,1,1,1,1,1\n")
-    assert main(["correct", str(tmp_path / "c.json"), "--forward", str(tmp_path / "r.csv"), "--out", str(tmp_path / "q.csv")]) == 1
+    assert (
+        main(
+            [
+                "correct",
+                str(tmp_path / "c.json"),
+                "--forward",
+                str(tmp_path / "r.csv"),
+                "--out",
+                str(tmp_path / "q.csv"),
+            ]
+        )
+        == 1
+    )
 
 
 def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
-    """A function of each axis alone leaves what struts feel of each other; a pass of simplices on top takes it; both are kept in order."""
+    """A function of each axis alone leaves what struts feel of each other; a pass of simplices on top takes it; both
+    are kept in order.
+    """
     samples, true = gridded
     first, _ = certify_extended(samples, design.mechanism, Asked("axes", True), np.random.default_rng(0))
     before = Calibration(first.correction, first.found.covariance, first.found.scatter, (), (), None, {})
@@ -138,14 +179,29 @@ def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
     figures = {one.kind: one.held_out.after.position[0] for one in tried}
     assert figures["simplex"] < 0.7 * figures["none"]
     inner = low_discrepancy(design.mechanism.strut_range, 60, 0.5, 3)
-    left = [rms(pose_difference(done.correction.predict(inner), real(inner, true, coupled)))[0] for done in (first, second)]
+    left = [
+        rms(pose_difference(done.correction.predict(inner), real(inner, true, coupled)))[0] for done in (first, second)
+    ]
     assert left[1] < 0.7 * left[0]
     assert [field.kind for field in second.correction.extension.fields] == ["axes", "simplex"]
-    np.testing.assert_allclose(second.correction.extension.gradient(inner), sum(f.gradient(inner) for f in second.correction.extension.fields))
-    kept = Calibration(second.correction, second.found.covariance, second.found.scatter, (1,), (), second.held_out, {"seed": 0})
-    calibration_file.save(tmp_path / "c.json", kept)
-    np.testing.assert_allclose(calibration_file.load(tmp_path / "c.json").correction.rho(inner), second.correction.rho(inner), atol=1e-18)
-    source = calibration_file.pass_provenance(
-        {"recording": "b", "data": ["2"]}, replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}), {"number": 2}
+    np.testing.assert_allclose(
+        second.correction.extension.gradient(inner), sum(f.gradient(inner) for f in second.correction.extension.fields)
     )
-    assert source == {"recording": "b", "pass": {"number": 2}, "data": ["1", "2"], "passes": [{"recording": "a", "created": "then"}]}
+    kept = Calibration(
+        second.correction, second.found.covariance, second.found.scatter, (1,), (), second.held_out, {"seed": 0}
+    )
+    calibration_file.save(tmp_path / "c.json", kept)
+    np.testing.assert_allclose(
+        calibration_file.load(tmp_path / "c.json").correction.rho(inner), second.correction.rho(inner), atol=1e-18
+    )
+    source = calibration_file.pass_provenance(
+        {"recording": "b", "data": ["2"]},
+        replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}),
+        {"number": 2},
+    )
+    assert source == {
+        "recording": "b",
+        "pass": {"number": 2},
+        "data": ["1", "2"],
+        "passes": [{"recording": "a", "created": "then"}],
+    }

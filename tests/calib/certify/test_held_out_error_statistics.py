@@ -1,4 +1,6 @@
-"""Claims from what was held out: intervals hold the truth where something is left out that no model has, and have a width where nothing is fitted."""
+"""Claims from what was held out: intervals hold the truth where something is left out that no model has, and have a
+width where nothing is fitted.
+"""
 
 from dataclasses import replace
 
@@ -32,7 +34,10 @@ def test_draws_of_a_mean_square_hold_it_whether_few_or_many_tell_it():
     for count in (8, 40):
         inside = 0
         for _ in range(200):
-            squares = ((rng.normal(size=(count, 3)) ** 2).sum(axis=1) * rng.chisquare(4, count) / 4)[:, None] * [1.0, 1.0]  # of unlike places
+            squares = ((rng.normal(size=(count, 3)) ** 2).sum(axis=1) * rng.chisquare(4, count) / 4)[:, None] * [
+                1.0,
+                1.0,
+            ]  # of unlike places
             low, high = np.quantile(HeldErrors(squares, np.zeros((count, 2))).draws(400, rng)[:, 0], [0.025, 0.975])
             inside += low < 3.0 < high
         assert inside >= 184
@@ -49,7 +54,12 @@ def test_noise_that_explains_all_leaves_nothing_and_what_was_not_measured_is_not
 def test_a_factor_is_finite_where_noise_explains_all_that_is_left(design, owners):
     samples, _ = sampled(design, 0, 10, None)
     claim = claim_of_mean_squares(
-        np.full((100, 2), owners), np.zeros((100, 2)), "here", samples, ConfigurationInformation(10, 0, 0, 0, ""), np.random.default_rng(0)
+        np.full((100, 2), owners),
+        np.zeros((100, 2)),
+        "here",
+        samples,
+        ConfigurationInformation(10, 0, 0, 0, ""),
+        np.random.default_rng(0),
     )
     assert np.isfinite([claim.ratio, claim.measured]).all() and claim.after[0] == (0.0, 0.0, 0.0)
     with pytest.raises(ValueError, match="ratio of a claim"):
@@ -82,7 +92,10 @@ def test_an_arm_whose_noise_is_stated_ten_times_too_small_says_so_and_claims_wha
     small = worlds.replace(samples, covariance=samples.covariance / 100)
     done = certify_arm(small, UR10, worlds.TRACKER, rng)
     claim = promised_arm(small, done, rng)
-    assert any("positions of the hand scatter by 0.3" in line and "beyond the 0.0346 mm that is stated" in line for line in claim.unexplained)
+    assert any(
+        "positions of the hand scatter by 0.3" in line and "beyond the 0.0346 mm that is stated" in line
+        for line in claim.unexplained
+    )
     honest = certify_arm(samples, UR10, worlds.TRACKER, np.random.default_rng(4))
     assert promised_arm(samples, honest, np.random.default_rng(4)).unexplained == ()
 

@@ -24,4 +24,8 @@ def test_repeatability_of_both_directions_holds_the_reversal():
 
 
 def test_one_visit_shows_no_scatter():
-    assert axis_accuracy(MEAN, np.where(S > 0.9, np.nan, S)) == (None, None, None) == axis_repeatability(MEAN, np.where(S > 0.9, np.nan, S))
+    assert (
+        axis_accuracy(MEAN, np.where(S > 0.9, np.nan, S))
+        == (None, None, None)
+        == axis_repeatability(MEAN, np.where(S > 0.9, np.nan, S))
+    )

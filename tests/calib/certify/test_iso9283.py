@@ -21,7 +21,9 @@ def standard(design, cycles=30):
     done = plan.build_plan(design, f"iso9283:{cycles}", 0)
     T = motion_simulation.run_machine(design, done.commands, done.t).T_base_platform
     n = len(done.t)
-    samples = Samples(np.arange(n), done.t, done.commands.at(done.t), T, np.tile(np.eye(6) * 1e-12, (n, 1, 1)), np.zeros((n, 6, 1)))
+    samples = Samples(
+        np.arange(n), done.t, done.commands.at(done.t), T, np.tile(np.eye(6) * 1e-12, (n, 1, 1)), np.zeros((n, 6, 1))
+    )
     errors = 1e-6 * np.random.default_rng(0).normal(size=(n, 6))
     return held_poses(calibrate(samples, design.mechanism, "none")[0], [(samples, done.commands, errors, errors)])
 
@@ -44,9 +46,15 @@ def test_the_planned_test_is_the_standards(full_test):
 def test_visits_are_counted_by_moves(design):
     few = standard(design, 10)
     thrice = np.repeat(np.arange(len(few)), 3)
-    poses = replace(few, **{name: getattr(few, name)[thrice] for name in ("recording", "frame", "t", "commanded", "before", "step", "errors", "plain",
-                                                                         "own", "label")}, T_base_platform=few.T_base_platform[thrice],
-                    common=tuple(c[thrice] for c in few.common))
+    poses = replace(
+        few,
+        **{
+            name: getattr(few, name)[thrice]
+            for name in ("recording", "frame", "t", "commanded", "before", "step", "errors", "plain", "own", "label")
+        },
+        T_base_platform=few.T_base_platform[thrice],
+        common=tuple(c[thrice] for c in few.common),
+    )
     assert "0 poses were visited 30 times" in met(poses), "three exposures of one visit are one visit"
 
 
@@ -76,8 +84,15 @@ def test_poses_off_a_rectangle_are_named(full_test):
     assert "corners of a rectangle" in met(replace(full_test, T_base_platform=moved))
 
 
-@pytest.mark.parametrize("duty, name", [(replace(FULL, rated_load=None), "rated load is not stated"), (replace(FULL, load=None), "not logged"),
-                                        (replace(FULL, load=(0.0, 10.0)), "the load was 0 to 10 kg"), (replace(FULL, speed=0.02), "at 40% of it"),
-                                        (replace(FULL, rated_speed=None), "rated speed is not stated")])
+@pytest.mark.parametrize(
+    "duty, name",
+    [
+        (replace(FULL, rated_load=None), "rated load is not stated"),
+        (replace(FULL, load=None), "not logged"),
+        (replace(FULL, load=(0.0, 10.0)), "the load was 0 to 10 kg"),
+        (replace(FULL, speed=0.02), "at 40% of it"),
+        (replace(FULL, rated_speed=None), "rated speed is not stated"),
+    ],
+)
 def test_load_and_speed_are_part_of_it(full_test, duty, name):
     assert name in met(full_test, duty)

@@ -1,4 +1,6 @@
-"""Claims where physics is left out, held against machines of an independent truth that are driven with the correction."""
+"""Claims where physics is left out, held against machines of an independent truth that are driven with the
+correction.
+"""
 
 import numpy as np
 import pytest
@@ -35,8 +37,13 @@ def driven(case, calibration):
     return pose_difference(wanted, real), wanted
 
 
-CASES = [(1, "backlash", "strong", "ladders"), (0, "backlash", "strong", "sobol"), (2, "hysteresis", "strong", "ladders"),
-         (0, "warm_up", "strong", "sobol"), (0, "cyclic_error", "strong", "ladders")]
+CASES = [
+    (1, "backlash", "strong", "ladders"),
+    (0, "backlash", "strong", "sobol"),
+    (2, "hysteresis", "strong", "ladders"),
+    (0, "warm_up", "strong", "sobol"),
+    (0, "cyclic_error", "strong", "ladders"),
+]
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[1]}-{case[3]}")
@@ -46,16 +53,25 @@ def test_a_claim_holds_where_physics_is_left_out_and_the_claim_names_it(tmp_path
     median, low, high = claim.after[0]
     assert 0.97 * low <= rms(off)[0] <= 1.03 * high and high < 3 * median  # 120 poses tell their own mean to some 3 %
     said = " ".join(claim.unexplained)
-    assert {"backlash": "direction of approach", "hysteresis": "residuals", "warm_up": "time", "cyclic_error": "residuals"}[case[1]] in said
+    assert {
+        "backlash": "direction of approach",
+        "hysteresis": "residuals",
+        "warm_up": "time",
+        "cyclic_error": "residuals",
+    }[case[1]] in said
     assert calibration.scatter.max() > 5 * of.sigma[0]
     C = model_covariance(calibration, wanted)[:, :3, :3]
     assert (np.einsum("ni,nij,nj->n", off[:, :3], np.linalg.inv(C), off[:, :3]) < 7.815).mean() > 0.75
 
 
 def test_ellipsoids_hold_what_all_struts_do_together(tmp_path):
-    """Heat and warm-up lengthen all struts alike: with each strut by itself, 95 % ellipsoids of these three hold some 75 %."""
+    """Heat and warm-up lengthen all struts alike: with each strut by itself, 95 % ellipsoids of these three hold some
+    75 %.
+    """
     inside = []
-    for k, (seed, effect, plan) in enumerate([(0, "warm_up", "shuffled"), (0, "thermal_expansion", "sobol"), (1, "thermal_expansion", "sobol")]):
+    for k, (seed, effect, plan) in enumerate(
+        [(0, "warm_up", "shuffled"), (0, "thermal_expansion", "sobol"), (1, "thermal_expansion", "sobol")]
+    ):
         of, calibration, *_ = calibrated(tmp_path / str(k), seed, effect, "strong", plan)
         off, wanted = driven(of, calibration)
         C = model_covariance(calibration, wanted)[:, :3, :3]
@@ -79,13 +95,16 @@ def test_poses_that_agree_with_no_geometry_are_counted_where_they_are_many(tmp_p
 
 
 def test_no_remainder_stands_for_the_direction_of_approach(tmp_path):
-    """In its own order a Sobol sequence comes to the upper half of a stroke from below, so that play looks like a function of place."""
+    """In its own order a Sobol sequence comes to the upper half of a stroke from below, so that play looks like a
+    function of place.
+    """
     _, calibration, claim, _ = calibrated(tmp_path / "rec", 3, "backlash", "strong", "sobol", count=40)
     assert not any(calibration.correction.remainder) and "direction of approach" in claim.unexplained[0]
 
 
 def test_a_remainder_stands_for_what_depends_on_place(design):
     """A smooth deviation along the stroke of one strut is corrected, and the claim holds."""
+
     def bent(commands):
         scaled = (commands - design.mechanism.strut_range.mean(axis=1)) / np.ptp(design.mechanism.strut_range, axis=1)
         return np.sin(14 * scaled) * [0, 0, 8e-5, 0, 0, 0]

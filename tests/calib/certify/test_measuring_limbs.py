@@ -23,7 +23,12 @@ def measured(limbed):
     """(Samples whose commands are the readings, the limbs as stated, all frames, all readings)."""
     design, read, _ = limbed
     frames, lengths = measuring_limbs.limb_readings(read)
-    return measuring_limbs.samples_by_limbs(sample_recording(read).samples, frames, lengths), measuring_limbs.limb_hexapod(design), frames, lengths
+    return (
+        measuring_limbs.samples_by_limbs(sample_recording(read).samples, frames, lengths),
+        measuring_limbs.limb_hexapod(design),
+        frames,
+        lengths,
+    )
 
 
 def test_readings_are_the_limbs_lengths(limbed, measured):
@@ -44,7 +49,10 @@ def test_calibrated_limbs_measure_poses_as_stated(limbed, measured):
     true = done.run.T_base_platform
     error = pose_difference(true, T)
     own, common = limbs.uncertainty(T)
-    assert rms(pose_difference(true, measuring_limbs.Limbs(nominal, np.eye(42), np.ones(6)).pose(lengths)))[0] > 20 * rms(error)[0]
+    assert (
+        rms(pose_difference(true, measuring_limbs.Limbs(nominal, np.eye(42), np.ones(6)).pose(lengths)))[0]
+        > 20 * rms(error)[0]
+    )
     total = own + common @ np.swapaxes(common, 1, 2)
     claimed = np.sqrt(np.trace(total[:, :3, :3], axis1=1, axis2=2).mean())
     assert 0.3 < rms(error)[0] / claimed < 2.2  # the limbs' geometry is one draw
@@ -103,7 +111,10 @@ def test_struts_are_learnt_from_the_limbs_alone(limbed, measured):
     before = rms(pose_difference(hexapod.forward(lengths, true), hexapod.forward(lengths, read.design.mechanism)))
     assert error[0] < before[0] / 20
     vision = samples.total_covariance()
-    agrees = [measuring_limbs.vision_agrees_with_limbs(samples.T_base_platform[i], vision[i], T[i], own[i], common[i]) for i in range(len(samples))]
+    agrees = [
+        measuring_limbs.vision_agrees_with_limbs(samples.T_base_platform[i], vision[i], T[i], own[i], common[i])
+        for i in range(len(samples))
+    ]
     assert all(agrees)
     assert not measuring_limbs.vision_agrees_with_limbs(
         samples.T_base_platform[0] * exp(np.array([0, 0, 2e-4, 0, 0, 0])), vision[0], T[0], own[0], common[0]
@@ -115,13 +126,22 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
     with pytest.raises(RigError, match=r"no \[insitu\] table"):
         measuring_limbs.limb_hexapod(design)
     with pytest.raises(RigError, match="'m3' is missing"):
-        measuring_limbs.limb_readings(replace(read, sensors=Sensors(read.sensors.t, {k: v for k, v in read.sensors.channels.items() if k != "m3"})))
+        measuring_limbs.limb_readings(
+            replace(
+                read, sensors=Sensors(read.sensors.t, {k: v for k, v in read.sensors.channels.items() if k != "m3"})
+            )
+        )
     with pytest.raises(RigError, match="there is no sensors.csv"):
         measuring_limbs.limb_readings(replace(read, sensors=None))
-    sparse = Sensors(np.arange(0.0, 2000.0, 30.0) + 0.123, {name: np.full(67, 0.5) for name in measuring_limbs.stated_limbs(read.design).channels})
+    sparse = Sensors(
+        np.arange(0.0, 2000.0, 30.0) + 0.123,
+        {name: np.full(67, 0.5) for name in measuring_limbs.stated_limbs(read.design).channels},
+    )
     with pytest.raises(NotEnoughData, match="within 0.5 s"):
         measuring_limbs.limb_readings(replace(read, sensors=sparse))
-    (tmp_path / "rig.toml").write_text(hexapod_layout.hexapod_layout(0.3, limbs=6).replace("length_sigma = 1e-6", "length_sigma = -1"))
+    (tmp_path / "rig.toml").write_text(
+        hexapod_layout.hexapod_layout(0.3, limbs=6).replace("length_sigma = 1e-6", "length_sigma = -1")
+    )
     with pytest.raises(FileError, match="insitu.length_sigma must be > 0"):
         design_file.load(tmp_path / "rig.toml")
 

@@ -14,7 +14,11 @@ def test_figures_are_hand_worked():
     errors = np.zeros((4, 6))
     errors[:, 0], errors[:, 4] = [3e-3, 0, 0, 0], [0, 0, 0, 4e-3]
     found = error_figures(errors)
-    assert found.position == pytest.approx((1.5e-3, 3e-3 * 0.85, 3e-3)) and found.rotation[0] == pytest.approx(2e-3) and found.n == 4
+    assert (
+        found.position == pytest.approx((1.5e-3, 3e-3 * 0.85, 3e-3))
+        and found.rotation[0] == pytest.approx(2e-3)
+        and found.n == 4
+    )
     assert found.bias == pytest.approx((7.5e-4, 0, 0, 0, 1e-3, 0))
 
 
@@ -30,8 +34,13 @@ def test_ratio_comes_with_an_interval():
 def test_few_configurations_have_no_interval(count, where):
     """Drawn anew from themselves they always say the same."""
     rng = np.random.default_rng(0)
-    held = compare_errors(1e-3 * rng.normal(size=(40, 6)), 1e-5 * rng.normal(size=(40, 6)), np.tile(np.eye(6) * 1e-10, (40, 1, 1)), rng,
-                   np.arange(40) % count)
+    held = compare_errors(
+        1e-3 * rng.normal(size=(40, 6)),
+        1e-5 * rng.normal(size=(40, 6)),
+        np.tile(np.eye(6) * 1e-10, (40, 1, 1)),
+        rng,
+        np.arange(40) % count,
+    )
     assert np.isnan(held.ratio[1:]).all() and held.configurations == count
     said = verification_line(held, None, None)
     assert f"(too few configurations for an interval) on {where}" in said and "nan" not in said
@@ -46,7 +55,9 @@ def test_held_out_poses_are_as_good_as_they_are_measured(design):
 
 def test_a_remainder_that_does_not_pay_is_dropped(design):
     """A drift in time looks like a function of the configuration to the samples it was fitted on, and to no others."""
-    samples, _ = sampled(design, 2, count=100, deviation=lambda c: np.linspace(0, 4e-5, len(c))[:, None] * np.array([0, 1.0, 0, 0, 0, 0]))
+    samples, _ = sampled(
+        design, 2, count=100, deviation=lambda c: np.linspace(0, 4e-5, len(c))[:, None] * np.array([0, 1.0, 0, 0, 0, 0])
+    )
     done = certify(samples, design.mechanism, np.random.default_rng(0))
     assert done.correction.remainder == (None,) * 6 and done.held_out.after.n == 100
 

@@ -1,4 +1,6 @@
-"""The promise of position and rotation is kept by both at once, as often as stated, whatever the errors' distribution."""
+"""The promise of position and rotation is kept by both at once, as often as stated, whatever the errors'
+distribution.
+"""
 
 import numpy as np
 import pytest
@@ -20,8 +22,21 @@ def held(errors, noise=0.0):
     n = len(errors)
     own = np.tile(np.diag((noise * WIDTHS) ** 2), (n, 1, 1))
     T = RigidTransform.identity(n)
-    return HeldPoses(np.zeros(n, int), np.arange(n), np.arange(n, dtype=float), np.zeros((n, 6)), np.zeros((n, 6)), np.ones((n, 6), bool), T, errors,
-                     errors, own, (np.zeros((n, 6, 1)),), np.arange(n), 0)
+    return HeldPoses(
+        np.zeros(n, int),
+        np.arange(n),
+        np.arange(n, dtype=float),
+        np.zeros((n, 6)),
+        np.zeros((n, 6)),
+        np.ones((n, 6), bool),
+        T,
+        errors,
+        errors,
+        own,
+        (np.zeros((n, 6, 1)),),
+        np.arange(n),
+        0,
+    )
 
 
 def independent(rng, n):
@@ -64,7 +79,10 @@ def test_both_are_kept_at_once_as_often_as_stated(draw, level):
     count = 120
     for n in (59, 120):
         share = kept(draw, n, level, count)
-        assert binom.cdf(share * count, count, level[1]) > 1e-3, (n, share)  # never less than stated, by more than chance
+        assert binom.cdf(share * count, count, level[1]) > 1e-3, (
+            n,
+            share,
+        )  # never less than stated, by more than chance
         assert binom.sf(share * count - 1, count, level[1]) > 1e-3 or n == 59, (n, share)
 
 

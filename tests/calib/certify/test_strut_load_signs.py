@@ -24,7 +24,9 @@ def test_signs_are_those_of_struts_in_balance(design):
     balance = np.swapaxes(np.concatenate([along, np.cross(arms, along)], axis=2), 1, 2)
     weight = np.array([0, 0, -9.81 * 5.0])
     moment = np.cross(T[:, :3, :3] @ centre, weight)
-    loads = np.linalg.solve(balance, -np.concatenate([np.broadcast_to(weight, moment.shape), moment], axis=1)[..., None])[..., 0]
+    loads = np.linalg.solve(
+        balance, -np.concatenate([np.broadcast_to(weight, moment.shape), moment], axis=1)[..., None]
+    )[..., 0]
     for i, one in enumerate(found):
         if one is not None:
             np.testing.assert_array_equal(one[0], np.sign(loads[:, i]))

@@ -14,16 +14,21 @@ def test_the_smallest_samples_are_those_of_the_tables():
 
 
 def test_fewer_say_what_they_can():
-    with pytest.raises(NotEnoughData, match=r"^41 distinct .* takes 59 with 95% .* 93.0% of poses with 95.0% .* 95% with 87.8%.* record 18 more"):
+    with pytest.raises(
+        NotEnoughData,
+        match=r"^41 distinct .* takes 59 with 95% .* 93.0% of poses with 95.0% .* 95% with 87.8%.* record 18 more",
+    ):
         tolerance_limits.upper_tolerance_limit(np.arange(41.0))
-    assert tolerance_limits.upper_tolerance_limit(np.arange(41.0), 0.95, 0.87) <= 40 and tolerance_limits.upper_tolerance_limit(
-        np.arange(59.0)
-    ) == pytest.approx(58, abs=0.1)
+    assert tolerance_limits.upper_tolerance_limit(
+        np.arange(41.0), 0.95, 0.87
+    ) <= 40 and tolerance_limits.upper_tolerance_limit(np.arange(59.0)) == pytest.approx(58, abs=0.1)
 
 
 @pytest.mark.parametrize("n, rank", [(93, 92), (124, 122), (208, 203), (548, 530)])
 def test_ranks_are_those_of_wilks(n, rank):
-    """Greatest k beyond the limit with P(Bin(n, 0.05) <= k) <= 0.05, and the limit lies between that rank and the one before."""
+    """Greatest k beyond the limit with P(Bin(n, 0.05) <= k) <= 0.05, and the limit lies between that rank and the one
+    before.
+    """
     k = n - rank
     assert binom.cdf(k, n, 0.05) <= 0.05 < binom.cdf(k + 1, n, 0.05)
     assert rank - 1 - 1e-9 <= tolerance_limits.upper_tolerance_limit(np.arange(1.0, n + 1)) <= rank + 1e-9
@@ -41,16 +46,24 @@ def test_limits_are_kept_as_often_as_promised_whatever_the_distribution(n):
 def test_without_noise_true_errors_are_those_measured():
     lengths = np.random.default_rng(1).exponential(1e-5, 120)
     found = noise_free_errors.true_depth_limits(lengths, np.full(120, 1e-9))
-    assert found.upper == tolerance_limits.upper_tolerance_limit(lengths) and found.lower == tolerance_limits.lower_tolerance_limit(lengths)
+    assert found.upper == tolerance_limits.upper_tolerance_limit(
+        lengths
+    ) and found.lower == tolerance_limits.lower_tolerance_limit(lengths)
 
 
 def _trials(n, noise, count, seed):
-    """(share kept, mean limit over truth, mean limit of the errors as measured over truth): true errors of two kinds, one wide."""
+    """(share kept, mean limit over truth, mean limit of the errors as measured over truth): true errors of two kinds,
+    one wide.
+    """
     rng = np.random.default_rng(seed)
     wide = rng.choice([1.0, 3.0], size=(count + 1, n, 1), p=[0.8, 0.2])
-    truth = np.linalg.norm(rng.normal(size=(300_000, 3)) * rng.choice([1.0, 3.0], size=(300_000, 1), p=[0.8, 0.2]), axis=1)
+    truth = np.linalg.norm(
+        rng.normal(size=(300_000, 3)) * rng.choice([1.0, 3.0], size=(300_000, 1), p=[0.8, 0.2]), axis=1
+    )
     goal = np.quantile(truth, 0.95)
-    measured = [np.linalg.norm(rng.normal(size=(n, 3)) * w + noise * rng.normal(size=(n, 3)), axis=1) for w in wide[:count]]
+    measured = [
+        np.linalg.norm(rng.normal(size=(n, 3)) * w + noise * rng.normal(size=(n, 3)), axis=1) for w in wide[:count]
+    ]
     limits = np.array([noise_free_errors.true_depth_limits(lengths, np.full(n, noise)).upper for lengths in measured])
     plain = np.array([tolerance_limits.upper_tolerance_limit(lengths) for lengths in measured])
     return np.mean(limits >= goal), limits.mean() / goal, plain.mean() / goal

@@ -1,11 +1,18 @@
-"""What a calibration claims, held against what its machine does elsewhere; how little a few configurations can claim."""
+"""What a calibration claims, held against what its machine does elsewhere; how little a few configurations can
+claim.
+"""
 
 import numpy as np
 import pytest
 
 from calib.certify.calibration_verdict import claim_lines, verification_line
 from calib.certify.claim_verification import verify_claim
-from calib.certify.distinct_configurations import axis_ranges, configuration_folds, configuration_numbers, mean_sample_per_configuration
+from calib.certify.distinct_configurations import (
+    axis_ranges,
+    configuration_folds,
+    configuration_numbers,
+    mean_sample_per_configuration,
+)
 from calib.certify.held_out_errors import compare_errors, errors_before_and_after
 from calib.certify.platform_certification import certify, workspace_claim_of
 from calib.models.platform.identification import identify, parameters
@@ -32,7 +39,8 @@ def elsewhere(correction, true, seed):
     commands = plan.low_discrepancy(nominal.strut_range, 300, seed=7000 + seed)
     real = hexapod.forward(commands, true)
     before, after = (
-        np.mean(pose_difference(model, real)[:, :3] ** 2) for model in (hexapod.forward(commands, nominal), correction.predict(commands))
+        np.mean(pose_difference(model, real)[:, :3] ** 2)
+        for model in (hexapod.forward(commands, nominal), correction.predict(commands))
     )
     return np.sqrt(before / after)
 
@@ -48,7 +56,9 @@ def at_corners(design, text, folder, seed, distinct, repeats):
     """(Claim, before / after elsewhere) of a recording simulated corner by corner, measured by its cameras."""
     rng, strokes = np.random.default_rng(seed), design.mechanism.strut_range
     secret = secret_machine.draw_machine(design, rng)
-    route = plan.settled_plan(visited(design.mechanism, distinct, repeats, seed), strokes.mean(axis=1), plan.plan_speed(design))
+    route = plan.settled_plan(
+        visited(design.mechanism, distinct, repeats, seed), strokes.mean(axis=1), plan.plan_speed(design)
+    )
     recording_simulation.write_recording(recording_simulation.simulate(secret, route, rng), folder, text, rng, 0.04)
     return concluded(design, sample_recording(recording_folder.load(folder)).samples, secret.true.mechanism, seed)
 
@@ -71,14 +81,21 @@ def test_repeats_are_one_configuration_from_whichever_side(design):
 
 def test_witnesses_say_what_all_poses_say(design):
     commands = visited(design.mechanism, 12, 40, 3)
-    samples, _ = sampled(design, 3, len(commands), commands=commands + 2e-6 * np.random.default_rng(0).normal(size=commands.shape))
+    samples, _ = sampled(
+        design, 3, len(commands), commands=commands + 2e-6 * np.random.default_rng(0).normal(size=commands.shape)
+    )
     label = configuration_numbers(samples.commanded, axis_ranges(design.mechanism))
     to_pose = np.linalg.inv(hexapod.jacobian(samples.T_base_platform, design.mechanism))
     each = mean_sample_per_configuration(samples, label, to_pose)
     together, apart = (identify(some, design.mechanism) for some in (each, samples))
     assert len(each) == 12 and np.bincount(label).max() > 1
-    assert np.abs(parameters(together.mechanism) - parameters(apart.mechanism)).max() < 0.05 * np.sqrt(np.diag(apart.covariance)).min()
-    np.testing.assert_allclose(together.root.T @ together.root, apart.root.T @ apart.root, rtol=1e-2, atol=1e-3 * np.abs(apart.root).max() ** 2)
+    assert (
+        np.abs(parameters(together.mechanism) - parameters(apart.mechanism)).max()
+        < 0.05 * np.sqrt(np.diag(apart.covariance)).min()
+    )
+    np.testing.assert_allclose(
+        together.root.T @ together.root, apart.root.T @ apart.root, rtol=1e-2, atol=1e-3 * np.abs(apart.root).max() ** 2
+    )
     np.testing.assert_allclose(together.covariance, apart.covariance, rtol=2e-2, atol=1e-2 * apart.covariance.max())
 
 
@@ -87,7 +104,9 @@ def test_the_owners_tolerance_is_read_off_the_poses(design):
     known = stated_geometry_accuracy(identify(samples, design.mechanism), design.mechanism)
     off = parameters(true) - parameters(design.mechanism)
     assert known.prior[0] == pytest.approx(np.sqrt(np.mean(off[:36] ** 2)), rel=0.3)
-    assert known.prior[-1] == pytest.approx(np.sqrt(np.mean(off[36:] ** 2)), rel=0.8) and known.weight.sum() == pytest.approx(1)
+    assert known.prior[-1] == pytest.approx(
+        np.sqrt(np.mean(off[36:] ** 2)), rel=0.8
+    ) and known.weight.sum() == pytest.approx(1)
 
 
 @pytest.mark.parametrize("distinct", [1, 4, 6, 7])
@@ -96,9 +115,18 @@ def test_few_configurations_claim_no_factor_and_say_why(design, distinct):
     samples, _ = sampled(design, 2, 30, commands=commands)
     done = certify(samples, design.mechanism, np.random.default_rng(0))
     claim = workspace_claim_of(samples, done, np.random.default_rng(0))
-    assert done.held_out is None and claim.ratio is None and claim.distinct == distinct and claim.determined == min(6 * distinct, 42)
+    assert (
+        done.held_out is None
+        and claim.ratio is None
+        and claim.distinct == distinct
+        and claim.determined == min(6 * distinct, 42)
+    )
     said = claim_lines(claim)
-    assert said[0].startswith("no factor is claimed") and "takes 8" in said[0] and f"{min(6 * distinct, 42)} of 42 combinations" in said[1]
+    assert (
+        said[0].startswith("no factor is claimed")
+        and "takes 8" in said[0]
+        and f"{min(6 * distinct, 42)} of 42 combinations" in said[1]
+    )
 
 
 def test_a_claim_is_kept_or_it_is_not(design):
@@ -107,13 +135,28 @@ def test_a_claim_is_kept_or_it_is_not(design):
     claim = workspace_claim_of(samples, done, np.random.default_rng(0))
     commands = plan.low_discrepancy(design.mechanism.strut_range, 40, seed=77)
     fresh = sampled(design, 6, 40, commands=commands, noise_seed=5)[0]
-    other = sampled(design, 6, 40, commands=commands, noise_seed=5, deviation=lambda c: np.full(c.shape, 2e-4) * [1, -1, 1, -1, 1, -1])[0]
+    other = sampled(
+        design,
+        6,
+        40,
+        commands=commands,
+        noise_seed=5,
+        deviation=lambda c: np.full(c.shape, 2e-4) * [1, -1, 1, -1, 1, -1],
+    )[0]
     held = [
-        compare_errors(*errors_before_and_after(done.correction, some), some.total_covariance(), np.random.default_rng(0)) for some in (fresh, other)
+        compare_errors(
+            *errors_before_and_after(done.correction, some), some.total_covariance(), np.random.default_rng(0)
+        )
+        for some in (fresh, other)
     ]
-    found = [verify_claim(done.correction.predict(some.effective), some, np.arange(40), claim, np.random.default_rng(0)) for some in (fresh, other)]
+    found = [
+        verify_claim(done.correction.predict(some.effective), some, np.arange(40), claim, np.random.default_rng(0))
+        for some in (fresh, other)
+    ]
     assert [one.kept for one in found] == [True, False]
-    assert "the claim is kept" in verification_line(held[0], claim, found[0]) and "NOT kept" in verification_line(held[1], claim, found[1])
+    assert "the claim is kept" in verification_line(held[0], claim, found[0]) and "NOT kept" in verification_line(
+        held[1], claim, found[1]
+    )
 
 
 def test_repeats_make_no_claim_better_than_its_configurations(design):
@@ -133,7 +176,9 @@ def test_claims_cover_what_is_found_elsewhere(design):
 
 @pytest.mark.slow
 def test_two_hundred_recordings_claim_what_they_keep(design, rig_text, tmp_path):
-    """2 to 60 distinct configurations with repeats, corners as cameras see them: the claim's interval holds what is found elsewhere."""
+    """2 to 60 distinct configurations with repeats, corners as cameras see them: the claim's interval holds what is
+    found elsewhere.
+    """
     rng, inside, apart = np.random.default_rng(1), [], []
     for seed in range(200):
         distinct, repeats = int(rng.integers(2, 61)), int(rng.integers(0, 31))
@@ -143,7 +188,10 @@ def test_two_hundred_recordings_claim_what_they_keep(design, rig_text, tmp_path)
             continue
         inside.append(claim.ratio[1] <= found <= claim.ratio[2])
         apart.append(np.log(claim.ratio[0] / found))
-    print(f"{np.sum(inside)} of {len(inside)} inside; claim over found, median {np.exp(np.median(apart)):.3f}, spread {np.exp(np.std(apart)):.2f}")
+    print(
+        f"{np.sum(inside)} of {len(inside)} inside; claim over found, median {np.exp(np.median(apart)):.3f}, "
+        f"spread {np.exp(np.std(apart)):.2f}"
+    )
     assert np.mean(inside) >= 0.9 and abs(np.median(apart)) < 0.25
 
 

@@ -30,6 +30,7 @@ def case(name: str, kind: str, says: str) -> Callable:
     def keep(function: Callable[[Path], None]) -> Callable[[Path], None]:
         CASES.append(Case(name, kind, function, says))
         return function
+
     return keep
 
 
@@ -54,6 +55,7 @@ def all_times(factor: float) -> Callable[[Path], None]:
     def spoil(f: Path) -> None:
         for name in ("commands.csv", "frames.csv", "sensors.csv"):
             column(f / name, "t", lambda t: t * factor)
+
     return spoil
 
 
@@ -64,6 +66,7 @@ def uv(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
 def cameras(change: Callable[[dict], None]) -> Callable[[Path], None]:
     def spoil(f: Path) -> None:
         rig(f, lambda tree: [change(camera) for camera in tree["camera"]] and None)
+
     return spoil
 
 
@@ -72,10 +75,12 @@ def matrix(order: Callable[[float, float, float, float], tuple]) -> Callable[[di
         (fx, _, cx), (_, fy, cy), _ = camera["matrix"]
         fx, fy, cx, cy = order(fx, fy, cx, cy)
         camera["matrix"] = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
+
     return change
 
 
 def size(f: Path) -> tuple[int, int]:
     import tomllib
+
     camera = tomllib.loads((f / "rig.toml").read_text())["camera"][0]
     return camera["width"], camera["height"]

@@ -22,13 +22,19 @@ def write(path: Path, header: list[str], body: list[list[str]]) -> None:
         csv.writer(file, lineterminator="\n").writerows([header, *body])
 
 
-def column(path: Path, name: str, change: Callable[[np.ndarray], np.ndarray], rows_of: Callable[[dict], bool] | None = None) -> None:
+def column(
+    path: Path, name: str, change: Callable[[np.ndarray], np.ndarray], rows_of: Callable[[dict], bool] | None = None
+) -> None:
     """Change the numbers of a column, in the rows that rows_of (of {column: text}) says, or in all."""
     header, body = rows(path)
     at = header.index(name)
     which = [i for i, row in enumerate(body) if rows_of is None or rows_of(dict(zip(header, row)))]
     for i, value in zip(which, change(np.array([float(body[i][at]) for i in which]))):
-        body[i][at] = repr(float(value)) if float(value) != int(value) or name not in ("marker", "corner", "frame") else str(int(value))
+        body[i][at] = (
+            repr(float(value))
+            if float(value) != int(value) or name not in ("marker", "corner", "frame")
+            else str(int(value))
+        )
     write(path, header, body)
 
 

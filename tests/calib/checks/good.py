@@ -20,11 +20,21 @@ RIGS = {  # radius, cameras, width, height, cubes, frames, noise px
     1: (0.22, 2, 800, 600, 3, 45, 0.15),
     2: (0.55, 4, 1920, 1200, 5, 40, 0.08),
 }
-JOINTS = np.array([[0.0, 0.1273, 0.0, np.pi / 2], [0.0, 0.0, -0.612, 0.0], [0.0, 0.0, -0.5723, 0.0], [0.0, 0.1639, 0.0, np.pi / 2],
-                   [0.0, 0.1157, 0.0, -np.pi / 2], [0.0, 0.0922, 0.0, 0.0]])
+JOINTS = np.array(
+    [
+        [0.0, 0.1273, 0.0, np.pi / 2],
+        [0.0, 0.0, -0.612, 0.0],
+        [0.0, 0.0, -0.5723, 0.0],
+        [0.0, 0.1639, 0.0, np.pi / 2],
+        [0.0, 0.1157, 0.0, -np.pi / 2],
+        [0.0, 0.0922, 0.0, 0.0],
+    ]
+)
 
 
-def recorded(folder: Path, number: int = 0, effects: tuple = (), size: float = 1.0) -> tuple[secret_machine.World, recording_simulation.Simulation]:
+def recorded(
+    folder: Path, number: int = 0, effects: tuple = (), size: float = 1.0
+) -> tuple[secret_machine.World, recording_simulation.Simulation]:
     """A good recording at corner level of one of the RIGS, with its World and Simulation."""
     radius, cameras, width, height, cubes, frames, noise = RIGS[number]
     text = hexapod_layout.hexapod_layout(radius, cameras=cameras, width=width, height=height, cubes=cubes)
@@ -33,7 +43,9 @@ def recorded(folder: Path, number: int = 0, effects: tuple = (), size: float = 1
     design, rng = design_file.load(folder / "rig.toml"), np.random.default_rng(100 + number)
     secret = secret_machine.draw_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
-    route = plan.settled_plan(plan.low_discrepancy(strokes, frames, seed=number), strokes.mean(axis=1), plan.plan_speed(design))
+    route = plan.settled_plan(
+        plan.low_discrepancy(strokes, frames, seed=number), strokes.mean(axis=1), plan.plan_speed(design)
+    )
     done = recording_simulation.simulate(secret, route, rng)
     recording_simulation.write_recording(done, folder, text, rng, noise)
     return secret, done

@@ -15,8 +15,9 @@ from vision.recording_measurement import measure_recording
 
 @pytest.mark.parametrize("number", [0, 2, 6, 8, 82, 128])
 def test_a_lens_that_nobody_stated_is_no_other_mistake(number: int, tmp_path: Path) -> None:
-    """Accused before: 0 and 8 of edges 5 mm too large, 2 of distortion with the sign reversed, 6 of twice the focal length, 82 of corners that
-    do not agree with rig.toml: one camera sees a single base marker. 128 of x and z exchanged in a camera's position."""
+    """Accused before: 0 and 8 of edges 5 mm too large, 2 of distortion with the sign reversed, 6 of twice the focal
+    length, 82 of corners that do not agree with rig.toml: one camera sees a single base marker. 128 of x and z
+    exchanged in a camera's position."""
     found = setup(number, tmp_path / "rec")
     assert not found.accused, found
 
@@ -35,6 +36,8 @@ def test_one_face_turned_is_told_as_that(tmp_path: Path) -> None:
     assert read.corners is not None
     turned = read.corners.marker == read.design.targets[0].ids[4]
     (found,) = find_corner_mistakes(
-        read, replace(read.corners, corner=np.where(turned, (read.corners.corner + 2) % 4, read.corners.corner)), thorough=True
+        read,
+        replace(read.corners, corner=np.where(turned, (read.corners.corner + 2) % 4, read.corners.corner)),
+        thorough=True,
     )
     assert "face +z of cube P1 (marker 4) is turned by 180 degrees" in found.what

@@ -1,4 +1,6 @@
-"""Arms that are as they are: a hand that stays level and zeros a tenth of a radian off are no mistakes; a joint that turns the other way is one."""
+"""Arms that are as they are: a hand that stays level and zeros a tenth of a radian off are no mistakes; a joint that
+turns the other way is one.
+"""
 
 import numpy as np
 import pytest
@@ -13,7 +15,14 @@ from tests.calib.models.arm.test_instrument_placement import SIGMA, case
 def written(folder, seed, spoil=None):
     nominal, _, q, seen, _ = case(seed)
     m = len(q)
-    samples = Samples(np.arange(m), np.arange(m) * 10.0, q if spoil is None else q * spoil, seen.value, seen.covariance, np.zeros((m, 6, 0)))
+    samples = Samples(
+        np.arange(m),
+        np.arange(m) * 10.0,
+        q if spoil is None else q * spoil,
+        seen.value,
+        seen.covariance,
+        np.zeros((m, 6, 0)),
+    )
     arm_worlds.write(folder, nominal, samples, sigma=SIGMA)
     return recording_folder.load(folder)
 

@@ -41,7 +41,10 @@ def test_a_rig_laid_out_evenly_is_left_in_peace(tmp_path):
 
 def test_a_cube_off_its_circle_is_told_with_radii_and_gaps(tmp_path):
     said = told(tmp_path, moved("P2", [0.02, 0.03, 0.0]))
-    assert said.startswith("rig.toml: the cubes on the platform are not evenly on a circle about its middle: radii ") and "(P2 is farthest" in said
+    assert (
+        said.startswith("rig.toml: the cubes on the platform are not evenly on a circle about its middle: radii ")
+        and "(P2 is farthest" in said
+    )
     assert "where 90.0 are even" in said and "heights" not in said
     high = told(tmp_path, moved("B1", [0, 0, 0.05]))
     assert "the cubes on the base stand at heights from" in high and "circle" not in high
@@ -50,15 +53,26 @@ def test_a_cube_off_its_circle_is_told_with_radii_and_gaps(tmp_path):
 def listed(name, aside):
     """The text with a cube's faces listed as markers, the first one moved along its own axes by (2,) m."""
     target = next(entry for entry in tomllib.loads(TEXT)["target"] if entry["name"] == name)
-    cube = Target(name, target["body"], target["dictionary"], target["edge"], target["marker"], tuple(target["faces"].items()),
-                  pose(target["pose"]["position"], target["pose"]["rotvec"]))
+    cube = Target(
+        name,
+        target["body"],
+        target["dictionary"],
+        target["edge"],
+        target["marker"],
+        tuple(target["faces"].items()),
+        pose(target["pose"]["position"], target["pose"]["rotvec"]),
+    )
     rows = [f'\n[[target]]\nname = "{name}"\nbody = "{cube.body}"\ndictionary = "{cube.dictionary}"\n']
     for k, marker in enumerate(markers(cube)):
         v = pose_to_vector(marker.pose * pose([*aside, 0] if k == 0 else [0, 0, 0], [0, 0, 0]))
-        rows.append(f"[[target.marker]]\nid = {marker.id}\nside = {marker.side}\n"
-                    f"pose = {{ position = {v[:3].tolist()}, rotvec = {v[3:].tolist()} }}\n")
+        rows.append(
+            f"[[target.marker]]\nid = {marker.id}\nside = {marker.side}\n"
+            f"pose = {{ position = {v[:3].tolist()}, rotvec = {v[3:].tolist()} }}\n"
+        )
     blocks = TEXT.split("[[target]]")
-    return "[[target]]".join(block for block in blocks if f'name = "{name}"' not in block).rstrip() + "\n" + "".join(rows), markers(cube)[0].id
+    return "[[target]]".join(block for block in blocks if f'name = "{name}"' not in block).rstrip() + "\n" + "".join(
+        rows
+    ), markers(cube)[0].id
 
 
 def test_a_face_that_is_not_centred_is_told_with_its_marker(tmp_path):
@@ -72,8 +86,14 @@ def test_directions_and_cameras_that_see_nothing_are_told(tmp_path):
     blind = re.sub(r'faces = \{[^}]*"\+x" = (\d+)[^}]*\}', r'faces = { "+x" = \1 }', TEXT)
     one = "[[target]]".join(block for block in blind.split("[[target]]") if not re.search('name = "P[234]"', block))
     said = told(tmp_path, one)
-    found = re.search(r"the platform shows nothing towards (\d+) degrees \(level\): the nearest face there looks (\d+) degrees away, (\d+)% of", said)
-    assert found and 175 <= int(found[2]) <= 180 and 60 <= int(found[3]) <= 68, "a single face, seen within 65 degrees on either side"
+    found = re.search(
+        r"the platform shows nothing towards (\d+) degrees \(level\): the nearest face there looks (\d+) "
+        r"degrees away, (\d+)% of",
+        said,
+    )
+    assert found and 175 <= int(found[2]) <= 180 and 60 <= int(found[3]) <= 68, (
+        "a single face, seen within 65 degrees on either side"
+    )
     assert re.search(r"camera cam\d sees [01] of 1 markers of the platform", said) and "the base shows" not in said
 
 
@@ -85,7 +105,9 @@ def test_the_command_remarks_and_does_not_refuse(tmp_path, capsys):
     (rec / "rig.toml").write_text(head + 'name = "P1"' + tail.replace(number, f"{float(number) + 0.006:.6f}", 1))
     assert main(["check", str(rec)]) == 0
     said = capsys.readouterr().out
-    assert said.startswith("nothing wrong or unlikely was found\nremark: rig.toml: the cubes on the platform are not evenly on a circle")
+    assert said.startswith(
+        "nothing wrong or unlikely was found\nremark: rig.toml: the cubes on the platform are not evenly on a circle"
+    )
 
 
 @pytest.mark.parametrize("mechanism", ["arm", "free"])

@@ -20,10 +20,28 @@ from tests.calib.checks.cases import Case
 from tests.calib.checks.good import make, recorded
 from tests.calib.checks.matrix import CASES
 
-QUICK = ("lengths in mm", "struts in another order", "frames in ms", "frames an hour late", "u and v exchanged", "camera poses exchanged",
-         "markers 1.5 % small", "gravity upwards", "temperatures in Kelvin", "an unused camera", "edge and marker exchanged", "ids off by one",
-         "poses inverted", "arm: joint 3 with the other sign", "arm: joint 2 from another zero", "arm: poses shifted by one", "an image twice",
-         "faces +x and -x exchanged", "base joints 10 % large", "arm: poses in cm")
+QUICK = (
+    "lengths in mm",
+    "struts in another order",
+    "frames in ms",
+    "frames an hour late",
+    "u and v exchanged",
+    "camera poses exchanged",
+    "markers 1.5 % small",
+    "gravity upwards",
+    "temperatures in Kelvin",
+    "an unused camera",
+    "edge and marker exchanged",
+    "ids off by one",
+    "poses inverted",
+    "arm: joint 3 with the other sign",
+    "arm: joint 2 from another zero",
+    "arm: poses shifted by one",
+    "an image twice",
+    "faces +x and -x exchanged",
+    "base joints 10 % large",
+    "arm: poses in cm",
+)
 LEAST = 55  # of the matrix, named as what they are
 
 
@@ -75,8 +93,15 @@ def test_good_recordings_are_left_in_peace(kind, good):
     assert said("check", good(kind)) == (0, "nothing wrong or unlikely was found\n")
 
 
-@pytest.mark.parametrize("effect", [PrintScale("markers", 0.005), TimeOffset("clock", 0.02),
-                                    pytest.param(EdgeBias("cameras", 0.5), marks=pytest.mark.slow)], ids=lambda e: e.name)
+@pytest.mark.parametrize(
+    "effect",
+    [
+        PrintScale("markers", 0.005),
+        TimeOffset("clock", 0.02),
+        pytest.param(EdgeBias("cameras", 0.5), marks=pytest.mark.slow),
+    ],
+    ids=lambda e: e.name,
+)
 def test_effects_are_no_mistakes(effect, tmp_path):
     recorded(tmp_path / "rec", 0, (effect,))
     assert said("check", tmp_path / "rec") == (0, "nothing wrong or unlikely was found\n")
@@ -99,7 +124,11 @@ def test_a_wrong_dictionary_is_named_before_anything_is_measured(command, good, 
     shutil.copytree(good("images"), folder)
     next(case for case in CASES if case.name == "another dictionary for one cube").spoil(folder)
     status, text = said(command, folder, "--out", tmp_path / "out")
-    assert status == 1 and "wrong dictionary: the markers of P2 are of DICT_5X5" in text.splitlines()[0] and not (tmp_path / "out").exists()
+    assert (
+        status == 1
+        and "wrong dictionary: the markers of P2 are of DICT_5X5" in text.splitlines()[0]
+        and not (tmp_path / "out").exists()
+    )
 
 
 def test_exchanged_faces_are_said_first_and_the_diagnosis_goes_on(good, tmp_path):
@@ -108,7 +137,11 @@ def test_exchanged_faces_are_said_first_and_the_diagnosis_goes_on(good, tmp_path
     shutil.copytree(good("corners"), folder)
     next(case for case in CASES if case.name == "faces +x and -x exchanged").spoil(folder)
     status, text = said("diagnose", folder, "--out", tmp_path / "out", "--only", "backlash", "--only", "marker_swap")
-    assert status == 0 and "are exchanged" in text.splitlines()[0] and re.search("^marker_swap at marker", text, re.MULTILINE)
+    assert (
+        status == 0
+        and "are exchanged" in text.splitlines()[0]
+        and re.search("^marker_swap at marker", text, re.MULTILINE)
+    )
 
 
 def test_one_struts_zero_is_no_unit_of_all(design):
@@ -117,7 +150,10 @@ def test_one_struts_zero_is_no_unit_of_all(design):
     q = middle + 0.4 * span * np.random.default_rng(0).uniform(-1, 1, (40, 6)) - 0.6 * span * (np.arange(6) == 3)
     said = [one.what for one in command_units.command_unit_mistakes(Commands(np.arange(40.0), q), design)]
     assert len(said) == 1 and "lengths of strut 4 alone lie outside strut_range" in said[0]
-    assert "in millimetres" in next(command_units.command_unit_mistakes(Commands(np.arange(40.0), middle * 1e3 + 0 * q), design)).what
+    assert (
+        "in millimetres"
+        in next(command_units.command_unit_mistakes(Commands(np.arange(40.0), middle * 1e3 + 0 * q), design)).what
+    )
 
 
 def test_an_unlikely_thing_is_a_remark(good, tmp_path):

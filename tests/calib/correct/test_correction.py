@@ -35,7 +35,9 @@ def test_corrected_commands_solve_the_fixed_point(design):
     assert any(correction.remainder)
     wanted = workspace(design, 50)
     commands = correction.inverse(wanted)
-    np.testing.assert_allclose(commands, hexapod.inverse(wanted, design.mechanism) + correction.summand(commands), atol=1e-9)
+    np.testing.assert_allclose(
+        commands, hexapod.inverse(wanted, design.mechanism) + correction.summand(commands), atol=1e-9
+    )
     assert np.abs(pose_difference(correction.predict(commands), wanted)).max() < 1e-9
     x = hexapod.inverse(wanted, design.mechanism)
     first = np.abs(x + correction.summand(x) - commands).max()
@@ -85,7 +87,11 @@ def test_unreachable_poses_are_all_listed(design):
     with pytest.raises(Unreachable) as caught:
         require_reachable(commands, design.mechanism, ["frame 0", "frame 7", "frame 9"])
     assert caught.value.index.tolist() == [1, 2]
-    assert "frame 7: strut 3 at" in str(caught.value) and "above its range" in str(caught.value) and "frame 9" in str(caught.value)
+    assert (
+        "frame 7: strut 3 at" in str(caught.value)
+        and "above its range" in str(caught.value)
+        and "frame 9" in str(caught.value)
+    )
     assert correction.rho(commands).shape == (3, 6)
 
 

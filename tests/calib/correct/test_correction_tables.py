@@ -27,7 +27,9 @@ def additive(design):
 
 
 def by_linuxcnc(text, position):
-    """Motor positions that LinuxCNC makes of joint positions going up: its table's nominal less actual, by straight lines, added."""
+    """Motor positions that LinuxCNC makes of joint positions going up: its table's nominal less actual, by straight
+    lines, added.
+    """
     nominal, up, down = np.array([[float(cell) for cell in line.split()] for line in text.splitlines()]).T
     assert (up == down).all() and len(nominal) <= 256
     return position + np.interp(position, nominal, nominal - up)
@@ -61,7 +63,10 @@ def test_a_grid_read_back_gives_the_commands(additive, design):
     m = design.mechanism
     text = compensation_tables.grid(*grid_table(additive, 2), m.axes, "m")
     lines = text.splitlines()
-    comments, header = [line for line in lines if line.startswith("#")], next(line for line in lines if not line.startswith("#"))
+    comments, header = (
+        [line for line in lines if line.startswith("#")],
+        next(line for line in lines if not line.startswith("#")),
+    )
     assert "command = x + k" in comments[0] and "unit of both m" in comments[0]
     assert header.split(",") == [*(f"x_{a}" for a in m.axes), *(f"k_{a}" for a in m.axes)]
     rows = np.array([[float(cell) for cell in line.split(",")] for line in lines[len(comments) + 1 :]])
@@ -73,7 +78,12 @@ def test_a_grid_read_back_gives_the_commands(additive, design):
 def test_ksf_rows_are_commanded_less_what_was_measured_with_its_covariance(design):
     samples, true = sampled(design, 1, 200, own=np.array([5e-6] * 3 + [5e-5] * 3))
     columns = summand_columns(6)
-    rows = np.array([[float(cell) for cell in line.split(",")] for line in summand_rows(samples, strut_summands(samples, design.mechanism))])
+    rows = np.array(
+        [
+            [float(cell) for cell in line.split(",")]
+            for line in summand_rows(samples, strut_summands(samples, design.mechanism))
+        ]
+    )
     assert rows.shape == (200, len(columns)) and len(columns) == 1 + 18 + 21
     x, y, k = rows[:, 1:7], rows[:, 7:13], rows[:, 13:19]
     np.testing.assert_allclose(k, x - y, atol=2e-12)

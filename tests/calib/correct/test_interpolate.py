@@ -1,4 +1,6 @@
-"""Every way to extend corrections: exact at its samples, continuous everywhere, right about its gradient, and the same from a file."""
+"""Every way to extend corrections: exact at its samples, continuous everywhere, right about its gradient, and the same
+from a file.
+"""
 
 import json
 from pathlib import Path
@@ -29,7 +31,9 @@ def on_grid(axes, seed, outputs=None, parts=None):
     """Known of random values on an uneven grid, random Q an axis, that leaves out the ends of the strokes."""
     rng = np.random.default_rng(seed)
     counts = rng.integers(1, 4 if axes < 5 else 3, axes) if parts is None else np.full(axes, parts)
-    levels = [0.42 + 0.06 * np.sort(np.r_[0, 1, rng.permutation(np.linspace(0.1, 0.9, 7))[: count - 1]]) for count in counts]
+    levels = [
+        0.42 + 0.06 * np.sort(np.r_[0, 1, rng.permutation(np.linspace(0.1, 0.9, 7))[: count - 1]]) for count in counts
+    ]
     x = np.stack(np.meshgrid(*levels, indexing="ij"), axis=-1).reshape(-1, axes)
     x = x[rng.permutation(len(x))]
     values = 1e-4 * rng.normal(size=(len(x), axes if outputs is None else outputs))
@@ -73,7 +77,9 @@ def test_weights_are_a_partition_of_unity_and_their_slopes_of_nothing(axes, seed
         np.testing.assert_allclose(found.weight.sum(axis=1), 1, atol=1e-14)
         assert (found.weight >= -1e-15).all()
         np.testing.assert_allclose(found.slope.sum(axis=1), 0, atol=1e-10)
-        np.testing.assert_allclose(field.value(x), np.einsum("nk,nkm->nm", found.weight, field.values[found.samples]), atol=1e-17)
+        np.testing.assert_allclose(
+            field.value(x), np.einsum("nk,nkm->nm", found.weight, field.values[found.samples]), atol=1e-17
+        )
 
 
 @given(axes=st.integers(1, 7), seed=st.integers(0, 1000))
@@ -122,13 +128,17 @@ def test_the_grid_agrees_with_scipy():
 @pytest.mark.parametrize("kind", interpolation_methods.ALL)
 @pytest.mark.parametrize("axes", [2, 3])
 def test_every_kind_keeps_the_interface(kind, axes, tmp_path):
-    """Shapes, the gradient against differences, an error that is met, continuity far beyond the samples, and the same from a file."""
+    """Shapes, the gradient against differences, an error that is met, continuity far beyond the samples, and the same
+    from a file.
+    """
     known, _ = on_grid(axes, 1, parts=3)
     known = Known(known.configurations, smooth(known.configurations), np.full(known.values.shape, 1e-12), known.strokes)
     field = interpolation_methods.fit_field(kind, known)
     rng = np.random.default_rng(2)
     x = rng.uniform(0.38, 0.52, (40, axes))
-    assert field.value(x.reshape(2, 20, axes)).shape == (2, 20, axes) and field.gradient(x.reshape(2, 20, axes)).shape == (2, 20, axes, axes)
+    assert field.value(x.reshape(2, 20, axes)).shape == (2, 20, axes) and field.gradient(
+        x.reshape(2, 20, axes)
+    ).shape == (2, 20, axes, axes)
     assert field.inside(x.reshape(2, 20, axes)).shape == (2, 20) and field.value(x[0]).shape == (axes,)
     step = 1e-7 * np.eye(axes)
     numeric = np.stack([(field.value(x + h) - field.value(x - h)) / 2e-7 for h in step], axis=-1)
@@ -152,7 +162,9 @@ def test_scattered_samples_are_met_exactly_and_linear_functions_too(axes, count)
     known = scattered(axes, count, 3)
     field = interpolation_methods.fit_field("delaunay", known)
     np.testing.assert_allclose(field.value(known.configurations), known.values, atol=1e-12)
-    linear = interpolation_methods.fit_field("delaunay", Known(known.configurations, affine(known.configurations), known.variances, known.strokes))
+    linear = interpolation_methods.fit_field(
+        "delaunay", Known(known.configurations, affine(known.configurations), known.variances, known.strokes)
+    )
     inner = 0.5 * known.configurations[:20] + 0.5 * known.configurations[20:40]
     np.testing.assert_allclose(linear.value(inner), affine(inner), atol=1e-12)
     assert field.inside(inner).all()
@@ -160,20 +172,32 @@ def test_scattered_samples_are_met_exactly_and_linear_functions_too(axes, count)
 
 def test_samples_on_a_grid_are_triangulated_though_they_lie_on_spheres():
     known, _ = on_grid(3, 7, parts=3)
-    np.testing.assert_allclose(interpolation_methods.fit_field("delaunay", known).value(known.configurations), known.values, atol=1e-12)
+    np.testing.assert_allclose(
+        interpolation_methods.fit_field("delaunay", known).value(known.configurations), known.values, atol=1e-12
+    )
 
 
 def test_repeats_count_once_and_samples_beside_the_grid_are_left_out():
     known, _ = on_grid(3, 4, parts=2)
     rng = np.random.default_rng(0)
     extra = rng.uniform(0.42, 0.48, (9, 3))
-    twice = Known(np.concatenate([known.configurations, known.configurations[:5], extra]),
-                  np.concatenate([known.values - np.r_[np.full(5, 1e-5), np.zeros(len(known.values) - 5)][:, None], known.values[:5] + 1e-5,
-                                  np.full((9, 3), 7.0)]),
-                  np.full((len(known.values) + 14, 3), 1e-14), known.strokes)
+    twice = Known(
+        np.concatenate([known.configurations, known.configurations[:5], extra]),
+        np.concatenate(
+            [
+                known.values - np.r_[np.full(5, 1e-5), np.zeros(len(known.values) - 5)][:, None],
+                known.values[:5] + 1e-5,
+                np.full((9, 3), 7.0),
+            ]
+        ),
+        np.full((len(known.values) + 14, 3), 1e-14),
+        known.strokes,
+    )
     assert (lattice_of_configurations(twice.configurations, twice.strokes).vertex[-9:] == -1).all()
     for kind in GRIDS:
-        np.testing.assert_allclose(interpolation_methods.fit_field(kind, twice).value(known.configurations), known.values, atol=1e-16)
+        np.testing.assert_allclose(
+            interpolation_methods.fit_field(kind, twice).value(known.configurations), known.values, atol=1e-16
+        )
     assert len(merge_repeats(twice).values) == len(known.values) + 9
 
 
@@ -185,13 +209,21 @@ def test_a_grid_that_lacks_a_vertex_is_refused_by_name():
         interpolation_methods.fit_field("cubic", known)
 
 
-@pytest.mark.parametrize("spoil, says", [
-    (lambda tree: tree["levels"][0].reverse(), "grow"), (lambda tree: tree["values"].pop(), "must have 27x|27 vertices|entries"),
-    (lambda tree: tree["levels"].pop(), "3 axes"), (lambda tree: tree.update(kind="cubic"), "cubic"), (lambda tree: tree.pop("misfit"), "misfit"),
-])
+@pytest.mark.parametrize(
+    "spoil, says",
+    [
+        (lambda tree: tree["levels"][0].reverse(), "grow"),
+        (lambda tree: tree["values"].pop(), "must have 27x|27 vertices|entries"),
+        (lambda tree: tree["levels"].pop(), "3 axes"),
+        (lambda tree: tree.update(kind="cubic"), "cubic"),
+        (lambda tree: tree.pop("misfit"), "misfit"),
+    ],
+)
 def test_what_is_no_field_is_refused_with_its_place(spoil, says):
     known, _ = on_grid(3, 4, parts=2)
-    tree = json.loads(json.dumps(interpolation_methods.field_to_dict(interpolation_methods.fit_field("simplex", known))))
+    tree = json.loads(
+        json.dumps(interpolation_methods.field_to_dict(interpolation_methods.fit_field("simplex", known)))
+    )
     spoil(tree)
     with pytest.raises(FileError, match=says):
         interpolation_methods.field_from_entries(Entries(tree, ("extension",), Path("c.json"), {(): (1, 1)}), 3)
@@ -207,8 +239,11 @@ def test_divisions_are_even_or_not_whole_strokes_or_less(tmp_path):
     for text in ("2x2", "0", "2@1.5", "2@x", "two"):
         with pytest.raises(RigError, match="a division is"):
             grid_division(strokes(3), text)
-    for rows, says in (("1,0.41\n1,0.42\n2,0.4\n", "axis 2 must have two"), ("1,0.41\n1,0.6\n2,0.4\n2,0.5\n", "beyond its stroke"),
-                       ("1,0.41\n1,0.42\n2,0.4\n2,0.5\n3,0.4\n", "no axis 3")):
+    for rows, says in (
+        ("1,0.41\n1,0.42\n2,0.4\n", "axis 2 must have two"),
+        ("1,0.41\n1,0.6\n2,0.4\n2,0.5\n", "beyond its stroke"),
+        ("1,0.41\n1,0.42\n2,0.4\n2,0.5\n3,0.4\n", "no axis 3"),
+    ):
         path.write_text("axis,level\n" + rows)
         with pytest.raises(FileError, match=says):
             grid_division(strokes(2), str(path))
@@ -225,7 +260,9 @@ def test_a_compiled_fixed_point_is_the_one_that_iteration_finds(design):
     field = interpolation_methods.ALL["simplex"](tuple(levels), values, np.zeros(values.shape), np.zeros(6))
     wanted = workspace(design, 200)
     commands = Correction(m, m, (None,) * 6, extension=field).inverse(wanted)
-    np.testing.assert_allclose(commands, Correction(m, m, (None,) * 6).inverse(wanted) + field.value(commands), atol=1e-12)
+    np.testing.assert_allclose(
+        commands, Correction(m, m, (None,) * 6).inverse(wanted) + field.value(commands), atol=1e-12
+    )
     with pytest.raises(NotConverged):
         wild = interpolation_methods.ALL["simplex"](tuple(levels), 1e4 * values, np.zeros(values.shape), np.zeros(6))
         Correction(m, m, (None,) * 6, extension=wild).inverse(wanted)

@@ -1,4 +1,6 @@
-"""Physics in a calibration: taken in, kept, undone in time whatever it is, with approaches and uncertainties that are honest."""
+"""Physics in a calibration: taken in, kept, undone in time whatever it is, with approaches and uncertainties that are
+honest.
+"""
 
 import json
 from dataclasses import replace
@@ -32,7 +34,11 @@ from tests.bench.physics import ROUTE, effect_of
 from tests.calib.physical import driven, learnt, measured_by, three_ways, write
 from tests.rig.effects.test_effects import SOME
 
-CHANNELS = {"ambient_temperature_C": (20.5, 0.8), "payload_mass_kg": (0.0, 2.0), **{f"strut{i + 1}_temperature_C": (22.0, 0.9) for i in range(6)}}
+CHANNELS = {
+    "ambient_temperature_C": (20.5, 0.8),
+    "payload_mass_kg": (0.0, 2.0),
+    **{f"strut{i + 1}_temperature_C": (22.0, 0.9) for i in range(6)},
+}
 MOVING = [kind for kind in ALL if kind.stage in MOTION_STAGES and kind.lasting]
 
 
@@ -48,13 +54,25 @@ def seen(tmp_path_factory):
 def physics_of(design, *effects, sigma=0.02):
     """Physics of effects whose coordinates are known to a share of themselves."""
     own = np.diag([(sigma * c.read(effects[c.effect])) ** 2 + 1e-24 for c in coordinates_of(effects)])
-    return Physics(tuple(effects), own, np.zeros((42, len(own))), design.gravity, design.actuator, design.platform, CHANNELS)
+    return Physics(
+        tuple(effects), own, np.zeros((42, len(own))), design.gravity, design.actuator, design.platform, CHANNELS
+    )
 
 
 def known_to_be(design, *effects):
     """Calibration of a machine that is as stated, but for effects."""
     m = design.mechanism
-    return Calibration(Correction(m, m, (None,) * 6), 1e-14 * np.eye(42), np.zeros(6), (), (), None, {}, None, physics_of(design, *effects))
+    return Calibration(
+        Correction(m, m, (None,) * 6),
+        1e-14 * np.eye(42),
+        np.zeros(6),
+        (),
+        (),
+        None,
+        {},
+        None,
+        physics_of(design, *effects),
+    )
 
 
 def wanted(design, count=12, every=20.0, seed=3):
@@ -68,7 +86,9 @@ def wanted(design, count=12, every=20.0, seed=3):
 
 @pytest.mark.parametrize("kind", MOVING, ids=[kind.name for kind in MOVING])
 def test_whatever_moves_the_machine_is_undone(design, kind):
-    calibration = known_to_be(design, parse_effect(f"{kind.name}:{SOME[kind.name]}"), parse_effect("backlash:strut4:gap=9e-5"))
+    calibration = known_to_be(
+        design, parse_effect(f"{kind.name}:{SOME[kind.name]}"), parse_effect("backlash:strut4:gap=9e-5")
+    )
     T, t, log = wanted(design)
     home, pace = hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None)
     done = commands_along_route(calibration, T, home, pace, log)
@@ -86,9 +106,13 @@ def test_whatever_moves_the_machine_is_undone(design, kind):
 
 def test_a_pose_held_again_after_a_small_drift_comes_out_of_the_gap(design):
     """Within a gap an axis has no effect: the fixed point's plain steps would take thousands to leave it."""
-    calibration = known_to_be(design, parse_effect("backlash:strut2:gap=2e-4"), parse_effect("thermal_expansion:strut2:coefficient=1e-5"))
+    calibration = known_to_be(
+        design, parse_effect("backlash:strut2:gap=2e-4"), parse_effect("thermal_expansion:strut2:coefficient=1e-5")
+    )
     T, t, _ = wanted(design, 6, 60.0)
-    warm = Sensors(np.array([0.0, 1e3]), {"strut2_temperature_C": np.array([20.0, 20.3])})  # the strut's length drifts by 80 nm from pose to pose
+    warm = Sensors(
+        np.array([0.0, 1e3]), {"strut2_temperature_C": np.array([20.0, 20.3])}
+    )  # the strut's length drifts by 80 nm from pose to pose
     T = type(T).from_matrix(np.repeat(T.as_matrix()[:1], 6, axis=0))
     done = commands_along_route(calibration, T, hexapod.home(design.mechanism), Pace(t, 0.0, 0.02, None), warm)
     run = motion_simulation.run_machine(design, done.route.commands(done.values), t, calibration.physics.effects, warm)
@@ -111,13 +135,28 @@ def test_a_rig_with_an_effect_ends_as_good_as_without(tmp_path, seen, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["backlash", "hysteresis", "thermal_expansion", "base_expansion", "compliance", "joint_clearance", "creep",
-                                  "cyclic_error", "screw_coupling", "transmission_error"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "backlash",
+        "hysteresis",
+        "thermal_expansion",
+        "base_expansion",
+        "compliance",
+        "joint_clearance",
+        "creep",
+        "cyclic_error",
+        "screw_coupling",
+        "transmission_error",
+    ],
+)
 def test_found_by_the_diagnosis_it_ends_as_good_as_without(tmp_path, seen, name):
     text, design = seen
     ratios = []
     for k in range(3):
-        ways = three_ways(tmp_path / str(k), design, text, 40 + k, effect_of(name, np.random.default_rng([k, 7])), ROUTE)
+        ways = three_ways(
+            tmp_path / str(k), design, text, 40 + k, effect_of(name, np.random.default_rng([k, 7])), ROUTE
+        )
         ratios.append(ways[0].error[0] / ways[2].error[0])
     assert np.median(ratios) <= 1.5
 
@@ -128,10 +167,21 @@ def test_what_nobody_remembers_is_approached_where_there_is_time_and_room(design
     home = hexapod.home(m)
     T = hexapod.forward(home + np.array([[0, 2e-5, 0, 0, 0, 0], [1e-2, -3e-5, 0, 0, 0, 0], [0, 2e-2, 0, 0, 0, 0]]), m)
     t = np.array([30.0, 60.0, 90.0])
-    never, auto, always = (commands_along_route(calibration, T, home, Pace(t, 0.0, 0.02, 0.05), None, way) for way in ("never", "auto", "always"))
-    doubt = unknown_history_uncertainty(Machine(calibration.correction, calibration.physics, None), T, never.route, never.values)
-    assert doubt[0, 1] > 1e-5 and not doubt[2].any() and not doubt[:, [0, 2, 3, 4, 5]].any()  # 2 cm of travel have cleared it up
-    assert auto.route.approached.tolist() == [True, False, False] and always.route.approached.all() and not never.route.approached.any()
+    never, auto, always = (
+        commands_along_route(calibration, T, home, Pace(t, 0.0, 0.02, 0.05), None, way)
+        for way in ("never", "auto", "always")
+    )
+    doubt = unknown_history_uncertainty(
+        Machine(calibration.correction, calibration.physics, None), T, never.route, never.values
+    )
+    assert (
+        doubt[0, 1] > 1e-5 and not doubt[2].any() and not doubt[:, [0, 2, 3, 4, 5]].any()
+    )  # 2 cm of travel have cleared it up
+    assert (
+        auto.route.approached.tolist() == [True, False, False]
+        and always.route.approached.all()
+        and not never.route.approached.any()
+    )
     sure, unsure = (np.trace(done.covariance[0, :3, :3]) for done in (auto, never))
     assert sure < 0.3 * unsure
     turn = auto.route.values(auto.values)[auto.route.doing == TURNING][0]
@@ -157,10 +207,14 @@ def test_missing_sensors_and_shaking_widen_what_is_stated(design):
         return np.sqrt(np.trace(done.covariance[:, :3, :3], axis1=1, axis2=2).mean()), done.missing
 
     warm, blind = (stated("thermal_expansion:rig:coefficient=2e-5", sensors) for sensors in (log, None))
-    assert warm[1] == () and {f"strut{i + 1}_temperature_C" for i in range(6)} == set(blind[1])  # and not the payload, which does nothing here
+    assert warm[1] == () and {f"strut{i + 1}_temperature_C" for i in range(6)} == set(
+        blind[1]
+    )  # and not the payload, which does nothing here
     assert blind[0] > 8e-6 > 4 * warm[0]
-    loaded, unweighed = (stated("compliance:rig:stiffness=1e6", s) for s in (log, Sensors(log.t, {"ambient_temperature_C": log.channels[
-        "ambient_temperature_C"]})))
+    loaded, unweighed = (
+        stated("compliance:rig:stiffness=1e6", s)
+        for s in (log, Sensors(log.t, {"ambient_temperature_C": log.channels["ambient_temperature_C"]}))
+    )
     assert unweighed[1] == ("payload_mass_kg",) and unweighed[0] > 1.5 * loaded[0]
     assert stated("vibration:rig:amplitude=2e-5,frequency=3.3", log)[0] > 1e-5
 
@@ -171,22 +225,39 @@ def test_no_commands_are_said_to_be_none(design):
     of = Machine(calibration.correction, calibration.physics, None)
     route = timed_route(Pace(t, 0.0, 0.02, None), hexapod.inverse(T, design.mechanism), hexapod.home(design.mechanism))
     commands = commands_at_poses(of, T, route, hexapod.inverse(T, design.mechanism))
-    np.testing.assert_allclose(of.effective(route.commands(commands), t, T), hexapod.inverse(T, design.mechanism), atol=1e-10)
+    np.testing.assert_allclose(
+        of.effective(route.commands(commands), t, T), hexapod.inverse(T, design.mechanism), atol=1e-10
+    )
     assert (route.doing == HOLDING).sum() == 3
 
 
 def test_physics_is_kept_whole_and_versioned(tmp_path, design):
-    effects = tuple(parse_effect(text) for text in ("backlash:strut3:gap=4e-5", "compliance:rig:stiffness=5e6", "edge_bias:cam1:bias=0.2",
-                                             "transmission_error:strut2:profile=0/1e-5/-2e-5/1e-5", "marker_swap:4:turn=1"))
+    effects = tuple(
+        parse_effect(text)
+        for text in (
+            "backlash:strut3:gap=4e-5",
+            "compliance:rig:stiffness=5e6",
+            "edge_bias:cam1:bias=0.2",
+            "transmission_error:strut2:profile=0/1e-5/-2e-5/1e-5",
+            "marker_swap:4:turn=1",
+        )
+    )
     full = replace(known_to_be(design, *effects), provenance={"seed": 0})
-    full = replace(full, physics=replace(full.physics, unknown=(Unknown("strut 4", 3e-5, "m", ("strut 1's position",), True),)))
+    full = replace(
+        full, physics=replace(full.physics, unknown=(Unknown("strut 4", 3e-5, "m", ("strut 1's position",), True),))
+    )
     calibration_file.save(tmp_path / "c.json", full)
     again = calibration_file.load(tmp_path / "c.json").physics
     tree = json.loads((tmp_path / "c.json").read_text())
     assert tree["schema"] == "calibration/2" and again.effects == effects and again.unknown == full.physics.unknown
-    assert again.channels == CHANNELS and again.actuator == design.actuator and again.platform.mass == design.platform.mass
+    assert (
+        again.channels == CHANNELS and again.actuator == design.actuator and again.platform.mass == design.platform.mass
+    )
     np.testing.assert_array_equal(again.own, full.physics.own)
-    assert tree["physics"]["parameter_order"][:2] == ["gap of backlash at strut 3", "1 / stiffness of compliance at rig"]
+    assert tree["physics"]["parameter_order"][:2] == [
+        "gap of backlash at strut 3",
+        "1 / stiffness of compliance at rig",
+    ]
     calibration_file.save(tmp_path / "plain.json", replace(full, physics=None))
     assert (
         json.loads((tmp_path / "plain.json").read_text())["schema"] == "calibration/1"
@@ -209,7 +280,9 @@ def run(capsys, *arguments, ok=True):
 
 def test_diagnosed_calibrated_corrected_driven_verified(tmp_path, seen, capsys):
     text, design = seen
-    _, secret = write(tmp_path / "rec", design, text, 21, (parse_effect("backlash:strut5:gap=1e-4"),), "sobol:40,ladder:1")
+    _, secret = write(
+        tmp_path / "rec", design, text, 21, (parse_effect("backlash:strut5:gap=1e-4"),), "sobol:40,ladder:1"
+    )
     secret_machine.write_truth(tmp_path / "truth.json", secret, design.mechanism.home)
     (tmp_path / "rig.toml").write_text(text)
     run(capsys, "diagnose", tmp_path / "rec", "--out", tmp_path / "d", "--only", "backlash")
@@ -217,26 +290,84 @@ def test_diagnosed_calibrated_corrected_driven_verified(tmp_path, seen, capsys):
     assert "undone by commands: backlash at strut 5" in said
     T, t, log = wanted(design, 20)
     clock = 1_700_000_000
-    rows = [f"{i},{clock + a:.3f}," + ",".join(f"{x:.10f}" for x in v) for i, (a, v) in enumerate(zip(t, pose_to_vector(T)))]
+    rows = [
+        f"{i},{clock + a:.3f}," + ",".join(f"{x:.10f}" for x in v) for i, (a, v) in enumerate(zip(t, pose_to_vector(T)))
+    ]
     (tmp_path / "w.csv").write_text("frame,t,x,y,z,rx,ry,rz\n" + "\n".join(rows) + "\n")
     names = list(log.channels)
-    (tmp_path / "s.csv").write_text(",".join(["t", *names]) + "\n" + "".join(
-        f"{clock + a:.1f}," + ",".join(f"{log.channels[name][i]:.3f}" for name in names) + "\n" for i, a in enumerate(log.t)))
-    run(capsys, "correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--sensors", tmp_path / "s.csv", "--out", tmp_path / "k.csv")
+    (tmp_path / "s.csv").write_text(
+        ",".join(["t", *names])
+        + "\n"
+        + "".join(
+            f"{clock + a:.1f}," + ",".join(f"{log.channels[name][i]:.3f}" for name in names) + "\n"
+            for i, a in enumerate(log.t)
+        )
+    )
+    run(
+        capsys,
+        "correct",
+        tmp_path / "c.json",
+        "--poses",
+        tmp_path / "w.csv",
+        "--sensors",
+        tmp_path / "s.csv",
+        "--out",
+        tmp_path / "k.csv",
+    )
     lines = (tmp_path / "k.csv").read_text().splitlines()
-    assert lines[0] == "frame,t,l1,l2,l3,l4,l5,l6" and lines[1].startswith(",1700000000.0") and sum(line[0] != "," for line in lines[1:]) == 20
-    run(capsys, "simulate", tmp_path / "rig.toml", "--machine", tmp_path / "truth.json", "--plan", f"commands:{tmp_path / 'k.csv'}", "--sensors",
-        tmp_path / "s.csv", "--seed", "3", "--out", tmp_path / "drive")
-    judged = json.loads(run(capsys, "verify", tmp_path / "c.json", tmp_path / "drive", "--wanted", tmp_path / "k.poses.csv", "--json"))["wanted"]
+    assert (
+        lines[0] == "frame,t,l1,l2,l3,l4,l5,l6"
+        and lines[1].startswith(",1700000000.0")
+        and sum(line[0] != "," for line in lines[1:]) == 20
+    )
+    run(
+        capsys,
+        "simulate",
+        tmp_path / "rig.toml",
+        "--machine",
+        tmp_path / "truth.json",
+        "--plan",
+        f"commands:{tmp_path / 'k.csv'}",
+        "--sensors",
+        tmp_path / "s.csv",
+        "--seed",
+        "3",
+        "--out",
+        tmp_path / "drive",
+    )
+    judged = json.loads(
+        run(capsys, "verify", tmp_path / "c.json", tmp_path / "drive", "--wanted", tmp_path / "k.poses.csv", "--json")
+    )["wanted"]
     assert judged["position"]["rms"] < 1.5 * judged["stated_uncertainty"]["position"] < 1.5e-5
-    refused = run(capsys, "correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k2.csv", "--start", "0,0", ok=False)
+    refused = run(
+        capsys,
+        "correct",
+        tmp_path / "c.json",
+        "--poses",
+        tmp_path / "w.csv",
+        "--out",
+        tmp_path / "k2.csv",
+        "--start",
+        "0,0",
+        ok=False,
+    )
     assert "--start takes home or 6 values" in refused
-    assert "is in time" in run(capsys, "simulate", tmp_path / "rig.toml", "--plan", f"sobol:2,commands:{tmp_path / 'k.csv'}", "--out", tmp_path / "x",
-                               ok=False)
+    assert "is in time" in run(
+        capsys,
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        f"sobol:2,commands:{tmp_path / 'k.csv'}",
+        "--out",
+        tmp_path / "x",
+        ok=False,
+    )
 
 
 def test_what_another_recording_told_counts_beside_this_one(tmp_path, seen):
-    """A recording in one room says nothing of its warmth: what is known of it from another stays as it was, and as sure."""
+    """A recording in one room says nothing of its warmth: what is known of it from another stays as it was, and as
+    sure.
+    """
     text, design = seen
     rec, _ = write(tmp_path / "rec", design, text, 31, (), "sobol:30")
     effects = (parse_effect("base_expansion:rig:coefficient=6e-5"),)
@@ -252,7 +383,9 @@ def test_the_geometry_knows_that_the_physics_is_not_sure(tmp_path, seen):
     sampled = sample_recording(rec)
     known = learnt(rec, sampled, Findings((parse_effect("scale_error:strut1:scale=1e-4"),), None, ()), "none")
     _, found = calibrate(sampled.samples, design.mechanism, "none")
-    assert (np.diag(known.covariance) >= np.diag(found.covariance) * 0.999).all() and np.abs(known.physics.cross).max() > 0
+    assert (np.diag(known.covariance) >= np.diag(found.covariance) * 0.999).all() and np.abs(
+        known.physics.cross
+    ).max() > 0
     whole = np.block([[known.covariance, known.physics.cross], [known.physics.cross.T, known.physics.own]])
     scale = np.sqrt(np.diag(whole))
     assert np.linalg.eigvalsh(whole / scale / scale[:, None])[0] > -1e-9

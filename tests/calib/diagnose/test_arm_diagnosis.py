@@ -25,7 +25,9 @@ GRAVITY = np.array([0, 0, -9.80665])
 STIFFNESS = 2e5  # N m/rad
 GAP = 6e-4  # rad
 STANDING = replace(UR10, base=arm_worlds.BASE)  # it leans, and so does its weight
-LINKS = arm_dynamics.Links(np.array([8.0, 12.0, 6.0, 2.0, 1.0, 0.5]), np.tile([-0.05, 0.02, 0.06], (6, 1)), np.zeros((6, 3, 3)))
+LINKS = arm_dynamics.Links(
+    np.array([8.0, 12.0, 6.0, 2.0, 1.0, 0.5]), np.tile([-0.05, 0.02, 0.06], (6, 1)), np.zeros((6, 3, 3))
+)
 
 
 def recorded(deviation, count=260, seed=5):
@@ -39,7 +41,12 @@ def recorded(deviation, count=260, seed=5):
 def hidden(q):
     """Compliance of joint 2, a profile of joint 1, backlash of joint 3."""
     out = np.zeros(q.shape)
-    out[:, 0] = 2e-4 * np.sin(5 * q[:, 0]) + 1.5e-4 * np.cos(11 * q[:, 0]) + 1.2e-4 * np.sin(8 * q[:, 0] + 1) + 1e-4 * np.sin(2 * q[:, 0])
+    out[:, 0] = (
+        2e-4 * np.sin(5 * q[:, 0])
+        + 1.5e-4 * np.cos(11 * q[:, 0])
+        + 1.2e-4 * np.sin(8 * q[:, 0] + 1)
+        + 1e-4 * np.sin(2 * q[:, 0])
+    )
     torque = arm_dynamics.joint_torques(q, np.zeros(q.shape), np.zeros(q.shape), STANDING, LINKS, GRAVITY)
     out[:, 1] = -torque[:, 1] / STIFFNESS
     out[:, 2] = (play_operator(q, GAP / 2) - q)[:, 2]
@@ -66,8 +73,22 @@ def test_sizes_are_those_that_were_hidden(found):
     proofs = [problem.cross_validation(chosen.fit, f.number) for f in chosen.findings]
     held = HeldOutPoses(chosen.before.left, chosen.fit.left, 30, ((),), np.zeros(len(problem.arms)))
     geometry = Geometry(UR10, np.zeros((0, 0)), lambda step: UR10)
-    d = ArmDiagnosis("arm", "poses.csv", problem.arms, geometry, UR10, chosen.before, chosen.fit, chosen.findings, proofs, chosen.asked, [], [held],
-                     None, [])
+    d = ArmDiagnosis(
+        "arm",
+        "poses.csv",
+        problem.arms,
+        geometry,
+        UR10,
+        chosen.before,
+        chosen.fit,
+        chosen.findings,
+        proofs,
+        chosen.asked,
+        [],
+        [held],
+        None,
+        [],
+    )
     by_name = {f.effect: f for f in arm_report(d).findings}
     gap = by_name["backlash"].parameters["gap"]
     assert gap.ci95[0] <= GAP <= gap.ci95[1] and gap.ci95[1] - gap.ci95[0] < 0.3 * GAP
@@ -93,7 +114,21 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     true = arm_worlds.secret(UR10, rng)
     samples = arm_worlds.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3))
     arm_worlds.write(tmp_path / "rec", UR10, samples)
-    assert command_line.main(["diagnose", str(tmp_path / "rec"), "--out", str(tmp_path / "out"), "--only", "scale_error", "--only", "creep"]) == 0
+    assert (
+        command_line.main(
+            [
+                "diagnose",
+                str(tmp_path / "rec"),
+                "--out",
+                str(tmp_path / "out"),
+                "--only",
+                "scale_error",
+                "--only",
+                "creep",
+            ]
+        )
+        == 0
+    )
     tree = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     first = tree["findings"][0]
     low, high = first["parameters"]["scale"]["ci95"]
@@ -107,15 +142,35 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     assert np.corrcoef(table["scale_error_joint_4"], 3e-3 * np.abs(q - 0.0) * lever)[0, 1] > 0.99
     assert table["what_remains"].mean() < 1e-4 < table["scale_error_joint_4"].mean()
     regions = tree["held_out_by_region"]
-    assert [r["joint"] for r in regions] == [1, 2, 3, 4, 5, 6] and all(r["findings"][0]["gain_sigma"] > 2 for r in regions)
+    assert [r["joint"] for r in regions] == [1, 2, 3, 4, 5, 6] and all(
+        r["findings"][0]["gain_sigma"] > 2 for r in regions
+    )
     assert "scale_error at joint 4" in capsys.readouterr().out
 
 
 def test_a_joint_that_gives_way_to_a_stated_load_is_told_by_its_stiffness(tmp_path):
     rig, rec, out = (str(tmp_path / name) for name in ("rig.toml", "rec", "out"))
     assert command_line.main(["design", "--mechanism", "arm", "--arm", "ur10", "--out", rig]) == 0
-    (tmp_path / "rig.toml").write_text((tmp_path / "rig.toml").read_text() + "\n[platform]\nmass = 8.0\ncentre_of_mass = [0.05, 0.0, 0.1]\n")
-    assert command_line.main(["simulate", rig, "--plan", "sobol:80", "--effect", "compliance:joint2:stiffness=2e5", "--seed", "3", "--out", rec]) == 0
+    (tmp_path / "rig.toml").write_text(
+        (tmp_path / "rig.toml").read_text() + "\n[platform]\nmass = 8.0\ncentre_of_mass = [0.05, 0.0, 0.1]\n"
+    )
+    assert (
+        command_line.main(
+            [
+                "simulate",
+                rig,
+                "--plan",
+                "sobol:80",
+                "--effect",
+                "compliance:joint2:stiffness=2e5",
+                "--seed",
+                "3",
+                "--out",
+                rec,
+            ]
+        )
+        == 0
+    )
     assert command_line.main(["diagnose", rec, "--only", "compliance joint 2", "--out", out]) == 0
     stiffness = json.loads((tmp_path / "out" / "diagnosis.json").read_text())["findings"][0]["parameters"]["stiffness"]
     low, high = stiffness["ci95"]
@@ -131,7 +186,10 @@ def test_what_was_found_is_drawn_anew_and_found_again(tmp_path, capsys):
     assert command_line.main(["diagnose", str(tmp_path / "rec"), "--out", str(tmp_path / "out"), *ask]) == 0
     assert command_line.main(["simulate", "--from", str(tmp_path / "out"), "--out", str(tmp_path / "both")]) == 0
     drawn = {kind: recordings.load(tmp_path / "both" / kind).poses.T_base_platform for kind in ("with", "without")}
-    apart = {kind: np.linalg.norm(T.translation - samples.T_base_platform.translation, axis=1).mean() for kind, T in drawn.items()}
+    apart = {
+        kind: np.linalg.norm(T.translation - samples.T_base_platform.translation, axis=1).mean()
+        for kind, T in drawn.items()
+    }
     assert apart["with"] < 4 * 2e-5 < 5e-4 < apart["without"]
     for kind, count in (("with", 1), ("without", 0)):
         assert command_line.main(["diagnose", str(tmp_path / "both" / kind), "--out", str(tmp_path / kind), *ask]) == 0
@@ -144,11 +202,32 @@ def test_what_was_found_is_drawn_anew_and_found_again(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_real_arms_gears_are_found_and_what_was_not_asked_stays_unknown(shared, tmp_path):
-    assert command_line.main(["diagnose", str(shared / "recordings/arm-1"), "--out", str(tmp_path / "out"), "--only", "transmission_error"]) == 0
+    assert (
+        command_line.main(
+            [
+                "diagnose",
+                str(shared / "recordings/arm-1"),
+                "--out",
+                str(tmp_path / "out"),
+                "--only",
+                "transmission_error",
+            ]
+        )
+        == 0
+    )
     tree = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     named = {f["place"] for f in tree["findings"] if f["effect"] == "transmission_error"}
-    assert named == {f"joint {j}" for j in range(1, 7)} and {f["effect"] for f in tree["findings"]} == {"transmission_error", "unknown"}
-    assert {"joint 2", "joint 3"} <= {f["place"] for f in tree["findings"] if f["effect"] == "unknown"}  # what carries the arm's weight
+    assert named == {f"joint {j}" for j in range(1, 7)} and {f["effect"] for f in tree["findings"]} == {
+        "transmission_error",
+        "unknown",
+    }
+    assert {"joint 2", "joint 3"} <= {
+        f["place"] for f in tree["findings"] if f["effect"] == "unknown"
+    }  # what carries the arm's weight
     for held in tree["held_out"]:
         assert held["after"]["mean_m"] < 0.2e-3 < 0.38e-3 < held["before"]["mean_m"]
-    assert 250 < tree["repeats"]["pairs"] < 300 and 2e-5 < tree["fit"]["noise_floor"] < 4e-5 and len(tree["set_aside"]) < 10
+    assert (
+        250 < tree["repeats"]["pairs"] < 300
+        and 2e-5 < tree["fit"]["noise_floor"] < 4e-5
+        and len(tree["set_aside"]) < 10
+    )

@@ -1,4 +1,6 @@
-"""Covariates are ranked by what they explain of the remainder: the one that an effect follows leads before, and nothing is left to it after."""
+"""Covariates are ranked by what they explain of the remainder: the one that an effect follows leads before, and nothing
+is left to it after.
+"""
 
 from dataclasses import replace
 
@@ -28,14 +30,21 @@ from tests.rig.arms import UR10
 def rec(tmp_path_factory, design):
     found = recorded(tmp_path_factory.mktemp("rec"), design, ["settling_error:strut3:fraction=2e-3"], route="sobol:60")
     rng = np.random.default_rng(3)
-    odd = {"humidity_percent": 40 + rng.normal(size=len(found.sensors.t)).cumsum() * 0.1, "doors": np.zeros(len(found.sensors.t))}
+    odd = {
+        "humidity_percent": 40 + rng.normal(size=len(found.sensors.t)).cumsum() * 0.1,
+        "doors": np.zeros(len(found.sensors.t)),
+    }
     return replace(found, sensors=Sensors(found.sensors.t, {**found.sensors.channels, **odd}))
 
 
 def test_what_an_effect_follows_leads_and_is_gone_after(rec):
     told = platform_report(diagnose_platform(rec, ["settling_error"]))
     names = [c.name for c in told.covariates]
-    assert names[0] == "step" and {"time", "order", "direction", "dwell", "way travelled", "humidity_percent"} <= set(names) and "doors" not in names
+    assert (
+        names[0] == "step"
+        and {"time", "order", "direction", "dwell", "way travelled", "humidity_percent"} <= set(names)
+        and "doors" not in names
+    )
     by = {c.name: c.explains for c in told.covariates}
     assert by["step"]["struts"].before > 0.1 > 0.05 > by["step"]["struts"].after
     assert by["humidity_percent"]["struts"].p_value > 1e-3 and by["humidity_percent"]["images"].after < 0.01

@@ -1,4 +1,6 @@
-"""The page of a diagnosis: whole without a network, it says what the diagnosis says, and it draws what gives an effect away."""
+"""The page of a diagnosis: whole without a network, it says what the diagnosis says, and it draws what gives an effect
+away.
+"""
 
 import re
 from dataclasses import replace
@@ -34,7 +36,9 @@ def diagnosed(design, rig_text, tmp_path_factory):
 def make(design, rig_text, folder, text, only):
     rng = np.random.default_rng(4)
     done = recording_simulation.simulate(
-        secret_machine.draw_machine(design, rng, 1.0, (parse_effect(text),)), plan.build_plan(design, "sobol:14,ladder:1,payload:2,moving:6", 1), rng
+        secret_machine.draw_machine(design, rng, 1.0, (parse_effect(text),)),
+        plan.build_plan(design, "sobol:14,ladder:1,payload:2,moving:6", 1),
+        rng,
     )
     recording_simulation.write_recording(done, folder, rig_text, rng, noise=0.03)
     found = recording_folder.load(folder)
@@ -49,17 +53,29 @@ def made(folder, found, diagnosis):
 
 def text_of(path):
     page = path.read_text(encoding="utf-8")
-    return page, re.sub(r"<[^>]*>", " ", re.sub(r'src="[^"]*"|<style>.*?</style>|<script>.*?</script>', "", page, flags=re.DOTALL))
+    return page, re.sub(
+        r"<[^>]*>", " ", re.sub(r'src="[^"]*"|<style>.*?</style>|<script>.*?</script>', "", page, flags=re.DOTALL)
+    )
 
 
 def test_the_page_says_what_was_found(diagnosed, tmp_path):
     found, diagnosis = diagnosed
     page, text = made(tmp_path, found, diagnosis)
     gap = platform_report(diagnosis).findings[0].parameters["gap"]
-    assert f"Backlash at strut 3, gap {gap.value * 1e6:.3g} µm (95 %: {gap.ci95[0] * 1e6:.3g} to {gap.ci95[1] * 1e6:.3g})" in text
-    assert BY_NAME["backlash"].action_at("strut 3") in text and "How sure" in text and "What remains" in text and "noise of a corner" in text
-    assert page.count('<svg class="figure"') == 8  # the rig, three of what gives it away, what remains of struts and of cameras, two of its sketch
-    assert not re.search(r'(src|href)="(?!data:)', page) and "@import" not in page and 'default-src \'none\'' in page
+    assert (
+        f"Backlash at strut 3, gap {gap.value * 1e6:.3g} µm (95 %: {gap.ci95[0] * 1e6:.3g} to {gap.ci95[1] * 1e6:.3g})"
+        in text
+    )
+    assert (
+        BY_NAME["backlash"].action_at("strut 3") in text
+        and "How sure" in text
+        and "What remains" in text
+        and "noise of a corner" in text
+    )
+    assert (
+        page.count('<svg class="figure"') == 8
+    )  # the rig, three of what gives it away, what remains of struts and of cameras, two of its sketch
+    assert not re.search(r'(src|href)="(?!data:)', page) and "@import" not in page and "default-src 'none'" in page
     assert page.index("<strong>check</strong>") < page.index("<h1>") < page.index("What to do next")
 
 
@@ -67,7 +83,10 @@ def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
     still = diagnose_platform(found, ["missed_steps strut 1"])
     assert "Nothing is left out" in made(tmp_path, found, replace(still, left=[]))[1]
-    left = [LackOfFit("strut 3", 4e-5, "m", ("history",), 1e-9, 80.0), LackOfFit("camera cam1", 0.2, "px", ("image position",), 1e-9, 70.0)]
+    left = [
+        LackOfFit("strut 3", 4e-5, "m", ("history",), 1e-9, 80.0),
+        LackOfFit("camera cam1", 0.2, "px", ("image position",), 1e-9, 70.0),
+    ]
     text = made(tmp_path, found, replace(still, left=left))[1]
     assert "There is something at strut 3 that nothing in the catalogue explains, 40 µm, going with history." in text
     assert "image position" in text and "below 1 in a million" in text
@@ -77,7 +96,9 @@ def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
 def test_alternatives_and_what_was_not_asked_are_listed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
     told = platform_report(diagnosis)
-    finding = replace(told.findings[0], cannot_be_told_from=(AlternativeEntry("hysteresis", "strut 3", 1.25, 0.999, "a <ladder>"),))
+    finding = replace(
+        told.findings[0], cannot_be_told_from=(AlternativeEntry("hysteresis", "strut 3", 1.25, 0.999, "a <ladder>"),)
+    )
     told = replace(told, findings=(finding,), not_asked=(NotAskedEntry("thermal_expansion", "no channel"),))
     diagnosis_page(tmp_path / "page.html", told, PlatformView(found, diagnosis))
     page, text = text_of(tmp_path / "page.html")
@@ -95,13 +116,29 @@ def test_taking_an_effect_away_brings_its_residual_back(diagnosed):
     assert np.sqrt((corners**2).mean()) == pytest.approx(0.03, rel=0.1)  # px
 
 
-@pytest.mark.parametrize("text", [
-    "compliance:rig:stiffness=3e6", "screw_coupling:rig:gain=0.9", "vibration:rig:amplitude=5e-5,frequency=3.3",
-    "time_offset:clock:offset=0.03", "creep:rig:fraction=0.01,time_constant=5", "warm_up:strut2:amplitude=1e-4",
-    "cyclic_error:strut4:amplitude=3e-5", "thermal_expansion:rig:coefficient=2e-5", "base_expansion:rig:coefficient=1e-4",
-    "clock_drift:clock:rate=1e-4", "camera_bump:cam1:motion=1e-3/0/0/0/0/0,time=100", "focal_drift:cameras:per_kelvin=4e-4",
-    "edge_bias:cameras:bias=0.2", "print_scale:markers:scale=3e-3", "rolling_shutter:cam0:row_time=3e-5", "refraction:cam1:thickness=2e-2",
-    "face_misplacement:4:offset=5e-4/0/0", "cube_misplacement:P2:motion=5e-4/0/0/0/0/0"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "compliance:rig:stiffness=3e6",
+        "screw_coupling:rig:gain=0.9",
+        "vibration:rig:amplitude=5e-5,frequency=3.3",
+        "time_offset:clock:offset=0.03",
+        "creep:rig:fraction=0.01,time_constant=5",
+        "warm_up:strut2:amplitude=1e-4",
+        "cyclic_error:strut4:amplitude=3e-5",
+        "thermal_expansion:rig:coefficient=2e-5",
+        "base_expansion:rig:coefficient=1e-4",
+        "clock_drift:clock:rate=1e-4",
+        "camera_bump:cam1:motion=1e-3/0/0/0/0/0,time=100",
+        "focal_drift:cameras:per_kelvin=4e-4",
+        "edge_bias:cameras:bias=0.2",
+        "print_scale:markers:scale=3e-3",
+        "rolling_shutter:cam0:row_time=3e-5",
+        "refraction:cam1:thickness=2e-2",
+        "face_misplacement:4:offset=5e-4/0/0",
+        "cube_misplacement:P2:motion=5e-4/0/0/0/0/0",
+    ],
+)
 def test_every_diagnostic_plot_can_be_drawn(text, diagnosed):
     _, diagnosis = diagnosed
     refined = diagnosis.selection.fit.refined
@@ -117,7 +154,12 @@ def test_what_is_only_significant_comes_after_what_matters(diagnosed, tmp_path):
     found, diagnosis = diagnosed
     told = platform_report(diagnosis)
     strong = told.findings[0]
-    slight = replace(strong, effect="hysteresis", place="strut 5", evidence=replace(strong.evidence, heldout_before=1.001e-5, heldout_after=1e-5))
+    slight = replace(
+        strong,
+        effect="hysteresis",
+        place="strut 5",
+        evidence=replace(strong.evidence, heldout_before=1.001e-5, heldout_after=1e-5),
+    )
     told = replace(told, findings=(slight, strong))
     assert [f.matters for f in told.findings] == [False, True] and told.mattering == [strong]
     diagnosis_page(tmp_path / "page.html", told, PlatformView(found, diagnosis))
@@ -141,7 +183,9 @@ def test_every_effect_says_what_to_do():
 
 def test_poses_alone_make_a_page(diagnosed, tmp_path, monkeypatch):
     found, diagnosis = diagnosed
-    monkeypatch.setattr(platform, "without_distant_corners", lambda point: point)  # there are no corners that could be out of reach
+    monkeypatch.setattr(
+        platform, "without_distant_corners", lambda point: point
+    )  # there are no corners that could be out of reach
     k = diagnosis.selection.fit.refined.point
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
         (tmp_path / name).write_bytes((found.folder / name).read_bytes())

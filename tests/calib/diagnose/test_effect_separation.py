@@ -15,7 +15,15 @@ SIGMA = (1e-5, 1e-4)
 def told_apart(design, text, *effects):
     plan = build_plan(design, text, 3)
     sensors, _ = draw_temperatures(plan.commands.t[-1], np.random.default_rng(3))
-    return effect_separation(text, design, plan.commands, plan.t, add_payload_channel(plan, sensors), [parse_effect(e) for e in effects], SIGMA)
+    return effect_separation(
+        text,
+        design,
+        plan.commands,
+        plan.t,
+        add_payload_channel(plan, sensors),
+        [parse_effect(e) for e in effects],
+        SIGMA,
+    )
 
 
 def test_an_effect_is_not_told_from_itself_and_size_adds_nothing(design):
@@ -35,7 +43,13 @@ def test_the_command_writes_the_best_plan_or_says_that_none_does(tmp_path, capsy
 
     (tmp_path / "rig.toml").write_text(hexapod_layout(0.3))
     out = tmp_path / "plan.csv"
-    argv = ["plan", str(tmp_path / "rig.toml"), "--separate", "backlash:strut3:gap=4e-5", "hysteresis:strut3:range=4e-4,weight=0.1"]
+    argv = [
+        "plan",
+        str(tmp_path / "rig.toml"),
+        "--separate",
+        "backlash:strut3:gap=4e-5",
+        "hysteresis:strut3:range=4e-4,weight=0.1",
+    ]
     assert command_line.main([*argv, "--out", str(out)]) == 0
     assert "best: zigzag" in capsys.readouterr().out and out.read_text().startswith("t,l1,l2,l3,l4,l5,l6\n")
     assert command_line.main([*argv[:3], "edge_bias:cameras:bias=0.1", argv[4], "--out", str(out)]) == 1

@@ -1,4 +1,6 @@
-"""What scatters beyond the noise that is stated is reported as unexplained, whatever it depends on; no verdict is all-clear beside it."""
+"""What scatters beyond the noise that is stated is reported as unexplained, whatever it depends on; no verdict is
+all-clear beside it.
+"""
 
 import json
 from dataclasses import replace
@@ -20,16 +22,27 @@ from rig.report.verdict import State
 from tests.calib import arm_worlds
 from tests.calib.recorded import recorded
 
-MOUNT = Arm(np.array([[0, 0.3, 0, np.pi / 2], [0, 0, 1.0, 0]]), np.array([[-2.8, 2.8], [0.2, 1.4]]))  # azimuth, elevation; a star's direction at 1 m
+MOUNT = Arm(
+    np.array([[0, 0.3, 0, np.pi / 2], [0, 0, 1.0, 0]]), np.array([[-2.8, 2.8], [0.2, 1.4]])
+)  # azimuth, elevation; a star's direction at 1 m
 NOISE = 2e-5  # m, as stated
 STARS = 130
 
 
 def stars(folder, jitter, seed=1, again=0):
-    """Recording of directions that a mount pointed to; jitter : rad, what its joints do beyond their command, anew every time."""
+    """Recording of directions that a mount pointed to; jitter : rad, what its joints do beyond their command, anew
+    every time.
+    """
     rng = np.random.default_rng(seed)
-    samples = arm_worlds.tracked(arm_worlds.secret(MOUNT, rng), MOUNT, STARS, rng, (NOISE, 1e-4), again=again,
-                                 deviation=lambda q: jitter * rng.normal(size=q.shape))
+    samples = arm_worlds.tracked(
+        arm_worlds.secret(MOUNT, rng),
+        MOUNT,
+        STARS,
+        rng,
+        (NOISE, 1e-4),
+        again=again,
+        deviation=lambda q: jitter * rng.normal(size=q.shape),
+    )
     arm_worlds.write(folder, MOUNT, samples, positions_alone=True, sigma=(NOISE, 1e-4))
     return recording_folder.load(folder)
 
@@ -38,7 +51,11 @@ def stars(folder, jitter, seed=1, again=0):
 def test_a_scatter_thirty_times_the_stated_noise_is_unexplained(tmp_path, again):
     report = arm_report.arm_report(arms.diagnose_arm(stars(tmp_path / "rec", 6e-4, again=again)))
     tree = json.loads(json.dumps(report.tree()))
-    assert tree["unexplained"]["place"] == "rig" and tree["unexplained"]["unit"] == "m" and tree["unexplained"]["depends_on"] == []
+    assert (
+        tree["unexplained"]["place"] == "rig"
+        and tree["unexplained"]["unit"] == "m"
+        and tree["unexplained"]["depends_on"] == []
+    )
     assert tree["unexplained"]["magnitude"] == pytest.approx(np.sqrt(2) * 6e-4, rel=0.25)
     assert [f["effect"] for f in tree["findings"]] == ["unknown"] and tree["noise_from"] == STATED
     assert diagnosis_verdict(report).state is State.CHECK and "Nothing is left out" not in summary(report)
@@ -55,7 +72,9 @@ def test_noise_that_nobody_states_proves_nothing(tmp_path):
     assert arms.sample_recording(replace(rec, poses=poses, design=replace(rec.design, instrument=None))).assumed
     found, geometry = arms.linearise_poses(arms.sample_recording(rec).samples, rec.design, rec.commands)
     report = arm_report.arm_report(
-        arms.diagnose_linearised_poses(lambda gone: (replace(found, assumed=True), geometry), "rec", "poses.csv", arms.RequestedEffects())
+        arms.diagnose_linearised_poses(
+            lambda gone: (replace(found, assumed=True), geometry), "rec", "poses.csv", arms.RequestedEffects()
+        )
     )
     assert report.noise_from == ASSUMED_NOISE and not report.findings
     assert diagnosis_verdict(report).state is State.CHECK and any(
@@ -82,10 +101,14 @@ def test_corners_noisier_than_stated_are_unexplained(tmp_path, design):
     assert platform_report.platform_report(platforms.diagnose_platform(rec, ["edge_bias"])).noise_from == RESIDUALS
     for sigma, place in ((0.04, None), (0.01, "cameras")):  # px; 0.04 was drawn
         stated = replace(rec.corners, covariance=np.tile(sigma**2 * np.eye(2), (len(rec.corners.frame), 1, 1)))
-        report = platform_report.platform_report(platforms.diagnose_platform(replace(rec, corners=stated), ["edge_bias"]))
+        report = platform_report.platform_report(
+            platforms.diagnose_platform(replace(rec, corners=stated), ["edge_bias"])
+        )
         assert (report.unexplained and report.unexplained.place) == place and report.noise_from == STATED
         assert diagnosis_verdict(report).state is (State.GOOD if place is None else State.CHECK)
-    assert report.unexplained.unit == "px" and report.unexplained.magnitude == pytest.approx(np.sqrt(0.04**2 - 0.01**2), rel=0.1)
+    assert report.unexplained.unit == "px" and report.unexplained.magnitude == pytest.approx(
+        np.sqrt(0.04**2 - 0.01**2), rel=0.1
+    )
 
 
 def test_chance_alone_is_never_beyond_the_noise():

@@ -1,4 +1,6 @@
-"""A formula for what has no name: found by its covariates, worth its numbers, held out, written as a file that the diagnosis then asks for."""
+"""A formula for what has no name: found by its covariates, worth its numbers, held out, written as a file that the
+diagnosis then asks for.
+"""
 
 import json
 from dataclasses import replace
@@ -13,9 +15,9 @@ from calib.diagnose.engine.reduced_least_squares import Reduced
 from calib.diagnose.engine.term_selection import select_terms
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.unlisted_joint_effects import formula_suggestions as arm_suggestions
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit as arm_left
 from calib.diagnose.problems.arm.pose_fit import fit_poses
+from calib.diagnose.problems.arm.unlisted_joint_effects import formula_suggestions as arm_suggestions
 from calib.diagnose.problems.platform.effect_candidates import platform_candidates
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem
@@ -43,9 +45,19 @@ FRAMES, NOISE = 240, 5e-6
 
 def looked(rng):
     """Quantities of so many frames: a travel with sinusoids, a pose, a temperature, a time, a sign."""
-    travel, pose, t = rng.uniform(-0.05, 0.05, FRAMES), rng.normal(size=FRAMES) * 0.03, np.sort(rng.uniform(0, 1200, FRAMES))
+    travel, pose, t = (
+        rng.uniform(-0.05, 0.05, FRAMES),
+        rng.normal(size=FRAMES) * 0.03,
+        np.sort(rng.uniform(0, 1200, FRAMES)),
+    )
     room, sign = 2 + np.sin(t / 500), rng.choice([-1.0, 1.0], FRAMES)
-    made = (("travel", travel, 3, 8.0), ("pose", pose, 3, 0.0), ("room", room, 2, 0.0), ("time", t, 3, 12.0), ("sign", sign, 1, 0.0))
+    made = (
+        ("travel", travel, 3, 8.0),
+        ("pose", pose, 3, 0.0),
+        ("room", room, 2, 0.0),
+        ("time", t, 3, 12.0),
+        ("sign", sign, 1, 0.0),
+    )
     return tuple(Quantity(name, values[:, None], powers, turns) for name, values, powers, turns in made)
 
 
@@ -58,12 +70,20 @@ def sought(quantities, moved, rng):
     return Search(Library(quantities), Reduced.of(products, np.arange(FRAMES))).best()
 
 
-@pytest.mark.parametrize("law, atoms", [
-    (lambda q: 2e-5 * np.sin(190 * q["travel"] + 0.7), [((), "travel")]),
-    (lambda q: 0.2 * q["pose"] ** 3 + 3e-4 * q["pose"] * q["room"], [(("pose", 3), None), (("pose", 1), ("room", 1), None)]),
-    (lambda q: 3e-4 * q["sign"] * q["pose"], [(("pose", 1), ("sign", 1), None)]),
-    (lambda q: 2e-5 * (0.4 + q["time"] / 1200) * np.sin(q["time"] / 40), [((), "time"), (("time", 1), "time")]),
-    (lambda q: 0 * q["time"], None)], ids=["sine", "two terms", "a sign", "swelling", "nothing"])
+@pytest.mark.parametrize(
+    "law, atoms",
+    [
+        (lambda q: 2e-5 * np.sin(190 * q["travel"] + 0.7), [((), "travel")]),
+        (
+            lambda q: 0.2 * q["pose"] ** 3 + 3e-4 * q["pose"] * q["room"],
+            [(("pose", 3), None), (("pose", 1), ("room", 1), None)],
+        ),
+        (lambda q: 3e-4 * q["sign"] * q["pose"], [(("pose", 1), ("sign", 1), None)]),
+        (lambda q: 2e-5 * (0.4 + q["time"] / 1200) * np.sin(q["time"] / 40), [((), "time"), (("time", 1), "time")]),
+        (lambda q: 0 * q["time"], None),
+    ],
+    ids=["sine", "two terms", "a sign", "swelling", "nothing"],
+)
 def test_atoms_are_found_beside_nuisances(law, atoms):
     rng = np.random.default_rng(5)
     quantities = looked(rng)
@@ -71,7 +91,10 @@ def test_atoms_are_found_beside_nuisances(law, atoms):
     if atoms is None:
         assert found is None
         return
-    got = {(*((quantities[i].name, power) for i, power in a.powers), a.wave and quantities[a.wave.quantity].name) for a in found.atoms}
+    got = {
+        (*((quantities[i].name, power) for i, power in a.powers), a.wave and quantities[a.wave.quantity].name)
+        for a in found.atoms
+    }
     assert got == {a if a[0] != () else a[1:] for a in atoms}
     if got == {("travel",)}:
         assert found.atoms[0].wave.frequency == pytest.approx(190, rel=0.01)
@@ -79,9 +102,14 @@ def test_atoms_are_found_beside_nuisances(law, atoms):
         assert np.arctan2(found.coefficients[1], found.coefficients[0]) == pytest.approx(0.7, abs=0.1)
 
 
-WRITTEN = Written("strut", (Term((("own speed", 1), ("ambient_temperature_C", 1)), None, None, (1e-5,), 0.1),
-                            Term((("own direction", 1),), ("travel of strut 2", 90.0), None, (3e-6, -2e-6), 1.0, 1.4),
-                            Term((("own load", 1),), None, None, (1e-8,), 100.0)))
+WRITTEN = Written(
+    "strut",
+    (
+        Term((("own speed", 1), ("ambient_temperature_C", 1)), None, None, (1e-5,), 0.1),
+        Term((("own direction", 1),), ("travel of strut 2", 90.0), None, (3e-6, -2e-6), 1.0, 1.4),
+        Term((("own load", 1),), None, None, (1e-8,), 100.0),
+    ),
+)
 SAG = Written("strut", (Term((("x", 3),), None, "z", (0.2,), 1e-3), Term((("time", 1),), None, "rx", (1e-6,), 1e3)))
 
 
@@ -104,7 +132,9 @@ def test_every_quantity_is_what_its_python_gives(design):
         for one in quantities(motion, True):
             form = Written(motion.kind.AXIS, (Term(((one.name, 1),), None, None, (1.0,), 1.0),))
             made = form.kind("mine")(motion.places[1], **form.values).deviation(motion)
-            np.testing.assert_array_equal(made[:, 1], np.broadcast_to(one.values(motion), made.shape)[:, 1], err_msg=one.name)
+            np.testing.assert_array_equal(
+                made[:, 1], np.broadcast_to(one.values(motion), made.shape)[:, 1], err_msg=one.name
+            )
 
 
 def test_a_channel_of_any_name_stays_a_name():
@@ -114,15 +144,33 @@ def test_a_channel_of_any_name_stays_a_name():
     assert repr(name) in form.source("mine") and effect.experiment_at("strut 1") and effect.action_at("strut 1")
 
 
-@pytest.mark.parametrize("spoil, said", [
-    (lambda model: model.update(word="leg"), "word"), (lambda model: model.update(terms=[]), "terms"),
-    (lambda model: model["terms"][0].update(powers=[["x", 9]]), "powers"), (lambda model: model["terms"][0].update(powers="x"), "powers"),
-    (lambda model: model["terms"][0].update(wave=["x", -1.0]), "wave|values"), (lambda model: model["terms"][0].update(greatest=0), "greatest"),
-    (lambda model: model["terms"][0].update(along="w"), "along"), (lambda model: model["terms"][1].pop("along"), "terms"),
-    (lambda model: model["terms"][0].update(values=[1, 2]), "values")])
+@pytest.mark.parametrize(
+    "spoil, said",
+    [
+        (lambda model: model.update(word="leg"), "word"),
+        (lambda model: model.update(terms=[]), "terms"),
+        (lambda model: model["terms"][0].update(powers=[["x", 9]]), "powers"),
+        (lambda model: model["terms"][0].update(powers="x"), "powers"),
+        (lambda model: model["terms"][0].update(wave=["x", -1.0]), "wave|values"),
+        (lambda model: model["terms"][0].update(greatest=0), "greatest"),
+        (lambda model: model["terms"][0].update(along="w"), "along"),
+        (lambda model: model["terms"][1].pop("along"), "terms"),
+        (lambda model: model["terms"][0].update(values=[1, 2]), "values"),
+    ],
+)
 def test_a_spoilt_suggestion_is_refused(tmp_path, spoil, said):
-    model = json.loads(json.dumps({"word": "strut", "alike": False, "terms": [
-        {"powers": t.powers, "along": t.along, "values": t.values, "greatest": t.greatest, "turns": t.turns} for t in SAG.terms]}))
+    model = json.loads(
+        json.dumps(
+            {
+                "word": "strut",
+                "alike": False,
+                "terms": [
+                    {"powers": t.powers, "along": t.along, "values": t.values, "greatest": t.greatest, "turns": t.turns}
+                    for t in SAG.terms
+                ],
+            }
+        )
+    )
     (tmp_path / "diagnosis.json").write_text(json.dumps({"schema": "diagnosis/1", "model": model}))
     assert Written.read(json_file.load(tmp_path / "diagnosis.json", "diagnosis", "diagnosis/1").table("model")) == SAG
     spoil(model)
@@ -133,9 +181,14 @@ def test_a_spoilt_suggestion_is_refused(tmp_path, spoil, said):
 
 def test_commands_write_what_is_to_be_edited(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for words, said in ((["--new", "backlash"], "collides with the catalogue's backlash"), (["--new", "My own"], "small letters"),
-                        (["--new", "mine", "--from", "nothing"], "nothing/diagnosis.json: no such file"), (["--out", "mine.py"], "--new"),
-                        (["--new", "mine", "backlash"], "leave out NAME"), (["--new", "mine", "--place", "rig"], "--from")):
+    for words, said in (
+        (["--new", "backlash"], "collides with the catalogue's backlash"),
+        (["--new", "My own"], "small letters"),
+        (["--new", "mine", "--from", "nothing"], "nothing/diagnosis.json: no such file"),
+        (["--out", "mine.py"], "--new"),
+        (["--new", "mine", "backlash"], "leave out NAME"),
+        (["--new", "mine", "--place", "rig"], "--from"),
+    ):
         assert main(["effects", *words]) == 1 and said in capsys.readouterr().err
     assert main(["effects", "--new", "mine"]) == 0 and load_effect_file(tmp_path / "mine.py").kinds[0].name == "mine"
     capsys.readouterr()
@@ -183,7 +236,9 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
     write(tmp_path, told)
     assert main(["effects", "--new", "mine", "--from", str(tmp_path), "--out", str(tmp_path / "mine.py")]) == 0
     (kind,) = load_effect_file(tmp_path / "mine.py").kinds
-    asked = PlatformProblem(problem.point, platform_candidates(problem.point, RequestedEffects((f"mine {effect.place}",), (), (kind,)))[0])
+    asked = PlatformProblem(
+        problem.point, platform_candidates(problem.point, RequestedEffects((f"mine {effect.place}",), (), (kind,)))[0]
+    )
     selection = select_terms(asked)
     assert [(f.score.candidate.name, f.score.candidate.place) for f in selection.findings] == [("mine", effect.place)]
     assert asked.lack_of_fit(asked.residual(selection.fit)) == []
@@ -210,7 +265,9 @@ def test_a_joint_that_follows_another_is_suggested_once(tmp_path):
     (tmp_path / "mine.py").write_text(found.written.source("mine"))
     (kind,) = load_effect_file(tmp_path / "mine.py").kinds
     candidates, _ = joint_candidates(arms, RequestedEffects(("mine",), (), (kind,)))
-    assert [(t.candidate.name, t.candidate.place) for t in select_terms(ArmProblem(arms, candidates)).fit.terms] == [("mine", "joint 2")]
+    assert [(t.candidate.name, t.candidate.place) for t in select_terms(ArmProblem(arms, candidates)).fit.terms] == [
+        ("mine", "joint 2")
+    ]
 
 
 @pytest.mark.slow
@@ -219,30 +276,49 @@ def test_what_was_suggested_is_found_calibrated_and_undone(tmp_path, measured, m
     text, design = measured
     recording, effect, _ = laws.recorded(tmp_path / "rec", design, text, 0, 3)
     monkeypatch.chdir(tmp_path)
-    assert main(["diagnose", "rec", "--out", "first", "--only", "backlash"]) == 0 and "a formula for it at" in capsys.readouterr().out
+    assert (
+        main(["diagnose", "rec", "--out", "first", "--only", "backlash"]) == 0
+        and "a formula for it at" in capsys.readouterr().out
+    )
     tree = json.loads((tmp_path / "first" / "diagnosis.json").read_text())
     assert [s["place"] for s in tree["suggestions"]] == [effect.place] and "a suggestion, and no name" in (
-        tmp_path / "first" / "diagnosis.html").read_text()
+        tmp_path / "first" / "diagnosis.html"
+    ).read_text()
     assert main(["effects", "--new", "swing", "--from", "first"]) == 0
     ask = ["--only", "swing", "--effects", "swing.py"]
-    assert main(["diagnose", "rec", "--out", "second", *ask]) == 0 and f"swing at {effect.place}" in capsys.readouterr().out
+    assert (
+        main(["diagnose", "rec", "--out", "second", *ask]) == 0
+        and f"swing at {effect.place}" in capsys.readouterr().out
+    )
     tree = json.loads((tmp_path / "second" / "diagnosis.json").read_text())
     assert tree["own_effects"][0]["effects"] == ["swing"] and tree["suggestions"] == [] and tree["unexplained"] is None
-    assert main(["diagnose", "rec", "--out", "third", "--from", "second"]) == 1 and "name its file with --effects" in capsys.readouterr().err
+    assert (
+        main(["diagnose", "rec", "--out", "third", "--from", "second"]) == 1
+        and "name its file with --effects" in capsys.readouterr().err
+    )
     assert main(["simulate", "--from", "second", "--out", "drawn", "--effects", "swing.py"]) == 0
-    assert main(["calibrate", "rec", "--diagnosis", "second", "--effects", "swing.py", "--out", "calibration.json"]) == 0
+    assert (
+        main(["calibrate", "rec", "--diagnosis", "second", "--effects", "swing.py", "--out", "calibration.json"]) == 0
+    )
     home = design.mechanism.home.translation
-    (tmp_path / "poses.csv").write_text("frame,x,y,z,rx,ry,rz\n" + "".join(f"{i},{home[0] + x},{home[1]},{home[2]},0,0,0\n"
-                                                                          for i, x in enumerate((-0.02, 0.0, 0.02))))
+    (tmp_path / "poses.csv").write_text(
+        "frame,x,y,z,rx,ry,rz\n"
+        + "".join(f"{i},{home[0] + x},{home[1]},{home[2]},0,0,0\n" for i, x in enumerate((-0.02, 0.0, 0.02)))
+    )
     correct = ["correct", "calibration.json", "--poses", "poses.csv", "--out", "commands.csv"]
     capsys.readouterr()
     assert main(correct) == 1 and "there is no effect 'swing'" in capsys.readouterr().err
     assert main([*correct, "--effects", "swing.py"]) == 0
     assert main([*correct[:-1], "plain.csv", "--uncorrected", "--effects", "swing.py"]) == 0
-    done, plain = (np.genfromtxt(name, delimiter=",", skip_header=1)[:, int(effect.place[-1])] for name in ("commands.csv", "plain.csv"))
+    done, plain = (
+        np.genfromtxt(name, delimiter=",", skip_header=1)[:, int(effect.place[-1])]
+        for name in ("commands.csv", "plain.csv")
+    )
     assert 5e-6 < np.ptp(done - plain) < 1e-3
     (tmp_path / "swing.py").write_text((tmp_path / "swing.py").read_text() + "# edited\n")
-    assert main([*correct, "--effects", "swing.py", "--force"]) == 1 and "is not as it was when" in capsys.readouterr().err
+    assert (
+        main([*correct, "--effects", "swing.py", "--force"]) == 1 and "is not as it was when" in capsys.readouterr().err
+    )
 
 
 MOUNTED = '''"""A mount that swings."""
@@ -284,7 +360,13 @@ def test_a_camera_may_have_an_effect_of_ones_own(tmp_path, design):
     place = f"camera {design.cameras[1].name}"
     recording = recorded(tmp_path / "rec", design, (kind(place, 2e-4, 0.047),), route="sobol:60")
     point = operating_point_of_recording(recording)[0]
-    selection = select_terms(PlatformProblem(point, platform_candidates(point, RequestedEffects(("swing",), (), (kind,)))[0]))
+    selection = select_terms(
+        PlatformProblem(point, platform_candidates(point, RequestedEffects(("swing",), (), (kind,)))[0])
+    )
     (found,) = selection.findings
     effect = selection.fit.refined.point.effects[found.number]
-    assert effect.place == place and effect.size == pytest.approx(2e-4, rel=0.1) and effect.frequency == pytest.approx(0.047, rel=0.02)
+    assert (
+        effect.place == place
+        and effect.size == pytest.approx(2e-4, rel=0.1)
+        and effect.frequency == pytest.approx(0.047, rel=0.02)
+    )

@@ -1,4 +1,6 @@
-"""The search at an arm's joints: its short cuts give what the long way gives, and what comes again is told from noise."""
+"""The search at an arm's joints: its short cuts give what the long way gives, and what comes again is told from
+noise.
+"""
 
 from dataclasses import replace
 
@@ -50,7 +52,9 @@ def test_short_cuts_give_the_best_nodes_their_score_and_the_others_a_bound(searc
     top = np.argsort(long.delta_chi2)[-20:]
     assert quick.delta_chi2[top] == pytest.approx(long.delta_chi2[top], rel=1e-6)
     assert np.array(quick.coefficients)[top] == pytest.approx(np.array(long.coefficients)[top], abs=1e-9)
-    assert (quick.delta_chi2 <= long.delta_chi2 * (1 + 1e-6)).all() and quick.delta_chi2.sum() > 0.8 * long.delta_chi2.sum()
+    assert (
+        quick.delta_chi2 <= long.delta_chi2 * (1 + 1e-6)
+    ).all() and quick.delta_chi2.sum() > 0.8 * long.delta_chi2.sum()
 
 
 def test_a_term_struck_out_or_set_beside_is_the_fit_without_or_with_it(searched):
@@ -75,7 +79,9 @@ def test_a_model_by_its_columns_leaks_what_one_by_its_basis_does(searched):
     projections, grams = basis.by_frames()  # as a model of few nuisances is asked
     assert linear.leakage(reach, onto) == pytest.approx((projections + grams @ reach) @ onto.T, abs=1e-9)
     few = LinearModel(linear.blocks, Column((np.ascontiguousarray(Q[:, :2]),)), None, linear.size)
-    assert few.leakage(reach[:2], onto[:, :2]) == pytest.approx((projections[:, :2] + grams[:, :2, :2] @ reach[:2]) @ onto[:, :2].T, abs=1e-9)
+    assert few.leakage(reach[:2], onto[:, :2]) == pytest.approx(
+        (projections[:, :2] + grams[:, :2, :2] @ reach[:2]) @ onto[:, :2].T, abs=1e-9
+    )
     column = Column((rng.normal(size=(len(Q), 2)),))
     assert linear.project(column).right == pytest.approx(basis.project(column).right, rel=1e-9)
     assert linear.project(column).gram == pytest.approx(basis.project(column).gram, rel=1e-9)
@@ -86,15 +92,24 @@ def test_columns_made_of_joints_and_weights_are_the_columns_written_out():
     n, k = 20, 6
     directions = rng.normal(size=(n, k, 3))
     shapes = {None: (n, k, 4)} | {joint: (n, joint) for joint in (2, 1)}
-    parts = (*(Part(joint, rng.normal(size=shape)) for joint, shape in shapes.items()), Part(1, rng.normal(size=(n, 5))))
+    parts = (
+        *(Part(joint, rng.normal(size=shape)) for joint, shape in shapes.items()),
+        Part(1, rng.normal(size=(n, 5))),
+    )
     columns = Columns(directions, parts)
-    plain = np.concatenate([p.values if p.joint is None else directions[..., [p.joint]] * p.values[:, None, :] for p in parts], axis=2)
+    plain = np.concatenate(
+        [p.values if p.joint is None else directions[..., [p.joint]] * p.values[:, None, :] for p in parts], axis=2
+    )
     flat, sizes, moved = plain.reshape(n * k, -1), rng.normal(size=(12, 3)), rng.normal(size=(n, k, 2))
     assert columns.gram() == pytest.approx(flat.T @ flat) and columns.at(sizes) == pytest.approx(plain @ sizes)
     assert columns.onto(moved) == pytest.approx(flat.T @ moved.reshape(n * k, 2))
     assert columns.along(moved) == pytest.approx(np.swapaxes(moved, 1, 2) @ plain)
-    assert columns.cross(columns.without_parts([0, 2])) == pytest.approx(flat.T @ np.delete(flat, [0, 1, 2, 3, 6], axis=1))
-    assert columns.operator() @ sizes == pytest.approx(flat @ sizes) and columns.operator().T @ flat == pytest.approx(flat.T @ flat)
+    assert columns.cross(columns.without_parts([0, 2])) == pytest.approx(
+        flat.T @ np.delete(flat, [0, 1, 2, 3, 6], axis=1)
+    )
+    assert columns.operator() @ sizes == pytest.approx(flat @ sizes) and columns.operator().T @ flat == pytest.approx(
+        flat.T @ flat
+    )
 
 
 def test_wild_poses_neither_widen_the_scatter_nor_count():
@@ -132,7 +147,9 @@ def test_repeats_tell_noise_from_what_comes_again():
     quiet = pose_repeatability(fit_poses(seen(None, again=60)))
     assert quiet.pairs == 60 and quiet.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and quiet.p_value > 1e-3
     wavy = pose_repeatability(fit_poses(seen(only(1, lambda q: 2e-4 * np.sin(9 * q[:, 1] + 5 * q[:, 3])), again=60)))
-    assert wavy.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and wavy.recurring_share > 0.8 and wavy.p_value < 1e-4
+    assert (
+        wavy.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and wavy.recurring_share > 0.8 and wavy.p_value < 1e-4
+    )
     assert pose_repeatability(fit_poses(seen(None))) is None
 
 

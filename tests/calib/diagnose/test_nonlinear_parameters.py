@@ -1,4 +1,6 @@
-"""Nonlinear parameters of what sits at an arm's joints: found between the values of a grid, with intervals that cover."""
+"""Nonlinear parameters of what sits at an arm's joints: found between the values of a grid, with intervals that
+cover.
+"""
 
 import numpy as np
 import pytest
@@ -19,13 +21,17 @@ RANGE, WEIGHT, PLAYS = 0.14, 2.8e-3, 8  # rad, 1, operators
 def lagging(q):
     """Joint 2 lags by nested loops."""
     out = np.zeros(q.shape)
-    out[:, 1] = WEIGHT * np.mean([(play_operator(q, RANGE * (k + 0.5) / PLAYS) - q)[:, 1] for k in range(PLAYS)], axis=0)
+    out[:, 1] = WEIGHT * np.mean(
+        [(play_operator(q, RANGE * (k + 0.5) / PLAYS) - q)[:, 1] for k in range(PLAYS)], axis=0
+    )
     return out
 
 
 def found(seed):
     rng = np.random.default_rng(seed)
-    arms, _ = linearise_poses(arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, 220, rng, deviation=lagging), arm_worlds.design(UR10))
+    arms, _ = linearise_poses(
+        arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, 220, rng, deviation=lagging), arm_worlds.design(UR10)
+    )
     candidates, _ = joint_candidates(arms, RequestedEffects())
     return select_terms(ArmProblem(arms, candidates)).fit
 

@@ -1,4 +1,6 @@
-"""What physics was left out: hidden in simulated recordings, and found with its place and size; nothing where there is nothing."""
+"""What physics was left out: hidden in simulated recordings, and found with its place and size; nothing where there is
+nothing.
+"""
 
 import json
 from dataclasses import replace
@@ -56,7 +58,9 @@ def test_nothing_unknown_where_nothing_is(quiet):
 
 
 def test_sensitivities_are_what_effects_do(quiet):
-    found, _ = platform_candidates(quiet, RequestedEffects(("compliance rig", "thermal_expansion rig", "creep strut 2", "time_offset")))
+    found, _ = platform_candidates(
+        quiet, RequestedEffects(("compliance rig", "thermal_expansion rig", "creep strut 2", "time_offset"))
+    )
     sensitivities, motion = Sensitivities(quiet), quiet.motion(())
     for candidate in found[:4]:
         node = candidate.grid[len(candidate.grid) // 2]
@@ -76,11 +80,16 @@ def test_davies_bound_honours_the_search():
         assert level / 6 < (p < level).mean() < level + 3 * np.sqrt(level / 2000)
 
 
-@pytest.mark.parametrize(("text", "name", "parameter", "value"), [
-    ("backlash:strut5:gap=6e-5", "backlash strut 5", "gap", 6e-5),
-    pytest.param("missed_steps:strut2:jump=8e-5,time=300", "missed_steps strut 2", "jump", 8e-5, marks=pytest.mark.slow),
-    ("edge_bias:cameras:bias=0.2", "edge_bias cameras", "bias", 0.2),
-])
+@pytest.mark.parametrize(
+    ("text", "name", "parameter", "value"),
+    [
+        ("backlash:strut5:gap=6e-5", "backlash strut 5", "gap", 6e-5),
+        pytest.param(
+            "missed_steps:strut2:jump=8e-5,time=300", "missed_steps strut 2", "jump", 8e-5, marks=pytest.mark.slow
+        ),
+        ("edge_bias:cameras:bias=0.2", "edge_bias cameras", "bias", 0.2),
+    ],
+)
 def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value):
     rec = recorded(tmp_path, design, [text])
     kind, place = name.split(" ", 1)
@@ -93,7 +102,10 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
     assert abs(fitted["value"] - value) < 4 * sigma and sigma < 0.1 * value
     fit = tree["fit"]
     assert fit["heldout_after"] < 1.1 * fit["noise_floor"]
-    assert {plane: f["unit"] for plane, f in tree["fits"].items()} == {"corners": "px", "closures": "m"} and fit in tree["fits"].values()
+    assert {plane: f["unit"] for plane, f in tree["fits"].items()} == {
+        "corners": "px",
+        "closures": "m",
+    } and fit in tree["fits"].values()
     if kind != "edge_bias":  # which the corner finder's own bias would take up, at a price that only the prior shows
         assert fit["heldout_before"] > 1.2 * fit["heldout_after"]
 
@@ -111,7 +123,9 @@ def test_what_no_catalogue_lists_is_called_unknown(tmp_path, design):
     rec = recorded(tmp_path, design, [])
     point = operating_point_of_recording(rec)[0]
     lengths = point.commands.values.copy()
-    lengths[:, 3] -= 3e-5 * np.cos(8 * (lengths[:, 0] - lengths[:, 0].mean()) / np.ptp(lengths[:, 0]))  # one strut minds another's place
+    lengths[:, 3] -= 3e-5 * np.cos(
+        8 * (lengths[:, 0] - lengths[:, 0].mean()) / np.ptp(lengths[:, 0])
+    )  # one strut minds another's place
     odd = replace(point, commands=replace(point.commands, values=lengths))
     refined = refine(odd, Sensitivities(odd))
     left = lack_of_fit(refined.model)
@@ -136,7 +150,9 @@ def test_tangents_of_what_is_seen_are_derivatives(quiet):
 def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, design):
     rng = np.random.default_rng(7)
     for name, load in (("before", ()), ("after", ("compliance:rig:stiffness=8e6",))):
-        secret = secret_machine.draw_machine(design, np.random.default_rng(7), 1.0, tuple(parse_effect(text) for text in load))
+        secret = secret_machine.draw_machine(
+            design, np.random.default_rng(7), 1.0, tuple(parse_effect(text) for text in load)
+        )
         recording_simulation.write_recording(
             recording_simulation.simulate(secret, plan.build_plan(design, "sobol:90", len(load)), rng),
             tmp_path / name,
@@ -166,9 +182,15 @@ def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
     scales = np.where(marker_map(design).id == 7, 4e-3, 0.0)
     secret = secret_machine.draw_machine(design, rng, 1.0, (unlisted_physics.UnevenPrint("markers", tuple(scales)),))
     recording_simulation.write_recording(
-        recording_simulation.simulate(secret, plan.build_plan(design, "sobol:60", 3), rng), tmp_path, hexapod_layout(0.3), rng, 0.04
+        recording_simulation.simulate(secret, plan.build_plan(design, "sobol:60", 3), rng),
+        tmp_path,
+        hexapod_layout(0.3),
+        rng,
+        0.04,
     )
-    found = diagnose_platform(recording_folder.load(tmp_path), only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"])
+    found = diagnose_platform(
+        recording_folder.load(tmp_path), only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"]
+    )
     assert not found.effects and found.left[0].place == "marker 7"
 
 
@@ -176,14 +198,25 @@ def test_a_body_moved_by_hand_says_which_faces_sit_elsewhere(tmp_path):
     observations, stated, true, t = tumbling.scene(1)
     o, names = observations, [camera.name for camera in stated.cameras]
     ids = marker_map(stated).id
-    corners = recording_folder.Corners(o.frames[o.frame], [names[i] for i in o.camera], [int(ids[m]) for m in o.marker], o.corner, o.uv, None)
+    corners = recording_folder.Corners(
+        o.frames[o.frame], [names[i] for i in o.camera], [int(ids[m]) for m in o.marker], o.corner, o.uv, None
+    )
     exposures = recording_folder.Exposures(np.arange(len(t)), t, names * len(t), [""] * len(t))
     rec = recording_folder.Recording(tmp_path, stated, None, exposures, None, corners, None)
     found = diagnose_platform(rec)
     tree = json.loads(json.dumps(platform_report(found).tree()))
     moved = [f for f in tree["findings"] if f["effect"] == "face_misplacement"]
-    assert len(moved) >= len(np.unique(o.marker)) - 1 and len(tree["findings"]) == len(moved) and tree["unexplained"] is None
-    assert all(low < value < high for f in moved for p in f["parameters"].values() for value, low, high in zip(p["value"], *p["ci95"]))
+    assert (
+        len(moved) >= len(np.unique(o.marker)) - 1
+        and len(tree["findings"]) == len(moved)
+        and tree["unexplained"] is None
+    )
+    assert all(
+        low < value < high
+        for f in moved
+        for p in f["parameters"].values()
+        for value, low, high in zip(p["value"], *p["ci95"])
+    )
     assert tree["fit"]["heldout_after"] < 1.1 * tree["fit"]["noise_floor"]
     diagnosis_page(tmp_path / "page.html", platform_report(found), PlatformView(rec, found))
     assert (tmp_path / "page.html").read_text().count("face misplacement at marker") >= len(moved)

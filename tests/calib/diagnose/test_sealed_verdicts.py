@@ -1,4 +1,6 @@
-"""The diagnosis of the sealed recordings stays what it was: the same names at the same places, values within a tenth of their interval."""
+"""The diagnosis of the sealed recordings stays what it was: the same names at the same places, values within a tenth of
+their interval.
+"""
 
 import json
 
@@ -17,12 +19,21 @@ PART = 0.1  # of an interval's length
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(VERDICTS))
 def test_a_sealed_recording_gets_the_verdict_that_it_got(shared, name):
-    found, expected = platform_report(diagnose_platform(recording_folder.load(shared / "recordings" / name))).tree(), VERDICTS[name]
-    assert [(f["effect"], f["place"]) for f in found["findings"]] == [(f["effect"], f["place"]) for f in expected["findings"]]
+    found, expected = (
+        platform_report(diagnose_platform(recording_folder.load(shared / "recordings" / name))).tree(),
+        VERDICTS[name],
+    )
+    assert [(f["effect"], f["place"]) for f in found["findings"]] == [
+        (f["effect"], f["place"]) for f in expected["findings"]
+    ]
     assert (found["unexplained"] or {}).get("place") == (expected["unexplained"] or {}).get("place")
     for now, before in zip(found["findings"], expected["findings"]):
-        assert {(a["effect"], a["place"]) for a in now["cannot_be_told_from"]} == {(a["effect"], a["place"]) for a in before["cannot_be_told_from"]}
+        assert {(a["effect"], a["place"]) for a in now["cannot_be_told_from"]} == {
+            (a["effect"], a["place"]) for a in before["cannot_be_told_from"]
+        }
         for parameter, value in before["parameters"].items():
             if "ci95" in value:
                 length = np.subtract(*value["ci95"][::-1])
-                assert np.all(np.abs(np.subtract(now["parameters"][parameter]["value"], value["value"])) <= PART * np.abs(length)), parameter
+                assert np.all(
+                    np.abs(np.subtract(now["parameters"][parameter]["value"], value["value"])) <= PART * np.abs(length)
+                ), parameter

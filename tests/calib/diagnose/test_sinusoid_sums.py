@@ -6,7 +6,10 @@ import pytest
 from calib.diagnose.engine.sinusoid_sums import sinusoid_sums
 
 
-@pytest.mark.parametrize(("step", "first", "count", "low", "high"), [(0.85, 3, 500, -3.1, -0.8), (2.0, 0, 40, -1.5, 1.5), (0.01, 100, 7, 0.0, 0.3)])
+@pytest.mark.parametrize(
+    ("step", "first", "count", "low", "high"),
+    [(0.85, 3, 500, -3.1, -0.8), (2.0, 0, 40, -1.5, 1.5), (0.01, 100, 7, 0.0, 0.3)],
+)
 def test_sums_are_the_plain_sums(step, first, count, low, high):
     rng = np.random.default_rng(4)
     q, values = rng.uniform(low, high, 150), rng.normal(size=(150, 3))
@@ -15,4 +18,6 @@ def test_sums_are_the_plain_sums(step, first, count, low, high):
 
 
 def test_one_pose_alone():
-    assert sinusoid_sums(np.array([0.7]), np.array([[2.0]]), 1.0, 1, 5)[:, 0] == pytest.approx(2 * np.exp(0.7j * np.arange(1, 6)), abs=1e-7)
+    assert sinusoid_sums(np.array([0.7]), np.array([[2.0]]), 1.0, 1, 5)[:, 0] == pytest.approx(
+        2 * np.exp(0.7j * np.arange(1, 6)), abs=1e-7
+    )

@@ -1,4 +1,6 @@
-"""What an operator says beforehand: assumed terms stay and are told, those seen before have to stand, masked frames are never looked at."""
+"""What an operator says beforehand: assumed terms stay and are told, those seen before have to stand, masked frames are
+never looked at.
+"""
 
 import json
 from dataclasses import replace
@@ -49,18 +51,30 @@ def test_what_was_seen_before_has_to_stand(loose):
     assert places(told) == [(*STRUT_2, "seen before")]
     assert told.findings[0].parameters["gap"].value == pytest.approx(100e-6, rel=0.05)
     told = platform_report(diagnose_platform(loose, ["backlash"], given=Given((STRUT_2,))))
-    assert places(told) == [(*STRUT_2, "assumed")] and "shows it by itself as well" in evidence_sentence(told.findings[0])
+    assert places(told) == [(*STRUT_2, "assumed")] and "shows it by itself as well" in evidence_sentence(
+        told.findings[0]
+    )
 
 
 def test_what_cannot_be_assumed_is_refused(design):
-    assert parse_place("backlash strut2", design) == STRUT_2 and parse_place("vibration", design) == ("vibration", "rig")
-    for text, said in (("backlash strut 9", "no strut '9'"), ("backlash", "cannot sit at ''"), ("backlsh strut 2", "is 'backlash' meant"),
-                       ("marker_swap marker 8", "looked for before all else")):
+    assert parse_place("backlash strut2", design) == STRUT_2 and parse_place("vibration", design) == (
+        "vibration",
+        "rig",
+    )
+    for text, said in (
+        ("backlash strut 9", "no strut '9'"),
+        ("backlash", "cannot sit at ''"),
+        ("backlsh strut 2", "is 'backlash' meant"),
+        ("marker_swap marker 8", "looked for before all else"),
+    ):
         with pytest.raises(RigError, match=said):
             parse_place(text, design)
     with pytest.raises(RigError, match="backlash strut 2 cannot be assumed and left out at once"):
         RequestedEffects.of(None, ["backlash"], Given((STRUT_2,)))
-    with pytest.raises(RigError, match="backlash at strut 2 is assumed, but this recording cannot be asked for it: nothing was commanded"):
+    with pytest.raises(
+        RigError,
+        match="backlash at strut 2 is assumed, but this recording cannot be asked for it: nothing was commanded",
+    ):
         require_answerable(Given((STRUT_2,)), [], [NotAsked("backlash", "nothing was commanded")])
 
 
@@ -70,8 +84,17 @@ def test_masked_frames_are_gone_from_everything(quiet):
     spoilt = replace(quiet, corners=replace(c, uv=np.where(np.isin(c.frame, [3, 7, 8, 9])[:, None], np.nan, c.uv)))
     kept = remove_frames(spoilt, "3, 7-9")
     assert kept.exposures.times()[0].tolist() == [f for f in frames if f not in (3, 7, 8, 9)]
-    assert np.isfinite(kept.corners.uv).all() and len(kept.corners.camera) == len(kept.corners.uv) and kept.commands is quiet.commands
-    for text, said in (("a", "takes frames"), ("9-7", "from small to large"), ("3,99999999999999999", "has no frame 9999"), ("3,", "takes frames")):
+    assert (
+        np.isfinite(kept.corners.uv).all()
+        and len(kept.corners.camera) == len(kept.corners.uv)
+        and kept.commands is quiet.commands
+    )
+    for text, said in (
+        ("a", "takes frames"),
+        ("9-7", "from small to large"),
+        ("3,99999999999999999", "has no frame 9999"),
+        ("3,", "takes frames"),
+    ):
         with pytest.raises(RigError, match=said):
             remove_frames(quiet, text)
     with pytest.raises(NotEnoughData, match="leaves none"):
@@ -81,8 +104,18 @@ def test_masked_frames_are_gone_from_everything(quiet):
 def test_the_same_words_on_the_page(loose, tmp_path, capfd):
     call = ["diagnose", str(loose.folder), "--out", str(tmp_path / "first"), "--only", "backlash", "--mask", "3,7-9"]
     assert command_line.main(call) == 0
-    again = ["diagnose", str(loose.folder), "--out", str(tmp_path / "again"), "--only", "backlash", "--from", str(tmp_path / "first"),
-             "--assume", "creep rig"]
+    again = [
+        "diagnose",
+        str(loose.folder),
+        "--out",
+        str(tmp_path / "again"),
+        "--only",
+        "backlash",
+        "--from",
+        str(tmp_path / "first"),
+        "--assume",
+        "creep rig",
+    ]
     assert command_line.main(again) == 0
     assert "[seen before]" in capfd.readouterr().out
     tree = json.loads((tmp_path / "again" / "diagnosis.json").read_text())

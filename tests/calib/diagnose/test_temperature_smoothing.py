@@ -46,7 +46,9 @@ def test_a_short_log_is_a_line_rather_than_its_noise(seconds):
 @pytest.mark.parametrize("name", ["ambient_temperature_C", "payload_mass_kg"])
 def test_what_is_not_smooth_stays(name):
     t = np.arange(100) * 30.0
-    step = np.where(t > 1400, 3.0, 0.0) + 0.01 * np.random.default_rng(0).normal(size=100)  # a door opens, a load is put on
+    step = np.where(t > 1400, 3.0, 0.0) + 0.01 * np.random.default_rng(0).normal(
+        size=100
+    )  # a door opens, a load is put on
     for values in (step, np.round(np.linspace(0, 0.3, 100), 1), np.full(100, 20.0)):
         np.testing.assert_array_equal(smooth_temperatures(Sensors(t, {name: values}))[0].channels[name], values)
 
@@ -54,7 +56,9 @@ def test_what_is_not_smooth_stays(name):
 def test_few_rows_and_no_log_stay():
     assert smooth_temperatures(None) == (None, {})
     few = Sensors(np.arange(5) * 30.0, {"ambient_temperature_C": np.array([20, 20.1, 20.05, 20.2, 20.1])})
-    np.testing.assert_array_equal(smooth_temperatures(few)[0].channels["ambient_temperature_C"], few.channels["ambient_temperature_C"])
+    np.testing.assert_array_equal(
+        smooth_temperatures(few)[0].channels["ambient_temperature_C"], few.channels["ambient_temperature_C"]
+    )
 
 
 @pytest.mark.slow
@@ -66,10 +70,17 @@ def test_noise_of_a_thermometer_does_not_hide_a_strong_effect(tmp_path, design):
 
 @pytest.mark.slow
 def test_intervals_hold_what_the_thermometer_leaves_open(tmp_path, design):
-    rec = recorded(tmp_path, design, ["thermal_expansion:strut2:coefficient=6e-5", "focal_drift:camera cam1:per_kelvin=2e-4"],
-                   route="sobol:60,ladder:2,sobol:60")
+    rec = recorded(
+        tmp_path,
+        design,
+        ["thermal_expansion:strut2:coefficient=6e-5", "focal_drift:camera cam1:per_kelvin=2e-4"],
+        route="sobol:60,ladder:2,sobol:60",
+    )
     k = operating_point_of_recording(rec)[0].with_effects(
-        [parse_effect("thermal_expansion:strut2:coefficient=6e-5"), parse_effect("focal_drift:camera cam1:per_kelvin=2e-4")]
+        [
+            parse_effect("thermal_expansion:strut2:coefficient=6e-5"),
+            parse_effect("focal_drift:camera cam1:per_kelvin=2e-4"),
+        ]
     )
     sensitivities = Sensitivities(k)
     refined = refine(k, sensitivities)
@@ -80,7 +91,9 @@ def test_intervals_hold_what_the_thermometer_leaves_open(tmp_path, design):
             ends = []
             for size in (-FAR, FAR):  # a fit stops within a part of a standard deviation
                 course = {**k.sensors.channels, channel: k.sensors.channels[channel] + size * error}
-                ends.append(refine(replace(refined.point, sensors=replace(k.sensors, channels=course)), sensitivities).values)
+                ends.append(
+                    refine(replace(refined.point, sensors=replace(k.sensors, channels=course)), sensitivities).values
+                )
             seen += ((ends[1] - ends[0]) / (2 * FAR)) ** 2
     np.testing.assert_allclose(more, seen, rtol=0.15)
     assert (more > 0.01 * np.diag(refined.covariance)).all()

@@ -1,4 +1,6 @@
-"""A finding has to matter: what printers, finders and thermometers may do on their own is a remark with its size, and hides nothing."""
+"""A finding has to matter: what printers, finders and thermometers may do on their own is a remark with its size, and
+hides nothing.
+"""
 
 import json
 
@@ -24,15 +26,20 @@ from rig.model.manufacturing_tolerances import PLACES, SIDES
 from synthetic import printing_errors
 from tests.calib.recorded import recorded
 
-ROUTE, PRINTED = "sobol:30,ladder:1", ["print_scale", "face_misplacement", "cube_misplacement", "edge_bias", "lens_distortion", "backlash"]
+ROUTE, PRINTED = (
+    "sobol:30,ladder:1",
+    ["print_scale", "face_misplacement", "cube_misplacement", "edge_bias", "lens_distortion", "backlash"],
+)
 
 
 def printed(design, place, side, seed=1):
     return printing_errors.draw_printing_errors(design, np.random.default_rng(seed), place, side)
 
 
-@pytest.mark.parametrize(("place", "side"), [pytest.param(1e-5, 0.0, marks=pytest.mark.slow),
-                                               pytest.param(0.0, 2.5e-4, marks=pytest.mark.slow), (5e-6, 2e-4)])
+@pytest.mark.parametrize(
+    ("place", "side"),
+    [pytest.param(1e-5, 0.0, marks=pytest.mark.slow), pytest.param(0.0, 2.5e-4, marks=pytest.mark.slow), (5e-6, 2e-4)],
+)
 def test_markers_printed_within_tolerance_are_no_finding(tmp_path, design, place, side):
     found = diagnose_platform(recorded(tmp_path, design, [printed(design, place, side)], 11, ROUTE, 0.03), only=PRINTED)
     tree = json.loads(json.dumps(platform_report(found).tree()))
@@ -53,8 +60,13 @@ def test_all_sides_off_by_a_part_in_two_thousand_are_a_remark_with_their_size(tm
 
 def test_what_is_beyond_tolerance_is_a_finding_beside_what_is_within(tmp_path, design):
     hidden = ["face_misplacement:8:offset=2e-4/0/0,rotation=0/0/0", "backlash:strut2:gap=6e-5"]
-    found = diagnose_platform(recorded(tmp_path, design, [*hidden, printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03), only=PRINTED)
-    assert {(e.name, e.place) for e in found.effects} == {("face_misplacement", "marker 8"), ("backlash", "strut 2")} and not found.left
+    found = diagnose_platform(
+        recorded(tmp_path, design, [*hidden, printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03), only=PRINTED
+    )
+    assert {(e.name, e.place) for e in found.effects} == {
+        ("face_misplacement", "marker 8"),
+        ("backlash", "strut 2"),
+    } and not found.left
 
 
 def test_tolerances_are_not_at_work_where_nothing_is_off(tmp_path, design):
@@ -80,7 +92,9 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
     seen = model.linear.project(found.column(model))
     best = np.linalg.solve(seen.gram + np.diag(found.sigma**-2.0), seen.right)
     assert tolerance_columns.tolerances_explain_residuals(found.projected(model), found.sigma)
-    assert tolerance_columns.model_with_tolerances(model, found).linear.cost() == pytest.approx(model.linear.cost() - seen.right @ best, rel=1e-9)
+    assert tolerance_columns.model_with_tolerances(model, found).linear.cost() == pytest.approx(
+        model.linear.cost() - seen.right @ best, rel=1e-9
+    )
     assert found.sigma[1] == PLACES.sigma and found.sites[1].effect == "face_misplacement"
 
 
@@ -105,26 +119,40 @@ def test_the_share_that_is_left_beside_tolerances_is_that_of_a_search_beside_the
         alone, both = (search(m, [candidate], sensitivities)[0] for m in (model, beside))
         if alone.node == both.node:  # else two sizes are compared
             column = column_of(model, candidate, alone.node, sensitivities)
-            share = tolerance_columns.share_not_explained_by_tolerances(model, found, column, not len(alone.coefficients))
-            assert share * alone.delta_chi2 * alone.dispersion == pytest.approx(both.delta_chi2 * both.dispersion, rel=1e-6, abs=1e-6)
+            share = tolerance_columns.share_not_explained_by_tolerances(
+                model, found, column, not len(alone.coefficients)
+            )
+            assert share * alone.delta_chi2 * alone.dispersion == pytest.approx(
+                both.delta_chi2 * both.dispersion, rel=1e-6, abs=1e-6
+            )
 
 
 def test_what_lasts_is_scored_by_sums_as_frame_by_frame(tmp_path, design):
-    point = operating_point_of_recording(recorded(tmp_path, design, ["face_misplacement:8:offset=2e-4/0/0,rotation=0/0/0"], 11, ROUTE, 0.03))[0]
+    point = operating_point_of_recording(
+        recorded(tmp_path, design, ["face_misplacement:8:offset=2e-4/0/0,rotation=0/0/0"], 11, ROUTE, 0.03)
+    )[0]
     model, sensitivities = linearise(point), Sensitivities(point)
     candidates, _ = platform_candidates(point, RequestedEffects.of(["face_misplacement", "edge_bias"], (), UNSAID))
     for candidate in candidates[::7]:
         rows, quads = sensitivities.seen(candidate, candidate.grid[0])
         short = lasting(model, *sensitivities.touched(rows, quads))
-        whole = normal_of_common_weights(corner_products(model, sensitivities.corners(rows, quads)), np.ones((1, model.frames)))
+        whole = normal_of_common_weights(
+            corner_products(model, sensitivities.corners(rows, quads)), np.ones((1, model.frames))
+        )
         for one, other in zip(short, whole):
             assert one == pytest.approx(other, abs=1e-9 * np.abs(whole.raw).max())
 
 
-@pytest.mark.parametrize(("hidden", "first"), [("face_misplacement:8:offset=1e-3/0/0,rotation=0/0/0", False), (None, True)])
+@pytest.mark.parametrize(
+    ("hidden", "first"), [("face_misplacement:8:offset=1e-3/0/0,rotation=0/0/0", False), (None, True)]
+)
 def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_path, design, hidden, first):
-    """A strong effect may look like tolerances at work, and is admitted before them; printed markers off by what printers do come first."""
-    point = operating_point_of_recording(recorded(tmp_path, design, [hidden or printed(design, 1e-5, 2.5e-4)], 11, ROUTE, 0.03))[0]
+    """A strong effect may look like tolerances at work, and is admitted before them; printed markers off by what
+    printers do come first.
+    """
+    point = operating_point_of_recording(
+        recorded(tmp_path, design, [hidden or printed(design, 1e-5, 2.5e-4)], 11, ROUTE, 0.03)
+    )[0]
     candidates, _ = platform_candidates(point, RequestedEffects.of(["backlash", "face_misplacement"], (), UNSAID))
     problem = PlatformProblem(point, candidates)
     fit = problem.start()
@@ -139,5 +167,7 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
 
 def test_what_has_no_name_beside_tolerances_is_left_and_offered_a_formula(tmp_path, design):
     hidden = ["backlash:strut2:gap=6e-5", printed(design, 5e-6, 2e-4)]
-    found = diagnose_platform(recorded(tmp_path, design, hidden, 11, ROUTE, 0.03), only=["print_scale", "face_misplacement"])
+    found = diagnose_platform(
+        recorded(tmp_path, design, hidden, 11, ROUTE, 0.03), only=["print_scale", "face_misplacement"]
+    )
     assert {u.place for u in found.left} == {"strut 2"} and {s.place for s in found.suggestions} == {"strut 2"}

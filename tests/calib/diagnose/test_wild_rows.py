@@ -1,4 +1,6 @@
-"""Wild rows are left out before anything is searched and listed with why; names do not depend on which of them an operator masks by hand."""
+"""Wild rows are left out before anything is searched and listed with why; names do not depend on which of them an
+operator masks by hand.
+"""
 
 import json
 from dataclasses import replace
@@ -28,8 +30,11 @@ from tests.rig.arms import UR10
 from tests.truth import draw, record
 from tests.truth.wild import spoilt
 
-HIDDEN = {"backlash:strut3:gap=6e-5": [("backlash", "strut 3")], "missed_steps:strut2:jump=8e-5,time=300": [("missed_steps", "strut 2")],
-          "warm_up:strut2:amplitude=6e-5": [("warm_up", "strut 2")]}
+HIDDEN = {
+    "backlash:strut3:gap=6e-5": [("backlash", "strut 3")],
+    "missed_steps:strut2:jump=8e-5,time=300": [("missed_steps", "strut 2")],
+    "warm_up:strut2:amplitude=6e-5": [("warm_up", "strut 2")],
+}
 
 
 def names(found):
@@ -48,7 +53,9 @@ def test_a_robust_fit_shows_wild_rows_whole():
     wild = rng.permutation(120)[:8]
     y[wild, 0] += rng.uniform(30, 3000, 8) * rng.choice([-1, 1], 8)
     found = robust_fit([(y + X @ np.full(12, 50.0), X)])
-    assert set(np.flatnonzero(np.abs(found.relative[:, 0]) > 7)) == set(wild) and found.scale[0] == pytest.approx(1.0, rel=0.25)
+    assert set(np.flatnonzero(np.abs(found.relative[:, 0]) > 7)) == set(wild) and found.scale[0] == pytest.approx(
+        1.0, rel=0.25
+    )
 
 
 def test_what_a_neighbour_shows_as_well_is_not_wild():
@@ -91,11 +98,20 @@ def test_rows_that_were_left_out_are_listed_with_why(tmp_path, design):
     found = diagnose_platform(bad, ["backlash"])
     told = platform_report(found)
     (entry,) = json.loads(json.dumps(told.tree()))["left_out"]
-    assert entry["frame"] == 50 and entry["what"] == "pose" and entry["place"].startswith("strut ") and entry["unit"] == "m"
+    assert (
+        entry["frame"] == 50
+        and entry["what"] == "pose"
+        and entry["place"].startswith("strut ")
+        and entry["unit"] == "m"
+    )
     assert 1e-4 < entry["off"] < 1e-3 and entry["times"] > 20 and "agree with no other" in entry["reason"]
     diagnosis_page(tmp_path / "page.html", told, PlatformView(rec, found))
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "Left out before anything was searched" in page and entry["reason"] in page and diagnosis_verdict(told).state is State.CHECK
+    assert (
+        "Left out before anything was searched" in page
+        and entry["reason"] in page
+        and diagnosis_verdict(told).state is State.CHECK
+    )
 
 
 def test_a_pose_far_from_all_others_does_not_hide_itself(tmp_path, design):
@@ -129,21 +145,31 @@ def test_many_rows_far_off_are_no_wild_rows(tmp_path, design):
 def test_an_arms_wild_poses_are_left_out(tmp_path):
     rng = np.random.default_rng(2)
     true = arm_worlds.secret(UR10, rng)
-    arm_worlds.write(tmp_path / "rec", UR10, arm_worlds.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3)))
+    arm_worlds.write(
+        tmp_path / "rec",
+        UR10,
+        arm_worlds.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3)),
+    )
     rec = recording_folder.load(tmp_path / "rec")
     bad, frames = spoilt_poses(rec, rng)
     clean = arm_report(arm_diagnose(rec, ["scale_error"]))
     assert len(clean.left_out) <= 1
     for mask in ["", *masks(frames, rng, 1)]:
         found = arm_report(arm_diagnose(frame_mask.remove_frames(bad, mask) if mask else bad, ["scale_error"]))
-        assert [(f.effect, f.place) for f in found.findings] == [("scale_error", "joint 4")] == [(f.effect, f.place) for f in clean.findings]
+        assert (
+            [(f.effect, f.place) for f in found.findings]
+            == [("scale_error", "joint 4")]
+            == [(f.effect, f.place) for f in clean.findings]
+        )
         gone = {one.frame for one in found.left_out}
         assert len(gone & set(frames.tolist())) + len(mask.split(",")) * bool(mask) >= len(frames) - 1
 
 
 @pytest.mark.parametrize("rounds", [1, 2])
 def test_what_an_arm_lists_as_left_out_is_what_its_last_search_left_out(tmp_path, monkeypatch, rounds):
-    """Where nothing is gross beforehand, wild poses show after a search: after the last one it is too late to leave them out."""
+    """Where nothing is gross beforehand, wild poses show after a search: after the last one it is too late to leave
+    them out.
+    """
     monkeypatch.setattr(arm_problem, "GROSS", np.inf)
     monkeypatch.setattr(arm_problem, "ROUNDS", rounds)
     rng = np.random.default_rng(2)
@@ -151,7 +177,9 @@ def test_what_an_arm_lists_as_left_out_is_what_its_last_search_left_out(tmp_path
     rec = spoilt_poses(recording_folder.load(tmp_path / "rec"), rng)[0]
     found = arm_diagnose(rec, ["scale_error"])
     searched = found.arms.frame[found.fit.used]
-    assert sorted(one.frame for one in found.left_out) == np.setdiff1d(rec.poses.frame, searched).tolist() and bool(found.left_out) == (rounds > 1)
+    assert sorted(one.frame for one in found.left_out) == np.setdiff1d(rec.poses.frame, searched).tolist() and bool(
+        found.left_out
+    ) == (rounds > 1)
 
 
 def test_a_misread_marker_is_left_out_alone(tmp_path, design):
@@ -159,7 +187,9 @@ def test_a_misread_marker_is_left_out_alone(tmp_path, design):
     assert diagnose_platform(rec, ["edge_bias"]).wild.left_out == ()
     bad, frames = spoilt_corners(rec, np.random.default_rng(2))
     found = diagnose_platform(bad, ["edge_bias"])
-    assert {one.frame for one in found.wild.left_out} == set(frames.tolist()) and len(found.wild.left_out) == len(frames)
+    assert {one.frame for one in found.wild.left_out} == set(frames.tolist()) and len(found.wild.left_out) == len(
+        frames
+    )
     assert all(one.what == "corners" and one.unit == "px" and "marker" in one.place for one in found.wild.left_out)
     assert names(found) == [] and len(found.selection.fit.refined.point.frames) == 60
 
@@ -170,7 +200,9 @@ def test_a_short_event_is_not_wild(tmp_path, design, text):
     rec = posed(tmp_path / "rec", design, [text], 5, "sobol:90,payload:2")
     assert np.count_nonzero(rec.exposures.times()[1] > 530) == 6
     found = diagnose_platform(rec, [text.split(":")[0]])
-    assert found.wild.left_out == () and names(found) == [(text.split(":")[0], text.split(":")[1].replace("strut", "strut "))]
+    assert found.wild.left_out == () and names(found) == [
+        (text.split(":")[0], text.split(":")[1].replace("strut", "strut "))
+    ]
 
 
 @pytest.mark.slow
@@ -194,8 +226,12 @@ def test_what_one_strut_does_alone_is_not_wild():
 
 def test_a_platform_is_calibrated_with_wild_poses_as_without_them(tmp_path, design):
     """A recording whose fit would not even close from a start that wild poses weigh in."""
-    bad, frames = spoilt_poses(posed(tmp_path / "rec", design, ["backlash:strut3:gap=6e-5"], 1), np.random.default_rng(1))
-    some, without = (sample_recording(rec).samples for rec in (bad, frame_mask.remove_frames(bad, ",".join(map(str, frames)))))
+    bad, frames = spoilt_poses(
+        posed(tmp_path / "rec", design, ["backlash:strut3:gap=6e-5"], 1), np.random.default_rng(1)
+    )
+    some, without = (
+        sample_recording(rec).samples for rec in (bad, frame_mask.remove_frames(bad, ",".join(map(str, frames))))
+    )
     made, expected = (certify(samples, design.mechanism, np.random.default_rng(0)) for samples in (some, without))
     assert sorted(some.frame[~made.found.inliers]) == frames.tolist()
     assert made.held_out.after.position == pytest.approx(expected.held_out.after.position, rel=0.05)
@@ -207,8 +243,12 @@ def test_a_platform_is_calibrated_with_wild_poses_as_without_them(tmp_path, desi
 def test_a_fit_starts_without_wild_poses_only_where_it_does_not_close_with_them(tmp_path, design, monkeypatch):
     starts, robust = [], Loops.agreeing
     monkeypatch.setattr(Loops, "agreeing", lambda *given: starts.append(robust(*given)) or starts[-1])
-    bad, frames = spoilt_poses(posed(tmp_path / "rec", design, ["backlash:strut3:gap=6e-5"], 1), np.random.default_rng(1))
-    some, without = (sample_recording(rec).samples for rec in (bad, frame_mask.remove_frames(bad, ",".join(map(str, frames)))))
+    bad, frames = spoilt_poses(
+        posed(tmp_path / "rec", design, ["backlash:strut3:gap=6e-5"], 1), np.random.default_rng(1)
+    )
+    some, without = (
+        sample_recording(rec).samples for rec in (bad, frame_mask.remove_frames(bad, ",".join(map(str, frames))))
+    )
     expected = identify(without, design.mechanism)
     assert not starts and expected.inliers.all()
     found = identify(some, design.mechanism)
@@ -225,5 +265,8 @@ def test_an_arm_is_calibrated_with_wild_poses_as_without_them(tmp_path):
     made, expected = (arm_certify(s.samples, UR10, s.instrument, np.random.default_rng(0)) for s in (some, without))
     assert sorted(some.samples.frame[~made.found.inliers]) == frames.tolist()
     assert made.held_out.after.position[0] == pytest.approx(expected.held_out.after.position[0], rel=0.2)
-    claims = [arm_promised(s.samples, done, np.random.default_rng(0)).after[0][0] for s, done in ((some, made), (without, expected))]
+    claims = [
+        arm_promised(s.samples, done, np.random.default_rng(0)).after[0][0]
+        for s, done in ((some, made), (without, expected))
+    ]
     assert claims[0] == pytest.approx(claims[1], rel=0.5)

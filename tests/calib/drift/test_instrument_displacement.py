@@ -1,4 +1,6 @@
-"""An instrument that moved between two recordings is noticed and its place found; one that did not, and says so, stays."""
+"""An instrument that moved between two recordings is noticed and its place found; one that did not, and says so,
+stays.
+"""
 
 from dataclasses import replace
 
@@ -18,7 +20,10 @@ MOVED = np.array([1e-3, -5e-4, 2e-3, 1e-3, 0, -2e-3])
 
 
 def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
-    text = hexapod_layout.hexapod_layout(0.3) + '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nrotation_sigma = 2e-5\n'
+    text = (
+        hexapod_layout.hexapod_layout(0.3)
+        + '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nrotation_sigma = 2e-5\n'
+    )
     rng = np.random.default_rng(3)
     stated = replace(design, instrument=Instrument("rig", "rig", 1e-5, 2e-5))
     secret = secret_machine.draw_machine(stated, rng)
@@ -27,17 +32,27 @@ def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
         done = recording_simulation.simulate(secret, plan.build_plan(stated, "sobol:40", seed=k), rng)
         recording_simulation.write_recording(done, tmp_path / f"rec{k}", text, rng, noise=0.04)
         parts.append(recording_folder.load(tmp_path / f"rec{k}"))
-    moved = replace(parts[1], poses=replace(parts[1].poses, T_base_platform=exp(MOVED) * parts[1].poses.T_base_platform))
+    moved = replace(
+        parts[1], poses=replace(parts[1].poses, T_base_platform=exp(MOVED) * parts[1].poses.T_base_platform)
+    )
     assert remove_instrument_displacement(join_recordings(parts, stated_camera_owners(parts)))[1] == []
-    lags = replace(secret, effects=(parse_effect("servo_lag:rig:time_constant=0.04"),))  # what one plan shows of the model is no place
+    lags = replace(
+        secret, effects=(parse_effect("servo_lag:rig:time_constant=0.04"),)
+    )  # what one plan shows of the model is no place
     turning = []
     for route in ("sobol:24", "moving:16"):
         recording_simulation.write_recording(
-            recording_simulation.simulate(lags, plan.build_plan(stated, route, seed=1), rng), tmp_path / route, text, rng, noise=0.04
+            recording_simulation.simulate(lags, plan.build_plan(stated, route, seed=1), rng),
+            tmp_path / route,
+            text,
+            rng,
+            noise=0.04,
         )
         turning.append(recording_folder.load(tmp_path / route))
     assert remove_instrument_displacement(join_recordings(turning, stated_camera_owners(turning)))[1] == []
     found, (place,) = remove_instrument_displacement(join_recordings([parts[0], moved], stated_camera_owners(parts)))
     assert place.recording == 1 and "rec1" in place.line("rec1")
     np.testing.assert_allclose(place.motion, MOVED, atol=3e-5)
-    np.testing.assert_allclose(found.poses.T_base_platform[40:].translation, parts[1].poses.T_base_platform.translation, atol=5e-5)
+    np.testing.assert_allclose(
+        found.poses.T_base_platform[40:].translation, parts[1].poses.T_base_platform.translation, atol=5e-5
+    )

@@ -1,4 +1,6 @@
-"""Arms: what a plan's poses would be under each name is what the geometry and the machine say, and an investigation ends with the right one."""
+"""Arms: what a plan's poses would be under each name is what the geometry and the machine say, and an investigation
+ends with the right one.
+"""
 
 import json
 
@@ -31,15 +33,21 @@ def found(tmp_path_factory):
     (at / "rig.toml").write_text(shipped_arms.shipped_arm_rig_toml("scara"))
     design, rng = design_file.load(at / "rig.toml"), np.random.default_rng(3)
     strokes = plan.axis_strokes(design)
-    straight = plan.settled_plan(plan.low_discrepancy(strokes, 60, seed=871346366), strokes.mean(axis=1), plan.plan_speed(design))
-    done = recording_simulation.simulate(secret_machine.draw_machine(design, rng, 1.0, (parse_effect(FRICTION),)), straight, rng)
+    straight = plan.settled_plan(
+        plan.low_discrepancy(strokes, 60, seed=871346366), strokes.mean(axis=1), plan.plan_speed(design)
+    )
+    done = recording_simulation.simulate(
+        secret_machine.draw_machine(design, rng, 1.0, (parse_effect(FRICTION),)), straight, rng
+    )
     recording_simulation.write_recording(done, at / "rec", shipped_arms.shipped_arm_rig_toml("scara"), rng)
     read = recording_folder.load(at / "rec")
     return read, diagnose_arm(read)
 
 
 def test_a_plan_that_was_made_is_told_as_it_was_seen(found):
-    """The first recording's own plan, told as one that is not there yet: the same freedoms and joints, and what effects move is the same."""
+    """The first recording's own plan, told as one that is not there yet: the same freedoms and joints, and what effects
+    move is the same.
+    """
     read, d = found
     again = linearise_planned_poses(d.arms, d.geometry, read.commands, d.arms.t, d.arms.context.sensors)
     np.testing.assert_allclose(again.q, d.arms.q)
@@ -51,7 +59,11 @@ def test_a_plan_that_was_made_is_told_as_it_was_seen(found):
 def test_what_names_foretell_differs_as_the_machine_does(found):
     read, d = found
     (question,) = arm_questions(d)
-    assert {h.title for h in question.hypotheses} == {"backlash at joint 2", "hysteresis at joint 2", "something in no catalogue"}
+    assert {h.title for h in question.hypotheses} == {
+        "backlash at joint 2",
+        "hysteresis at joint 2",
+        "something in no catalogue",
+    }
     assert sum(h.odds for h in question.hypotheses) == pytest.approx(1)
     route = plan.build_plan(read.design, "zigzag:16", 1)
     told = question.predict_outcomes(route)
@@ -60,9 +72,16 @@ def test_what_names_foretell_differs_as_the_machine_does(found):
     assert each.of.sum() == pytest.approx(np.sum((told.means[other] - told.means[first]) ** 2), rel=1e-6)
 
     design, sigma = d.arms.context.design, np.sqrt(np.diag(d.arms.own[0]) + d.fit.scatter**2)
-    effects = [h.fitted.fit.terms[h.number].candidate.effect(h.fitted.fit.terms[h.number].node, h.fitted.fit.theta[h.fitted.fit.slices[h.number]])
-               for h in (question.named[first], question.named[other])]
-    runs = [motion_simulation.run_machine(design, route.commands, route.t, (effect,), None).T_base_platform for effect in effects]
+    effects = [
+        h.fitted.fit.terms[h.number].candidate.effect(
+            h.fitted.fit.terms[h.number].node, h.fitted.fit.theta[h.fitted.fit.slices[h.number]]
+        )
+        for h in (question.named[first], question.named[other])
+    ]
+    runs = [
+        motion_simulation.run_machine(design, route.commands, route.t, (effect,), None).T_base_platform
+        for effect in effects
+    ]
     apart = float(np.sum((pose_difference(*runs) / sigma) ** 2))  # the geometry's own change is small beside it
     assert each.of.sum() == pytest.approx(apart, rel=0.3)
 
@@ -75,15 +94,19 @@ def test_a_clocks_offset_moves_an_arm_as_the_machine_has_it(found):
     candidate = joint_candidate((TimeOffset.candidates("clock", there.context)[0],), there)
     assert candidate.joint is None and candidate.grid[0] == {}
     moved = 1e-3 * candidate.weights(candidate.grid[0])[..., 0]
-    runs = [motion_simulation.run_machine(there.context.design, route.commands, route.t, effects, None).T_base_platform for effects in
-            ((), (TimeOffset("clock", 1e-3),))]
+    runs = [
+        motion_simulation.run_machine(there.context.design, route.commands, route.t, effects, None).T_base_platform
+        for effects in ((), (TimeOffset("clock", 1e-3),))
+    ]
     expected = pose_difference(*runs)
     assert np.abs(expected[:, :3]).max() > 1e-4
     np.testing.assert_allclose(moved, expected, atol=0.02 * np.abs(expected).max())
 
 
 def test_what_turns_round_tells_play_from_friction_and_so_does_a_plan_of_balanced_approaches(found):
-    """The recording went straight from one configuration to the next, in a Sobol sequence's own order, and left both names open."""
+    """The recording went straight from one configuration to the next, in a Sobol sequence's own order, and left both
+    names open.
+    """
     read, d = found
     asked = arm_questions(d)
     turning, standing = (evaluate_experiment(asked, read.design, text, 1) for text in ("zigzag:16", "sobol:12"))
@@ -96,7 +119,9 @@ def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
     assert main(["investigate", str(tmp_path / "rig.toml"), "--by-hand", "--out", str(tmp_path / "out")]) == 1
     assert "takes an [instrument] that measures its poses" in capsys.readouterr().err
     (tmp_path / "rig.toml").write_text(text)
-    assert main(["simulate", str(tmp_path / "rig.toml"), "--plan", "turn:P1,sobol:3", "--out", str(tmp_path / "rec")]) == 1
+    assert (
+        main(["simulate", str(tmp_path / "rig.toml"), "--plan", "turn:P1,sobol:3", "--out", str(tmp_path / "rec")]) == 1
+    )
     assert "there is no cube 'P1'; there are none" in capsys.readouterr().err
     assert not (tmp_path / "out").exists() and not (tmp_path / "rec" / "rig.toml").exists()
 
@@ -106,9 +131,42 @@ def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
 def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, name):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     rig.write_text(shipped_arms.shipped_arm_rig_toml("scara"))
-    assert main(["simulate", str(rig), "--plan", "sobol:3", "--effect", effect, "--seed", "3", "--out", str(tmp_path / "f"), "--truth",
-                 str(truth)]) == 0
-    assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--plan", "sobol:60", "--budget", "1h"]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                str(rig),
+                "--plan",
+                "sobol:3",
+                "--effect",
+                effect,
+                "--seed",
+                "3",
+                "--out",
+                str(tmp_path / "f"),
+                "--truth",
+                str(truth),
+            ]
+        )
+        == 0
+    )
+    assert (
+        main(
+            [
+                "investigate",
+                str(rig),
+                "--machine",
+                str(truth),
+                "--out",
+                str(out),
+                "--plan",
+                "sobol:60",
+                "--budget",
+                "1h",
+            ]
+        )
+        == 0
+    )
     notebook = (out / "notebook.md").read_text()
     assert "alike:" in notebook and "settled: yes" in notebook and f"alone: {name} at joint 2" in notebook
     (finding,) = json.loads((out / "diagnosis2" / "diagnosis.json").read_text())["findings"]
@@ -123,19 +181,73 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
 def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     rig.write_text(shipped_arms.shipped_arm_rig_toml("scara"))
-    assert main(["simulate", str(rig), "--plan", "sobol:3", "--seed", "8", "--out", str(tmp_path / "f"), "--truth", str(truth)]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                str(rig),
+                "--plan",
+                "sobol:3",
+                "--seed",
+                "8",
+                "--out",
+                str(tmp_path / "f"),
+                "--truth",
+                str(truth),
+            ]
+        )
+        == 0
+    )
     assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--budget", "1h"]) == 0
     assert "Nothing is left out." in (out / "notebook.md").read_text() and not (out / "rec2").exists()
 
 
 @pytest.mark.slow
 def test_what_a_camera_in_the_hand_leaves_alike_is_told_apart(tmp_path, capsys):
-    """Poses from images: what the experiment would tell is foretold from what the camera would see, and both recordings are measured together."""
+    """Poses from images: what the experiment would tell is foretold from what the camera would see, and both recordings
+    are measured together.
+    """
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     assert main(["design", "--arm", "ur10", "--seen", "hand", "--cameras", "1", "--out", str(rig)]) == 0
-    assert main(["simulate", str(rig), "--plan", "sobol:3", "--effect", "backlash:joint 2:gap=2e-4", "--seed", "3", "--out", str(tmp_path / "f"),
-                 "--truth", str(truth)]) == 0
-    assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--plan", "sobol:80", "--budget", "1h"]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                str(rig),
+                "--plan",
+                "sobol:3",
+                "--effect",
+                "backlash:joint 2:gap=2e-4",
+                "--seed",
+                "3",
+                "--out",
+                str(tmp_path / "f"),
+                "--truth",
+                str(truth),
+            ]
+        )
+        == 0
+    )
+    assert (
+        main(
+            [
+                "investigate",
+                str(rig),
+                "--machine",
+                str(truth),
+                "--out",
+                str(out),
+                "--plan",
+                "sobol:80",
+                "--budget",
+                "1h",
+            ]
+        )
+        == 0
+    )
     notebook = (out / "notebook.md").read_text()
     assert "alike:" in notebook and "settled: yes" in notebook and "alone: backlash at joint 2" in notebook
-    assert "calibration.json: of 2 recordings, with backlash at joint 2" in notebook and (out / "certificate" / "certificate.json").exists()
+    assert (
+        "calibration.json: of 2 recordings, with backlash at joint 2" in notebook
+        and (out / "certificate" / "certificate.json").exists()
+    )

@@ -6,7 +6,11 @@ import pytest
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.operating_point import operating_point_of_recording
 from calib.diagnose.problems.platform.simultaneous_refinement import refine
-from calib.experiment.discriminating_configurations import camera_shares, choose_exposures, discriminating_configurations
+from calib.experiment.discriminating_configurations import (
+    camera_shares,
+    choose_exposures,
+    discriminating_configurations,
+)
 from calib.experiment.experiment_choice import CHOSEN, available_plans
 from calib.experiment.experiment_question import Hypothesis, PerFrame
 from calib.experiment.platform_outcome_prediction import PlatformQuestion, predict_outcomes_by_frame
@@ -65,9 +69,13 @@ def test_they_are_a_part_of_a_plan(design):
 @pytest.mark.slow
 def test_configurations_are_chosen_by_the_images_and_the_cameras_that_see_it_are_told(tmp_path, design):
     """Whether the edges of one camera's images have shifted or that camera's focal length goes with the temperature."""
-    point = operating_point_of_recording(recorded(tmp_path, design, ["edge_bias:camera cam1:bias=0.1"], route="sobol:20"))[0]
-    fits = [refine(point.with_effects([parse_effect(text)]), Sensitivities(point))
-            for text in ("edge_bias:camera cam1:bias=0.1", "focal_drift:camera cam1:per_kelvin=1e-4")]
+    point = operating_point_of_recording(
+        recorded(tmp_path, design, ["edge_bias:camera cam1:bias=0.1"], route="sobol:20")
+    )[0]
+    fits = [
+        refine(point.with_effects([parse_effect(text)]), Sensitivities(point))
+        for text in ("edge_bias:camera cam1:bias=0.1", "focal_drift:camera cam1:per_kelvin=1e-4")
+    ]
     asked = [PlatformQuestion(tuple(Hypothesis(fit.point.effects[0].name, "camera cam1", 0.5, fit, 0) for fit in fits))]
     own = discriminating_configurations(asked, design, 8, seed=3)
     plan = build_plan(design, "apart:8", own={"apart:8": own})

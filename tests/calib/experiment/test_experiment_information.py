@@ -1,4 +1,6 @@
-"""The chance that an experiment settles a question: against what is known in closed form, and what no outcome can settle."""
+"""The chance that an experiment settles a question: against what is known in closed form, and what no outcome can
+settle.
+"""
 
 import numpy as np
 import pytest
@@ -34,9 +36,16 @@ def test_what_differs_in_nothing_tells_nothing_and_what_looks_the_same_stays_ali
     assert experiment_information(HALF, far, NOTHING).settles == pytest.approx(1) and experiment_information(
         HALF, far, NOTHING
     ).bits == pytest.approx(1.0)
-    near, unequal = apart(1.0), np.array([0.94, 0.06])  # what one costs more than the other settles nothing between two that do the same
+    near, unequal = (
+        apart(1.0),
+        np.array([0.94, 0.06]),
+    )  # what one costs more than the other settles nothing between two that do the same
     same = Prediction(near.means, near.covariances, np.ones((2, 2)))
-    assert experiment_information(unequal, same, NOTHING).settles < 0.05 < experiment_information(unequal, near, NOTHING).settles
+    assert (
+        experiment_information(unequal, same, NOTHING).settles
+        < 0.05
+        < experiment_information(unequal, near, NOTHING).settles
+    )
     told_nearly = np.array([0.0, 5.5])  # by the data so far: little more is needed
     assert experiment_information(unequal, same, told_nearly).settles > 0.5
 
@@ -45,8 +54,15 @@ def test_what_costs_less_comes_first_among_those_that_settle():
     def one(text, minutes, bits, settles):
         return Experiment(text, 1, None, minutes, bits, settles)
 
-    order = rank_experiments([one("long", 60.0, 1.0, 1.0), one("short", 2.0, 0.9, 0.95), one("cheap", 0.5, 0.3, 0.1), one("dull", 1.0, 0.1, 0.0),
-                    one("telling", 1.0, 0.2, 0.0)])
+    order = rank_experiments(
+        [
+            one("long", 60.0, 1.0, 1.0),
+            one("short", 2.0, 0.9, 0.95),
+            one("cheap", 0.5, 0.3, 0.1),
+            one("dull", 1.0, 0.1, 0.0),
+            one("telling", 1.0, 0.2, 0.0),
+        ]
+    )
     assert [e.text for e in order] == ["short", "cheap", "long", "telling", "dull"]
 
 
@@ -55,4 +71,6 @@ def test_nothing_is_loaded_and_nothing_waits_unless_the_owner_allows():
     assert any("payload" in text for text in available_plans(("payload",), False)) and any(
         "wait" in text for text in available_plans(("wait",), False)
     )
-    assert not any(text.startswith(("moving", "zigzag", "dwell", "payload")) for text in available_plans(("wait", "payload"), True))
+    assert not any(
+        text.startswith(("moving", "zigzag", "dwell", "payload")) for text in available_plans(("wait", "payload"), True)
+    )

@@ -1,4 +1,6 @@
-"""rig diagnose --next: a plan that the simulator runs, whose chance is said before, and after which one name is left."""
+"""rig diagnose --next: a plan that the simulator runs, whose chance is said before, and after which one name is
+left.
+"""
 
 import json
 
@@ -25,8 +27,10 @@ def test_what_cannot_be_meant_is_refused(rig_text, recording_folder, tmp_path, c
     (tmp_path / "rig.toml").write_text(rig_text + '\n[experiment]\nmay = ["paylaod"]\n')
     assert main(["simulate", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "rec")]) == 1
     assert "experiment.may must list what experiments may do, of 'payload', 'wait'" in capsys.readouterr().err
-    for words, says in ((["--next", str(tmp_path / "n.csv"), "--minutes", "0"], "--minutes takes a time above 0"),
-                        (["--standing"], "--standing and --may are for")):
+    for words, says in (
+        (["--next", str(tmp_path / "n.csv"), "--minutes", "0"], "--minutes takes a time above 0"),
+        (["--standing"], "--standing and --may are for"),
+    ):
         assert main(["diagnose", str(recording_folder), "--out", str(tmp_path / "out"), *words]) == 1
         assert says in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -36,16 +40,52 @@ def test_what_cannot_be_meant_is_refused(rig_text, recording_folder, tmp_path, c
 def test_a_lag_is_told_from_a_clock_by_the_plan_that_is_written(rig_text, tmp_path, capsys):
     rig, one, two = (str(tmp_path / name) for name in ("rig.toml", "one", "two"))
     (tmp_path / "rig.toml").write_text(rig_text)
-    assert main(["simulate", rig, "--plan", "moving:30,sobol:40", "--effect", "servo_lag:rig:time_constant=0.012", "--seed", "1", "--out", one,
-                 "--truth", str(tmp_path / "truth.json")]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                rig,
+                "--plan",
+                "moving:30,sobol:40",
+                "--effect",
+                "servo_lag:rig:time_constant=0.012",
+                "--seed",
+                "1",
+                "--out",
+                one,
+                "--truth",
+                str(tmp_path / "truth.json"),
+            ]
+        )
+        == 0
+    )
     assert main(["diagnose", one, "--out", str(tmp_path / "first"), "--next", str(tmp_path / "next.csv")]) == 0
     said = capsys.readouterr().out
     assert "alike: servo lag at rig" in said and "next: zigzag" in said and "settles this with a chance of" in said
     told = json.loads((tmp_path / "first" / "next.json").read_text())
-    assert {h["title"] for h in told["questions"][0]["hypotheses"]} == {"servo lag at rig", "time offset at clock", "something in no catalogue"}
+    assert {h["title"] for h in told["questions"][0]["hypotheses"]} == {
+        "servo lag at rig",
+        "time offset at clock",
+        "something in no catalogue",
+    }
     assert told["experiments"][0]["settles"] > 0.9 > told["experiments"][-1]["settles"]
-    assert main(["simulate", rig, "--plan", f"commands:{tmp_path / 'next.csv'}", "--machine", str(tmp_path / "truth.json"), "--seed", "2", "--out",
-                 two]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                rig,
+                "--plan",
+                f"commands:{tmp_path / 'next.csv'}",
+                "--machine",
+                str(tmp_path / "truth.json"),
+                "--seed",
+                "2",
+                "--out",
+                two,
+            ]
+        )
+        == 0
+    )
     assert main(["diagnose", one, two, "--out", str(tmp_path / "second"), "--next", str(tmp_path / "third.csv")]) == 0
     assert "nothing is alike" in capsys.readouterr().out and not (tmp_path / "third.csv").exists()
     (finding,) = json.loads((tmp_path / "second" / "diagnosis.json").read_text())["findings"]

@@ -1,4 +1,6 @@
-"""A cube put back turned: its seat is free in what is measured and diagnosed, its faces are the same, and it tells a face from its cube."""
+"""A cube put back turned: its seat is free in what is measured and diagnosed, its faces are the same, and it tells a
+face from its cube.
+"""
 
 import json
 import re
@@ -26,8 +28,23 @@ def second(rig_text, tmp_path_factory):
     """Folder of a recording for which cube P1 was put back turned; its truth stands beside it."""
     at = tmp_path_factory.mktemp("two")
     (at / "rig.toml").write_text(rig_text)
-    assert main(["simulate", str(at / "rig.toml"), "--seed", "1", "--plan", "turn:P1,sobol:8", "--truth", str(at / "truth.json"), "--out",
-                 str(at / "two")]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                str(at / "rig.toml"),
+                "--seed",
+                "1",
+                "--plan",
+                "turn:P1,sobol:8",
+                "--truth",
+                str(at / "truth.json"),
+                "--out",
+                str(at / "two"),
+            ]
+        )
+        == 0
+    )
     return at / "two"
 
 
@@ -39,7 +56,9 @@ def test_a_recording_says_that_a_cube_was_put_back_and_its_faces_hold_no_pose(se
     loose = own[o.marker]
     assert loose.any() and not measured.inliers[loose].any() and measured.inliers[~loose].mean() > 0.95
     off = np.sqrt(np.nanmean(measured.residuals[loose] ** 2))
-    assert 1.5 * measured.noise < off < 20 * measured.noise  # it is seen where it stands but for what putting it back does
+    assert (
+        1.5 * measured.noise < off < 20 * measured.noise
+    )  # it is seen where it stands but for what putting it back does
     corners = second.corners
     moved = corners.uv + 5.0 * np.isin(corners.marker, [0, 1, 2, 3, 4])[:, None]
     again, _ = measure_recording(replaced(second, moved))
@@ -59,10 +78,28 @@ def replaced(read, uv):
 @pytest.mark.slow
 def test_the_seat_of_a_cube_moves_its_corners_as_the_forward_model_has_it(second):
     at = second.parent
-    assert main(["simulate", str(at / "rig.toml"), "--seed", "1", "--plan", "sobol:12", "--machine", str(at / "truth.json"), "--out",
-                 str(at / "one")]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                str(at / "rig.toml"),
+                "--seed",
+                "1",
+                "--plan",
+                "sobol:12",
+                "--machine",
+                str(at / "truth.json"),
+                "--out",
+                str(at / "one"),
+            ]
+        )
+        == 0
+    )
     both = combine_recordings([recording_folder.load(at / "one"), recording_folder.load(second)])
-    assert "cube P1 was put back turned by a quarter turn for two: it is target P1@2 here, its place its own" in both.lines()
+    assert (
+        "cube P1 was put back turned by a quarter turn for two: it is target P1@2 here, its place its own"
+        in both.lines()
+    )
     point, _, _ = operating_point_of_recording(both.recording)
     (seat,) = point.seats
     assert seat.place == "target P1@2"
@@ -93,12 +130,49 @@ def test_a_face_is_told_from_its_cube_by_turning_it(tmp_path, capsys, effect, na
     block = re.sub(r"rotvec = \[0.0, 0.0, [\d.]+\]", "rotvec = [0.0, 0.0, 1.135]", block)
     rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
     rig.write_text(text[:start] + block + text[end:] + '\n[experiment]\nmay = ["turn cube 1"]\n')
-    assert main(["simulate", str(rig), "--plan", "sobol:3", "--effect", effect, "--seed", "5", "--out", str(tmp_path / "first"), "--truth",
-                 str(truth)]) == 0
-    assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--plan", "sobol:30", "--budget", "30min", "--verify",
-                 "12"]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                str(rig),
+                "--plan",
+                "sobol:3",
+                "--effect",
+                effect,
+                "--seed",
+                "5",
+                "--out",
+                str(tmp_path / "first"),
+                "--truth",
+                str(truth),
+            ]
+        )
+        == 0
+    )
+    assert (
+        main(
+            [
+                "investigate",
+                str(rig),
+                "--machine",
+                str(truth),
+                "--out",
+                str(out),
+                "--plan",
+                "sobol:30",
+                "--budget",
+                "30min",
+                "--verify",
+                "12",
+            ]
+        )
+        == 0
+    )
     said = capsys.readouterr().out
-    assert "next: turn:P1,sobol:12" in said and "before it begins: take cube P1 off its socket and put it back turned by a quarter turn" in said
+    assert (
+        "next: turn:P1,sobol:12" in said
+        and "before it begins: take cube P1 off its socket and put it back turned by a quarter turn" in said
+    )
     notebook = (out / "notebook.md").read_text()
     assert "the operator was asked, before it begins: take cube P1 off" in notebook and "settled: yes" in notebook
     (finding,) = json.loads((out / "diagnosis2" / "diagnosis.json").read_text())["findings"]

@@ -41,7 +41,9 @@ def test_a_prior_weighs_as_one_more_reading():
     linearise, _ = curve(np.random.default_rng(0), np.array([2.0, 0.8]))
     free = fit(linearise, [1.5, 0.5], *FREE)
     held = fit(linearise, [1.5, 0.5], [3.0, 0.0], [1e-9, np.inf])
-    assert held.parameters[0] == pytest.approx(3.0, abs=1e-6) and held.parameters[1] != pytest.approx(free.parameters[1], abs=0.05)
+    assert held.parameters[0] == pytest.approx(3.0, abs=1e-6) and held.parameters[1] != pytest.approx(
+        free.parameters[1], abs=0.05
+    )
     both = fit(linearise, [1.5, 0.5], [free.parameters[0] + 1e-3, 0.0], [np.sqrt(free.covariance[0, 0]), np.inf])
     assert both.covariance[0, 0] == pytest.approx(free.covariance[0, 0] / 2, rel=0.05)
 
@@ -49,7 +51,10 @@ def test_a_prior_weighs_as_one_more_reading():
 def test_a_constraint_is_kept_exactly():
     linearise, _ = curve(np.random.default_rng(0), np.array([2.0, 0.8]))
     found = fit(linearise, [1.6, 0.8], *FREE, basis=np.array([[2.0], [1.0]]) / np.sqrt(5))
-    assert found.parameters[0] == pytest.approx(2 * found.parameters[1], abs=1e-12) and np.linalg.matrix_rank(found.covariance) == 1
+    assert (
+        found.parameters[0] == pytest.approx(2 * found.parameters[1], abs=1e-12)
+        and np.linalg.matrix_rank(found.covariance) == 1
+    )
 
 
 def test_a_wrong_block_is_sorted_out():

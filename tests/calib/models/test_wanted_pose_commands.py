@@ -1,4 +1,6 @@
-"""Commands for wanted poses: the library gives those of the command line, leaves no known physics out, and states how sure each pose is."""
+"""Commands for wanted poses: the library gives those of the command line, leaves no known physics out, and states how
+sure each pose is.
+"""
 
 from contextlib import nullcontext
 
@@ -54,10 +56,22 @@ def calibrated(design, *effects):
     p = 12 + 5 * count if kind == "arm" else len(chains.prior(m)) if kind == "chain" else len(parameters(m))
     if effects:
         n = len(coordinates_of(effects))
-        known = Physics(effects, 1e-12 * np.eye(n), np.zeros((p, n)), design.gravity, design.actuator, design.platform,
-                        {name: (21.0, 1.0) for name in ("ambient_temperature_C", *(f"strut{k}_temperature_C" for k in range(1, 7)))})
+        known = Physics(
+            effects,
+            1e-12 * np.eye(n),
+            np.zeros((p, n)),
+            design.gravity,
+            design.actuator,
+            design.platform,
+            {
+                name: (21.0, 1.0)
+                for name in ("ambient_temperature_C", *(f"strut{k}_temperature_C" for k in range(1, 7)))
+            },
+        )
     none = (None,) * count
-    correction = ArmCorrection(m, m, none, low_discrepancy(m.limits, 40, 0.7, 5)) if kind == "arm" else Correction(m, m, none)
+    correction = (
+        ArmCorrection(m, m, none, low_discrepancy(m.limits, 40, 0.7, 5)) if kind == "arm" else Correction(m, m, none)
+    )
     scatter = np.repeat([2e-6, 1e-5], 3) if kind in ("arm", "chain") else np.full(count, 3e-6)
     return Calibration(correction, 1e-12 * np.eye(p), scatter, (1,), (), None, {"seed": 0}, None, known)
 
@@ -67,9 +81,16 @@ def wanted_of(design, count=6):
     return mechanisms.kinematics_of(m).forward(low_discrepancy(mechanisms.kinematics_of(m).travel(m), count, 0.5, 3), m)
 
 
-@pytest.mark.parametrize(("kind", "effects"), [("hexapod", ("backlash:strut3:gap=1e-4", "thermal_expansion:rig:coefficient=2e-5")),
-                                               ("arm", ("backlash:joint 2:gap=4e-4", "scale_error:joint 1:scale=4e-4"))])
-def test_the_library_commands_what_the_command_line_does_and_refuses_to_leave_physics_out(tmp_path, capsys, kind, effects):
+@pytest.mark.parametrize(
+    ("kind", "effects"),
+    [
+        ("hexapod", ("backlash:strut3:gap=1e-4", "thermal_expansion:rig:coefficient=2e-5")),
+        ("arm", ("backlash:joint 2:gap=4e-4", "scale_error:joint 1:scale=4e-4")),
+    ],
+)
+def test_the_library_commands_what_the_command_line_does_and_refuses_to_leave_physics_out(
+    tmp_path, capsys, kind, effects
+):
     design = designed(tmp_path, kind)
     calibration, wanted = calibrated(design, *map(parse_effect, effects)), wanted_of(design)
     calibration_file.save(tmp_path / "c.json", calibration)
@@ -101,12 +122,16 @@ def test_how_sure_each_pose_is_stands_beside_the_commands_of_every_machine(tmp_p
     write_poses(tmp_path / "w.csv", Poses(np.arange(len(wanted)), wanted, None))
     if timed:
         rows = (tmp_path / "w.csv").read_text().splitlines()
-        (tmp_path / "w.csv").write_text("\n".join([rows[0] + ",t", *(f"{row},{60 * (k + 1)}" for k, row in enumerate(rows[1:]))]) + "\n")
+        (tmp_path / "w.csv").write_text(
+            "\n".join([rows[0] + ",t", *(f"{row},{60 * (k + 1)}" for k, row in enumerate(rows[1:]))]) + "\n"
+        )
     said = command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
     assert "stated standard uncertainty of the poses: 0.0" in said
     stated = recording_folder.load_poses(tmp_path / "k.poses.csv", commanded=True)
     done = calib.commanded(calibration, wanted)
-    np.testing.assert_allclose(stated.covariance, pose_covariance(calibration, wanted, done.values), rtol=1e-6, atol=1e-18)
+    np.testing.assert_allclose(
+        stated.covariance, pose_covariance(calibration, wanted, done.values), rtol=1e-6, atol=1e-18
+    )
     np.testing.assert_allclose(stated.T_base_platform.as_matrix(), wanted.as_matrix(), atol=1e-9)
     with pytest.raises(FileError, match="not positive definite") if kind == "planar2" else nullcontext():
         recording_folder.load_poses(tmp_path / "k.poses.csv")

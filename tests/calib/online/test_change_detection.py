@@ -18,7 +18,9 @@ def quiet(rng):
     for poses in range(1, WINDOW + 1):
         s, r = S[-poses:], e[-poses:]
         single = np.stack([np.einsum("fia,fi->fa", s[..., :6], r), (s[..., :6] ** 2).sum(axis=1)], axis=1)
-        out.append(Evidence(0, float((r**2).sum()), np.einsum("fia,fi->a", s, r), np.einsum("fia,fib->ab", s, s), single))
+        out.append(
+            Evidence(0, float((r**2).sum()), np.einsum("fia,fi->a", s, r), np.einsum("fia,fib->ab", s, s), single)
+        )
     return out
 
 
@@ -32,7 +34,9 @@ def test_the_search_over_struts_and_onsets_is_paid_for():
     greatest = np.array([jumps(quiet(rng)) for _ in range(TRIALS)])
     rate = (greatest > jump_threshold(ALARM)).mean()
     assert ALARM / 3 < rate < ALARM + 3 * np.sqrt(ALARM / TRIALS), "the bound is not far above what there is"
-    assert (greatest > -ndtri(ALARM / 2)).mean() > 5 * ALARM, "one look's threshold would be exceeded many times as often"
+    assert (greatest > -ndtri(ALARM / 2)).mean() > 5 * ALARM, (
+        "one look's threshold would be exceeded many times as often"
+    )
 
 
 def test_quiet_poses_are_no_change(monkeypatch):

@@ -25,13 +25,21 @@ def off(learner, true):
 
 
 def said(updates):
-    return [(u.number, u.held, u.dropped, [(c.kind, c.strut, c.onset) for c in u.changes]) for u in updates if u.changes or u.held or u.dropped]
+    return [
+        (u.number, u.held, u.dropped, [(c.kind, c.strut, c.onset) for c in u.changes])
+        for u in updates
+        if u.changes or u.held or u.dropped
+    ]
 
 
 @pytest.mark.parametrize("shared, count", [(0, 250), (6, 250), (0, 16)])  # 16: all are linearised again just then
 def test_one_pass_ends_where_the_batch_does(design, shared, count):
     samples, _ = sampled(design, 2, count=count)
-    samples = replace(samples, common=samples.common[:, :, :shared], covariance=samples.covariance if shared else samples.total_covariance())
+    samples = replace(
+        samples,
+        common=samples.common[:, :, :shared],
+        covariance=samples.covariance if shared else samples.total_covariance(),
+    )
     batch = identify(samples, design.mechanism)
     learner = Online(design.mechanism, shared=shared)
     for x, T, C, B in zip(samples.commanded, samples.T_base_platform, samples.covariance, samples.common):
@@ -121,9 +129,17 @@ def test_sessions_with_errors_of_their_own_add_up(design):
         for x, T, C, B in zip(part.commanded, part.T_base_platform, part.covariance, part.common):
             learner.update(x, T, C, B)
     apart = [np.concatenate([p.common * (k == 0), p.common * (k == 1)], axis=2) for k, p in enumerate(parts)]
-    batch = identify(Samples(np.arange(300), np.arange(300.0), np.concatenate([p.commanded for p in parts]),
-                             RigidTransform.concatenate([p.T_base_platform for p in parts]),
-                             np.concatenate([p.covariance for p in parts]), np.concatenate(apart)), design.mechanism)
+    batch = identify(
+        Samples(
+            np.arange(300),
+            np.arange(300.0),
+            np.concatenate([p.commanded for p in parts]),
+            RigidTransform.concatenate([p.T_base_platform for p in parts]),
+            np.concatenate([p.covariance for p in parts]),
+            np.concatenate(apart),
+        ),
+        design.mechanism,
+    )
     error = learner.p - parameters(batch.mechanism)
     assert error @ np.linalg.solve(batch.covariance, error) < 0.05
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(batch.covariance), rtol=5e-3)
@@ -149,7 +165,9 @@ def test_a_restart_changes_nothing(design, stop, tmp_path):
     through, told = learnt(design, poses)
     learner, _ = learnt(design, replace(poses, commands=poses.commands[:stop], T=poses.T[:stop]))
     learner.save(tmp_path / "state.json")
-    again, after = learnt(design, replace(poses, commands=poses.commands[stop:], T=poses.T[stop:]), Online.load(tmp_path / "state.json"))
+    again, after = learnt(
+        design, replace(poses, commands=poses.commands[stop:], T=poses.T[stop:]), Online.load(tmp_path / "state.json")
+    )
     assert said(after) == [line for line in said(told) if line[0] >= stop] and not list(tmp_path.glob("*.part"))
     np.testing.assert_allclose(again.p, through.p, atol=1e-10)
     np.testing.assert_allclose(again.covariance, through.covariance, atol=1e-16)
@@ -169,8 +187,15 @@ def test_a_refused_pose_leaves_the_state_alone(design):
     assert learner.number == number
 
 
-@pytest.mark.parametrize("text, says", [("{", "cut off"), ("[]", "no state"), ('{"schema": "online/9"}', "online/9"),
-                                        ('{"schema": "online/1"}', "nominal")])
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        ("{", "cut off"),
+        ("[]", "no state"),
+        ('{"schema": "online/9"}', "online/9"),
+        ('{"schema": "online/1"}', "nominal"),
+    ],
+)
 def test_what_is_no_state_is_refused(tmp_path, text, says):
     (tmp_path / "s.json").write_text(text)
     with pytest.raises(FileError, match=says):
@@ -189,15 +214,25 @@ def test_a_long_run_keeps_no_old_states(design):
     assert old() is None
 
 
-@pytest.mark.parametrize(("key", "value", "says"), [
-    ("p", lambda v: v[:41], "p must have 42 numbers, got 41 entries"), ("p", lambda v: [*v[:41], 1e308], "p.42. is too large"),
-    ("scatter", lambda v: [], "scatter must have 6 numbers, got 0 entries"), ("s", lambda v: [0.0], "S must have 43xn|S must have 43x44"),
-    ("S", lambda v: v[:5], "S must have 42x43"), ("S", lambda v: [[0.0] * 43] * 42, "no triangle"), ("root", lambda v: v[0], "root.1. must have"),
-    ("recent", lambda v: [v[0][:5]], "lists of 6"), ("recent", lambda v: [[*v[0][:2], [[1.0]], *v[0][3:]]], "recent.1.3 must have 3x3"),
-    ("recent", lambda v: v * 9, "recent has"), ("held", lambda v: None, "held must be a list"), ("number", lambda v: 2**70, "number must be"),
-    ("first", lambda v: [[0, "x", 0, 0, 0, 0]], "first.1.2 must have 6 numbers"),
-    ("recent", lambda v: [[*v[0][:4], [[0.0] * 6] * 6, v[0][5]]], "cannot be learnt again"),
-])
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("p", lambda v: v[:41], "p must have 42 numbers, got 41 entries"),
+        ("p", lambda v: [*v[:41], 1e308], "p.42. is too large"),
+        ("scatter", lambda v: [], "scatter must have 6 numbers, got 0 entries"),
+        ("s", lambda v: [0.0], "S must have 43xn|S must have 43x44"),
+        ("S", lambda v: v[:5], "S must have 42x43"),
+        ("S", lambda v: [[0.0] * 43] * 42, "no triangle"),
+        ("root", lambda v: v[0], "root.1. must have"),
+        ("recent", lambda v: [v[0][:5]], "lists of 6"),
+        ("recent", lambda v: [[*v[0][:2], [[1.0]], *v[0][3:]]], "recent.1.3 must have 3x3"),
+        ("recent", lambda v: v * 9, "recent has"),
+        ("held", lambda v: None, "held must be a list"),
+        ("number", lambda v: 2**70, "number must be"),
+        ("first", lambda v: [[0, "x", 0, 0, 0, 0]], "first.1.2 must have 6 numbers"),
+        ("recent", lambda v: [[*v[0][:4], [[0.0] * 6] * 6, v[0][5]]], "cannot be learnt again"),
+    ],
+)
 def test_arrays_of_a_state_are_checked_before_compiled_code_takes_them(design, tmp_path, key, value, says):
     learner, _ = learnt(design, stream(design, 3, 5))
     learner.save(tmp_path / "s.json")

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from calib.certify import measuring_limb_steps, measuring_limbs
 from calib.certify.fitted_limbs import Limbs
 from calib.models.platform.identification import pose_jacobian
-from calib.online import measuring_limbs_file, measuring_limb_poses
+from calib.online import measuring_limb_poses, measuring_limbs_file
 from calib.online.information_filter import Online
 from calib.online.limb_vision_agreement import IN_A_ROW, LimbCheck
 from calib.online.live_limb_poses import LimbLive
@@ -34,10 +34,15 @@ def accepted(limbed, by_vision):
     """Accepted limbs of the first recording."""
     design, read, _ = limbed
     frames, lengths = measuring_limbs.limb_readings(read)
-    samples, nominal = measuring_limbs.samples_by_limbs(by_vision, frames, lengths), measuring_limbs.limb_hexapod(design)
+    samples, nominal = (
+        measuring_limbs.samples_by_limbs(by_vision, frames, lengths),
+        measuring_limbs.limb_hexapod(design),
+    )
     T, expected = measuring_limbs.held_out_limb_poses(samples, nominal, 1e-6)
     found = measuring_limbs.limb_agreement(samples.T_base_platform, T, expected, (5e-5, 3e-4))
-    return measuring_limbs_file.Accepted(measuring_limbs.calibrate_limbs(samples, nominal, 1e-6)[0], nominal, found, None, {"data": ["a"]})
+    return measuring_limbs_file.Accepted(
+        measuring_limbs.calibrate_limbs(samples, nominal, 1e-6)[0], nominal, found, None, {"data": ["a"]}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -67,15 +72,36 @@ def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
         measuring_limbs_file.accepted_limbs(path, limbed[0])
 
 
-@pytest.mark.parametrize("spoil, says", [
-    (lambda tree: tree.pop("covariance"), "covariance is missing"), (lambda tree: tree["reading_sigma"].__setitem__(2, 0.0), "reading_sigma must be"),
-    (lambda tree: tree["agreement"]["bias"].pop(), "agreement.bias must have 6 numbers, got 5"),
-    (lambda tree: tree["agreement"]["surely"].__setitem__(0, 1.0), "verdict is 'accepted', but its own figures say 'refused'"),
-    (lambda tree: tree["covariance"][3].__setitem__(3, -1.0), "covariance is no covariance"),
-    (lambda tree: tree.update(schema="limbs/2"), "its schema"), (lambda tree: tree.update(chosen=[1, 2, 3, 4, 5, 5]), "six different limbs"),
-    (lambda tree: tree.update(checks=[{"limb": 9, "base_joint": [0, 0, 0], "platform_joint": [0, 0, 0], "zero": 0, "reading_sigma": 1e-6,
-                                       "covariance": np.eye(7).tolist()}]), "the limbs of checks .9. must be all limbs, each once"),
-])
+@pytest.mark.parametrize(
+    "spoil, says",
+    [
+        (lambda tree: tree.pop("covariance"), "covariance is missing"),
+        (lambda tree: tree["reading_sigma"].__setitem__(2, 0.0), "reading_sigma must be"),
+        (lambda tree: tree["agreement"]["bias"].pop(), "agreement.bias must have 6 numbers, got 5"),
+        (
+            lambda tree: tree["agreement"]["surely"].__setitem__(0, 1.0),
+            "verdict is 'accepted', but its own figures say 'refused'",
+        ),
+        (lambda tree: tree["covariance"][3].__setitem__(3, -1.0), "covariance is no covariance"),
+        (lambda tree: tree.update(schema="limbs/2"), "its schema"),
+        (lambda tree: tree.update(chosen=[1, 2, 3, 4, 5, 5]), "six different limbs"),
+        (
+            lambda tree: tree.update(
+                checks=[
+                    {
+                        "limb": 9,
+                        "base_joint": [0, 0, 0],
+                        "platform_joint": [0, 0, 0],
+                        "zero": 0,
+                        "reading_sigma": 1e-6,
+                        "covariance": np.eye(7).tolist(),
+                    }
+                ]
+            ),
+            "the limbs of checks .9. must be all limbs, each once",
+        ),
+    ],
+)
 def test_a_spoilt_file_names_file_and_value(accepted, tmp_path, spoil, says):
     path = tmp_path / "limbs.json"
     measuring_limbs_file.save(path, accepted)
@@ -94,7 +120,9 @@ def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path
     path, design = tmp_path / "limbs.json", limbed[0]
     measuring_limbs_file.save(path, accepted)
     moved = design.insitu.base_joints + 1e-4 * np.eye(6)[:, :1] * np.eye(3)[0]
-    with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: base_joints of limb 1 differs by 0.1 mm"):
+    with pytest.raises(
+        RigError, match="of other limbs than rig.toml states in .insitu.: base_joints of limb 1 differs by 0.1 mm"
+    ):
         measuring_limbs_file.accepted_limbs(path, replace(design, insitu=replace(design.insitu, base_joints=moved)))
     refused = replace(accepted.agreement, tolerance=np.full(6, 1e-9))
     measuring_limbs_file.save(path, replace(accepted, agreement=refused))
@@ -105,7 +133,9 @@ def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path
 @pytest.mark.slow
 def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(accepted, again, limbed):
     nominal = limbed[0].mechanism
-    by_limbs = measuring_limb_poses.samples_of_limb_poses(again, measuring_limb_poses.limb_poses(again, accepted)).samples
+    by_limbs = measuring_limb_poses.samples_of_limb_poses(
+        again, measuring_limb_poses.limb_poses(again, accepted)
+    ).samples
     learners = [Online(nominal, samples.common.shape[2]) for samples in (by_limbs, sample_recording(again).samples)]
     for learner, samples in zip(learners, (by_limbs, sample_recording(again).samples)):
         for pose in zip(samples.commanded, samples.T_base_platform, samples.covariance, samples.common):
@@ -118,14 +148,18 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
     expected = np.sqrt(np.einsum("nij,jk,nik->ni", to_pose, covariance, to_pose))
     left = pose_difference(T[1], T[0])
     assert (np.abs(left) < 4 * expected).all() and np.abs(left[:, :3]).max() < 3e-5
-    assert (np.abs(np.einsum("nij,j->ni", to_pose, slip)) > 2 * expected).any(), "a strut that is off by 30 um would show"
+    assert (np.abs(np.einsum("nij,j->ni", to_pose, slip)) > 2 * expected).any(), (
+        "a strut that is off by 30 um would show"
+    )
 
 
 @pytest.mark.parametrize("limb, every", [(3, 5), (6, 20)])
 def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, limb, every):
     at = 22
     read = slipped(again, limb, 3e-5, at)
-    found = measuring_limb_poses.check_limb_poses(read, accepted, measuring_limb_poses.limb_poses(read, accepted), every)
+    found = measuring_limb_poses.check_limb_poses(
+        read, accepted, measuring_limb_poses.limb_poses(read, accepted), every
+    )
     assert found.disagreement is not None and found.disagreement.limb == limb and at <= found.frame < at + 5
     assert abs(float(found.disagreement.reason.split("by ")[1].split(" ")[0]) - 30) < 10
 
@@ -135,26 +169,40 @@ def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, l
 def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(limbed, by_vision, limb, at):
     design, read, _ = limbed
     for by in (0.0, 3e-5):
-        samples = measuring_limbs.samples_by_limbs(by_vision, *measuring_limbs.limb_readings(slipped(read, limb, by, at)))
+        samples = measuring_limbs.samples_by_limbs(
+            by_vision, *measuring_limbs.limb_readings(slipped(read, limb, by, at))
+        )
         limbs, _ = measuring_limbs.calibrate_limbs(samples, measuring_limbs.limb_hexapod(design), 1e-6)
         found = measuring_limb_steps.detect_limb_slip(samples, limbs, 1e-6)
         assert (found is None) == (by == 0)
-        assert found is None or (found.limb == limb and abs(found.frame - at) <= 2 and abs(found.size - by) < 4 * found.sigma < 2e-5)
+        assert found is None or (
+            found.limb == limb and abs(found.frame - at) <= 2 and abs(found.size - by) < 4 * found.sigma < 2e-5
+        )
 
 
 def test_limbs_that_stay_agree_and_few_poses_are_looked_at(accepted, again):
     found = measuring_limb_poses.check_limb_poses(again, accepted, measuring_limb_poses.limb_poses(again, accepted), 5)
     assert found == measuring_limb_poses.Checked(8, None, None)
     unseen = replace(again, corners=None)
-    assert measuring_limb_poses.check_limb_poses(unseen, accepted, measuring_limb_poses.limb_poses(again, accepted), 5).count == 0
+    assert (
+        measuring_limb_poses.check_limb_poses(
+            unseen, accepted, measuring_limb_poses.limb_poses(again, accepted), 5
+        ).count
+        == 0
+    )
 
 
 def told(accepted, count, slip=0.0, at=10**9, wrong=()):
-    """(readings (6,), vision's pose) of the limbs as they are, one slipping by `slip` (m) at a pose, vision wrong at some."""
+    """(readings (6,), vision's pose) of the limbs as they are, one slipping by `slip` (m) at a pose, vision wrong at
+    some.
+    """
     rng, limbs = np.random.default_rng(4), accepted.limbs.hexapod
     for k, commanded in enumerate(hexapod.inverse(limbs.home, limbs) + rng.uniform(-0.03, 0.03, (count, 6))):
         T = hexapod.forward(commanded, limbs)
-        yield commanded - slip * (k >= at) * np.eye(6)[1], T * exp(np.sqrt(np.diag(COVARIANCE)) * rng.normal(size=6) + 3e-4 * (k in wrong))
+        yield (
+            commanded - slip * (k >= at) * np.eye(6)[1],
+            T * exp(np.sqrt(np.diag(COVARIANCE)) * rng.normal(size=6) + 3e-4 * (k in wrong)),
+        )
 
 
 COVARIANCE = np.diag(np.r_[np.full(3, 5e-6), np.full(3, 2e-5)] ** 2)

@@ -1,4 +1,6 @@
-"""Learning as a run goes: what is expected comes near what is measured, a missed step and a drift are said, limbs that go astray too."""
+"""Learning as a run goes: what is expected comes near what is measured, a missed step and a drift are said, limbs that
+go astray too.
+"""
 
 import numpy as np
 import pytest
@@ -33,17 +35,23 @@ def test_what_is_expected_comes_near_and_a_missed_step_is_named(machine):
     nominal, _, commands, measured = machine
     learner, said, errors = Learner(nominal), [], []
     for k, command in enumerate(commands):
-        learnt = learner.learn(command, measured(command, 6e-5 * (np.arange(6) == 3) if k >= 45 else 0.0), np.diag(SIGMA**2))
+        learnt = learner.learn(
+            command, measured(command, 6e-5 * (np.arange(6) == 3) if k >= 45 else 0.0), np.diag(SIGMA**2)
+        )
         errors.append(np.linalg.norm(learnt.error[:3]))
         said += [(k, change) for change in learnt.changes]
     assert errors[0] > 1e-4 and np.median(errors[30:45]) < 1e-5
-    assert (said[0][1].kind, said[0][1].strut) == ("strut", 4) and 45 <= said[0][0] <= 48, "nothing before it, and it first"
+    assert (said[0][1].kind, said[0][1].strut) == ("strut", 4) and 45 <= said[0][0] <= 48, (
+        "nothing before it, and it first"
+    )
     assert said[0][1].size == pytest.approx(6e-5, abs=1.5e-5)
 
 
 def test_a_drift_from_the_calibration_is_said_once(machine):
     nominal, true, commands, measured = machine
-    calibration = Calibration(Correction(nominal, true, (None,) * 6), np.eye(42) * 1e-12, np.zeros(6), (0,), (), None, {})
+    calibration = Calibration(
+        Correction(nominal, true, (None,) * 6), np.eye(42) * 1e-12, np.zeros(6), (0,), (), None, {}
+    )
     learner, drifts = Learner(nominal, calibration, (5e-5, 1e-3)), []
     for k, command in enumerate(commands):
         learnt = learner.learn(command, measured(command, 1e-5 * max(k - 20, 0)), np.diag(SIGMA**2))

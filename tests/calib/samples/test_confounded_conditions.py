@@ -30,7 +30,9 @@ def test_a_direction_that_is_the_half_of_the_stroke_is_a_confound_and_a_random_o
     assert json.loads(json.dumps(found.tree()))["serious"] == [f"direction of approach on {axis}" for axis in AXES[2:5]]
 
 
-@pytest.mark.parametrize(("name", "cause"), [("t", TIME), ("strut_3_temperature_C", "strut_3_temperature_C"), (PAYLOAD, LOAD)])
+@pytest.mark.parametrize(
+    ("name", "cause"), [("t", TIME), ("strut_3_temperature_C", "strut_3_temperature_C"), (PAYLOAD, LOAD)]
+)
 def test_what_goes_with_place_is_a_confound(name: str, cause: str) -> None:
     values, direction, t = _design()
     slope = 20.0 + 100.0 * values[:, 0]
@@ -46,7 +48,9 @@ def test_a_serpentine_grid_confounds_time_and_direction() -> None:
 
 
 def test_chance_is_no_confound_however_few_the_poses() -> None:
-    """Of 200 random designs of 12 to 60 poses at most one is confounded; the mean share is what is expected by chance."""
+    """Of 200 random designs of 12 to 60 poses at most one is confounded; the mean share is what is expected by
+    chance.
+    """
     shares, chances, accused = [], [], 0
     for seed in range(200):
         found = confounds_of_design(*_design(12 + seed % 49, seed), {}, AXES)

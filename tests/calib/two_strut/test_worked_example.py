@@ -32,8 +32,12 @@ def test_the_sample_set_is_the_four_pairs_of_two_lengths(example):
 
 
 def test_summands_are_commands_less_the_lengths_to_where_the_hinge_was_measured(example):
-    """[0085], [0130], by a ruler: from the owner's joints to the place where two circles about the real joints cross."""
-    for x, place, second, summand in zip(example.x, example.measured.translation[:, :2], example.second, example.summand):
+    """[0085], [0130], by a ruler: from the owner's joints to the place where two circles about the real joints
+    cross.
+    """
+    for x, place, second, summand in zip(
+        example.x, example.measured.translation[:, :2], example.second, example.summand
+    ):
         real = np.linalg.norm(place - REAL.base_joints, axis=1) - REAL.strut_zeros
         np.testing.assert_allclose(real, x, atol=1e-12)
         ruler = np.linalg.norm(place - NOMINAL.base_joints, axis=1)
@@ -49,7 +53,12 @@ def test_the_functions_have_the_measured_values_at_the_four_samples_and_are_inte
 
 
 def test_one_step_takes_out_nearly_all(example):
-    """[0090], [0091]: S1 + ds1 and S2 + ds2 give the wanted pose, but for what is negligible: here a thirtieth at the most."""
+    """[0090], [0091]: S1 + ds1 and S2 + ds2 give the wanted pose, but for what is negligible: here a thirtieth at the
+    most.
+    """
     wanted = grid()
-    before, after = (np.sqrt(((corrected_hinge_positions(c, wanted) - wanted) ** 2).sum(axis=1).mean()) for c in (None, example.correction))
+    before, after = (
+        np.sqrt(((corrected_hinge_positions(c, wanted) - wanted) ** 2).sum(axis=1).mean())
+        for c in (None, example.correction)
+    )
     assert before > 1e-3 and after < before / 30

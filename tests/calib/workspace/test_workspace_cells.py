@@ -1,4 +1,6 @@
-"""The workspace in cells: shares and counts that are known, the room of a pose turned like home, bounds that are the covariance's; kept in files."""
+"""The workspace in cells: shares and counts that are known, the room of a pose turned like home, bounds that are the
+covariance's; kept in files.
+"""
 
 import json
 from dataclasses import replace
@@ -41,7 +43,9 @@ def calibrated(design):
 
 def test_shares_and_counts_are_those_of_the_plane():
     w = map_workspace(Correction(PLANAR, Planar2(PLANAR.base_joints, STROKES, [0.03, -0.06]), (None, None)), same, 4096)
-    assert w.lost == pytest.approx(1 - 0.95 * 0.9, abs=2e-3) == w.gained  # one strut loses a twentieth of its stroke, the other a tenth
+    assert (
+        w.lost == pytest.approx(1 - 0.95 * 0.9, abs=2e-3) == w.gained
+    )  # one strut loses a twentieth of its stroke, the other a tenth
     assert w.flat and w.believed.sum() == w.reached.sum() == 4096 and w.lost_in.sum() == pytest.approx(4096 * w.lost)
     assert (w.lost_in <= w.believed).all() and (w.gained_in <= w.reached).all()
     np.testing.assert_allclose(w.bound[w.reached > 0], [[2 * 3**0.5 * 1e-6, 4 * 3**0.5 * 1e-6]] * (w.reached > 0).sum())
@@ -83,7 +87,9 @@ def test_an_arm_has_cells_that_it_reaches_and_one_of_five_joints_no_share_of_los
     assert np.nanmin(w.room) >= 0 and 0 <= np.nanmin(w.singular) < np.nanmax(w.singular) < 1
     assert not workspace_sentences.workspace_lines(w, "rad")[0].startswith("workspace: an arm of fewer")
     five = replace(UR10, joints=UR10.joints[:5], limits=UR10.limits[:5], slides=UR10.slides[:5])
-    w = map_workspace(ArmCorrection(five, replace(five, joints=true.rows[:5]), (None,) * 5, np.zeros((1, 5))), same, 128)
+    w = map_workspace(
+        ArmCorrection(five, replace(five, joints=true.rows[:5]), (None,) * 5, np.zeros((1, 5))), same, 128
+    )
     assert w.lost is None and w.gained is None and not w.lost_in.any() and w.reached.sum() == 128
     assert workspace_sentences.workspace_lines(w, "rad")[0].startswith("workspace: an arm of fewer than six joints")
 
@@ -98,8 +104,17 @@ def test_a_calibration_keeps_its_workspace_and_one_without_is_still_read(calibra
     assert "workspace" not in json.loads(path.read_text()) and calibration_file.load(path).workspace is None
 
 
-@pytest.mark.parametrize("name, value, says", [("index", [[0, 0, -1]], "whole numbers"), ("believed", [1], "numbers"), ("size", 0, "> 0"),
-                                               ("lost", 1.5, "<= 1"), ("schema", "workspace/9", "workspace/9"), ("index", [], "one cell")])
+@pytest.mark.parametrize(
+    "name, value, says",
+    [
+        ("index", [[0, 0, -1]], "whole numbers"),
+        ("believed", [1], "numbers"),
+        ("size", 0, "> 0"),
+        ("lost", 1.5, "<= 1"),
+        ("schema", "workspace/9", "workspace/9"),
+        ("index", [], "one cell"),
+    ],
+)
 def test_a_workspace_that_cannot_be_is_refused_by_name(calibrated, tmp_path, name, value, says):
     path = tmp_path / "c.json"
     calibration_file.save(path, calibrated)
@@ -123,7 +138,9 @@ def test_every_column_of_cells_is_drawn_and_written(calibrated):
         workspace_figures.axis_margin_quantity("m"),
     ):
         unit, seen = workspace_figures.cell_views(w, q)
-        assert seen.count("<rect") == len(np.unique(w.index[:, :2], axis=0)) + len(np.unique(w.index[:, [0, 2]], axis=0))
+        assert seen.count("<rect") == len(np.unique(w.index[:, :2], axis=0)) + len(
+            np.unique(w.index[:, [0, 2]], axis=0)
+        )
         assert "nan" not in seen and "inf" not in seen
     column = (w.index[:, :2] == w.index[np.argmax(w.lost_in), :2]).all(axis=1)
     share = w.lost_in[column].sum() / w.believed[column].sum()

@@ -1,4 +1,6 @@
-"""Kernels are compiled and kept on an installation that cannot be written, by a user without a home, and nobody else's are loaded."""
+"""Kernels are compiled and kept on an installation that cannot be written, by a user without a home, and nobody else's
+are loaded.
+"""
 
 import os
 import shutil
@@ -23,7 +25,9 @@ def forget():
 def locked(monkeypatch, tmp_path):
     """An installation that cannot be written, and temporary files in tmp_path."""
     writable = os.access
-    monkeypatch.setattr(os, "access", lambda path, mode: not Path(path).is_relative_to(kernel_cache.HERE) and writable(path, mode))
+    monkeypatch.setattr(
+        os, "access", lambda path, mode: not Path(path).is_relative_to(kernel_cache.HERE) and writable(path, mode)
+    )
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     forget()
@@ -63,7 +67,9 @@ def test_a_folder_to_which_others_can_write_is_not_taken(mode, locked, monkeypat
     theirs.chmod(mode)
     own = tmp_path / "home" / ".cache" / "rig"
     assert kernel_cache.trusted_folder(theirs) == own and own.stat().st_mode & 0o077 == 0
-    assert kernel_cache.is_private(theirs / "below") == (mode == 0o775), "who can write above can put another folder in its place"
+    assert kernel_cache.is_private(theirs / "below") == (mode == 0o775), (
+        "who can write above can put another folder in its place"
+    )
     forget()
     own.chmod(mode)
     assert kernel_cache.trusted_folder(theirs) == tmp_path / f"rig-kernels-{os.getuid()}"
@@ -84,7 +90,9 @@ def test_another_folder_still_tells_versions_of_the_sources_apart(locked, monkey
     import numba
 
     used = []
-    monkeypatch.setattr(numba, "njit", lambda **options: lambda function: used.append(numba.config.CACHE_DIR) or function)
+    monkeypatch.setattr(
+        numba, "njit", lambda **options: lambda function: used.append(numba.config.CACHE_DIR) or function
+    )
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     theirs = tmp_path / "theirs"
     (theirs / "kernels-1").mkdir(parents=True)
@@ -92,17 +100,30 @@ def test_another_folder_still_tells_versions_of_the_sources_apart(locked, monkey
     before = numba.config.CACHE_DIR
     assert numba_kernels.Kernel(forget, {}, lambda: str(theirs / "kernels-1"))() is None
     assert numba_kernels.Kernel(forget, {}, lambda: str(theirs / "kernels-2"))() is None
-    assert used == [str(tmp_path / "home" / ".cache" / "rig" / "kernels-1"), str(theirs / "kernels-2")] and before == numba.config.CACHE_DIR
+    assert (
+        used == [str(tmp_path / "home" / ".cache" / "rig" / "kernels-1"), str(theirs / "kernels-2")]
+        and before == numba.config.CACHE_DIR
+    )
 
 
 @pytest.mark.parametrize("open_one", ["NUMBA_CACHE_DIR", "__pycache__"])
 def test_no_kernel_is_loaded_from_where_others_can_write(open_one, tmp_path):
     shutil.copytree(ROOT / "rig", tmp_path / "rig", ignore=shutil.ignore_patterns("__pycache__"))
-    theirs = tmp_path / "rig" / "effects" / "framework" / "__pycache__" if open_one == "__pycache__" else tmp_path / "theirs"
+    theirs = (
+        tmp_path / "rig" / "effects" / "framework" / "__pycache__" if open_one == "__pycache__" else tmp_path / "theirs"
+    )
     theirs.mkdir()
     theirs.chmod(0o777)
-    code = "from rig.effects.framework import play_operator; import numpy as np; print(play_operator.play_operator(np.ones((3, 1)), 0.5).sum())"
-    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(tmp_path), "HOME": str(tmp_path / "home"), "PYTHONDONTWRITEBYTECODE": "1"}
+    code = (
+        "from rig.effects.framework import play_operator; import numpy as np; "
+        "print(play_operator.play_operator(np.ones((3, 1)), 0.5).sum())"
+    )
+    environment = {
+        "PATH": os.environ["PATH"],
+        "PYTHONPATH": str(tmp_path),
+        "HOME": str(tmp_path / "home"),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     if open_one == "NUMBA_CACHE_DIR":
         environment[open_one] = str(theirs)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment)
@@ -113,36 +134,68 @@ def test_no_kernel_is_loaded_from_where_others_can_write(open_one, tmp_path):
 @pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="takes root, to become somebody else")
 def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
     shutil.copytree(ROOT / "rig", tmp_path / "rig", ignore=shutil.ignore_patterns("__pycache__"))
-    for parent in (tmp_path, *(p for p in tmp_path.parents if p.is_relative_to(Path(tempfile.gettempdir())) and p != Path(tempfile.gettempdir()))):
+    for parent in (
+        tmp_path,
+        *(
+            p
+            for p in tmp_path.parents
+            if p.is_relative_to(Path(tempfile.gettempdir())) and p != Path(tempfile.gettempdir())
+        ),
+    ):
         parent.chmod(parent.stat().st_mode | 0o055)
     nobody = ["setpriv", "--reuid=65534", "--clear-groups", "--inh-caps=-all", sys.executable]
     if subprocess.run([*nobody, "-c", "import numba"], capture_output=True, cwd="/").returncode:
         pytest.skip("this Python is out of other users' reach")
     (tmp_path / "tmp").mkdir()
     (tmp_path / "tmp").chmod(0o777)
-    code = ("from rig.effects.framework import play_operator; import numpy as np\n"
-            "print(play_operator.__file__, play_operator.play_operator(np.ones((3, 1)), 0.5).sum())")
-    done = subprocess.run([*nobody, "-c", code], capture_output=True,
-                          text=True, cwd=tmp_path, env={"PYTHONPATH": str(tmp_path), "HOME": "/nonexistent", "TMPDIR": str(tmp_path / "tmp")})
-    assert done.returncode == 0 and str(tmp_path / "rig") in done.stdout and done.stdout.split()[-1] == "3.0", done.stderr
+    code = (
+        "from rig.effects.framework import play_operator; import numpy as np\n"
+        "print(play_operator.__file__, play_operator.play_operator(np.ones((3, 1)), 0.5).sum())"
+    )
+    done = subprocess.run(
+        [*nobody, "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(tmp_path), "HOME": "/nonexistent", "TMPDIR": str(tmp_path / "tmp")},
+    )
+    assert done.returncode == 0 and str(tmp_path / "rig") in done.stdout and done.stdout.split()[-1] == "3.0", (
+        done.stderr
+    )
     assert "is kept in" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_loaded(tmp_path):
     code = (
-        "from rig.compute.numba_kernels import announce_compilation; from rig.effects.framework import play_operator; import "
+        "from rig.compute.numba_kernels import announce_compilation; from rig.effects.framework import "
+        "play_operator; import "
         "numpy as np\n"
         "with announce_compilation(lambda: print('compiling')):\n    "
         "for values in (np.ones((3, 1)), np.ones((3, 1), np.float32)): play_operator.play_operator(values, 0.5)"
     )
-    told = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True,
-                           env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}).stdout for _ in range(2)]
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            check=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        ).stdout
+        for _ in range(2)
+    ]
     assert told == ["compiling\n", ""]
 
 
-@pytest.mark.parametrize("shown, terminal, words", [
-    ("auto", True, "compiling for this computer, once: up to a minute\n"), ("auto", False, ""), ("none", True, ""),
-    ("lines", False, "compiling for this computer, once: up to a minute\n")])
+@pytest.mark.parametrize(
+    "shown, terminal, words",
+    [
+        ("auto", True, "compiling for this computer, once: up to a minute\n"),
+        ("auto", False, ""),
+        ("none", True, ""),
+        ("lines", False, "compiling for this computer, once: up to a minute\n"),
+    ],
+)
 def test_a_compile_notice_is_for_terminals_or_where_lines_are_wanted(shown, terminal, words, monkeypatch, capsys):
     """In a pipe the first line is the command's own, however slow the machine compiles."""
     monkeypatch.setattr(Progress, "shown", shown)

@@ -24,7 +24,9 @@ def processes(request, monkeypatch):
 
 def test_results_come_in_order_and_progress_reaches_the_end(processes):
     things, seen = [object() for _ in range(40)], []
-    out = parallel_map.parallel_map(lambda thing: (things.index(thing), os.getpid()), things, lambda done, of: seen.append((done, of)))
+    out = parallel_map.parallel_map(
+        lambda thing: (things.index(thing), os.getpid()), things, lambda done, of: seen.append((done, of))
+    )
     done = [of_all for of_all, of in seen if of == 40]
     assert [i for i, _ in out] == list(range(40)) and done[-1] == 40 and len(done) == len(seen)
     assert (np.diff([0, *done]) >= 1).all() and max(np.diff([0, *done])) <= (1 if processes == 1 else MOST)
@@ -37,7 +39,11 @@ def test_parts_hold_all_in_order_and_are_single_at_the_end(count):
         shares = work_parts(range(many), count)
         assert [thing for share in shares for thing in share] == list(range(many))
         sizes = [len(share) for share in shares]
-        assert all(1 <= size <= MOST for size in sizes) and sizes == sorted(sizes, reverse=True) and (many == 0 or sizes[-1] == 1)
+        assert (
+            all(1 <= size <= MOST for size in sizes)
+            and sizes == sorted(sizes, reverse=True)
+            and (many == 0 or sizes[-1] == 1)
+        )
 
 
 def test_what_a_process_raises_is_raised_here(processes):

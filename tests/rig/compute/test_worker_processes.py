@@ -25,7 +25,8 @@ if __name__ == "__main__":
 CHILD = """
 import os, sys
 from rig.compute.worker_processes import run_child_process as finished
-finished([sys.executable, "-c", "import sys, time; from rig.compute.worker_processes import end_with_parent as end_with; end_with(int(sys.argv[1]));"
+finished([sys.executable, "-c", "import sys, time; from rig.compute.worker_processes import end_with_parent as \
+end_with; end_with(int(sys.argv[1]));"
           "time.sleep(60)", str(os.getpid())], dict(os.environ))
 """
 
@@ -49,8 +50,13 @@ def all_gone(pids, within=10.0):
 
 
 def started(code, *arguments):
-    return subprocess.Popen([sys.executable, "-c", code, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-                            env={**os.environ, "PYTHONPATH": str(ROOT)})
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
 
 
 def test_cores_are_limited_as_threads_are(monkeypatch):
@@ -92,7 +98,9 @@ def test_a_worker_that_is_ended_is_said_in_a_line(method):
 
 
 def fail(kind):
-    raise {"file": FileError("x.csv", "is wrong", 3, 4, "value"), "pose": NotConverged("no pose", [1], [[2.0]], [3.0])}[kind]
+    raise {"file": FileError("x.csv", "is wrong", 3, 4, "value"), "pose": NotConverged("no pose", [1], [[2.0]], [3.0])}[
+        kind
+    ]
 
 
 def test_what_a_worker_raises_is_raised_with_all_it_says():
@@ -105,5 +113,7 @@ def test_what_a_worker_raises_is_raised_with_all_it_says():
 
 
 def test_a_finished_child_gives_its_output_and_status():
-    done = run_child_process([sys.executable, "-c", "import sys; print('out'); print('err', file=sys.stderr); sys.exit(3)"], dict(os.environ))
+    done = run_child_process(
+        [sys.executable, "-c", "import sys; print('out'); print('err', file=sys.stderr); sys.exit(3)"], dict(os.environ)
+    )
     assert (done.returncode, done.stdout, done.stderr) == (3, "out\n", "err\n")

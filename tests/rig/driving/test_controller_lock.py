@@ -18,14 +18,24 @@ from rig.errors import LinkLost, RigError
 from rig.model.controller_settings import port_problem
 from tests.conftest import ROOT
 
-HOLD = ("import sys, signal\nfrom rig.driving.controller_lock import Occupied\nfrom rig.errors import RigError\n"
-        "def end(*_): raise KeyboardInterrupt\nsignal.signal(signal.SIGTERM, end)\n"
-        "try:\n    with Occupied(*sys.argv[1:]):\n        print('held', flush=True)\n        signal.pause()\n"
-        "except RigError as error:\n    print(error, flush=True)\nexcept KeyboardInterrupt:\n    print('ended', flush=True)\n")
-STOP = ("import sys\nfrom rig.driving.clock import SystemClock\nfrom rig.driving.controller_lock import stop_lock_holder\n"
-        "from rig.errors import RigError\n"
-        "try:\n    print(stop_lock_holder(sys.argv[1], SystemClock(), 5.0), flush=True)\nexcept RigError as error:\n    print(error, flush=True)\n")
-ENVIRONMENTS = ({"XDG_RUNTIME_DIR": "/tmp"}, {}, {"XDG_RUNTIME_DIR": "/nowhere", "HOME": "/nowhere", "TMPDIR": "/nowhere"})
+HOLD = (
+    "import sys, signal\nfrom rig.driving.controller_lock import Occupied\nfrom rig.errors import RigError\n"
+    "def end(*_): raise KeyboardInterrupt\nsignal.signal(signal.SIGTERM, end)\n"
+    "try:\n    with Occupied(*sys.argv[1:]):\n        print('held', flush=True)\n        signal.pause()\n"
+    "except RigError as error:\n    print(error, flush=True)\nexcept KeyboardInterrupt:\n    print('ended', "
+    "flush=True)\n"
+)
+STOP = (
+    "import sys\nfrom rig.driving.clock import SystemClock\nfrom rig.driving.controller_lock import stop_lock_holder\n"
+    "from rig.errors import RigError\n"
+    "try:\n    print(stop_lock_holder(sys.argv[1], SystemClock(), 5.0), flush=True)\nexcept RigError as "
+    "error:\n    print(error, flush=True)\n"
+)
+ENVIRONMENTS = (
+    {"XDG_RUNTIME_DIR": "/tmp"},
+    {},
+    {"XDG_RUNTIME_DIR": "/nowhere", "HOME": "/nowhere", "TMPDIR": "/nowhere"},
+)
 NOBODY = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", "--inh-caps=-all"]
 
 
@@ -40,7 +50,9 @@ def device():
 
 def python(code, *words, env=None, before=()):
     whole = {"PYTHONPATH": str(ROOT), **(env or {})}
-    return subprocess.Popen([*before, sys.executable, "-c", code, *words], stdout=subprocess.PIPE, text=True, env=whole, cwd="/")
+    return subprocess.Popen(
+        [*before, sys.executable, "-c", code, *words], stdout=subprocess.PIPE, text=True, env=whole, cwd="/"
+    )
 
 
 def one_is_refused_and_stopped(device, link, *, users=((), (), ())):
@@ -53,7 +65,9 @@ def one_is_refused_and_stopped(device, link, *, users=((), (), ())):
     assert first.communicate()[0] == "ended\n"
 
 
-def test_a_second_process_is_refused_whatever_its_environment_and_the_first_is_stopped_from_a_bare_one(device, tmp_path):
+def test_a_second_process_is_refused_whatever_its_environment_and_the_first_is_stopped_from_a_bare_one(
+    device, tmp_path
+):
     (tmp_path / "link").symlink_to(device)
     one_is_refused_and_stopped(device, tmp_path / "link")
 
@@ -69,7 +83,10 @@ def test_a_hundred_times_of_a_hundred(device, tmp_path):
 @pytest.mark.parametrize("users", [((), NOBODY, NOBODY), (NOBODY, (), ())])
 def test_users_are_refused_and_stopped_by_each_other(device, users):
     if subprocess.run(
-        [*NOBODY, sys.executable, "-c", "import rig.driving.controller_lock"], capture_output=True, cwd="/", env={"PYTHONPATH": str(ROOT)}
+        [*NOBODY, sys.executable, "-c", "import rig.driving.controller_lock"],
+        capture_output=True,
+        cwd="/",
+        env={"PYTHONPATH": str(ROOT)},
     ).returncode:
         pytest.skip("this Python is out of other users' reach")
     one_is_refused_and_stopped(device, device, users=users)
@@ -137,8 +154,19 @@ def test_an_open_device_is_locked_for_others_and_free_again(device, monkeypatch)
     os.close(other)
 
 
-@pytest.mark.parametrize("url", ["spy:///dev/null?file={}", "SPY://loop://?file={}", "alt:///dev/null?class=PosixPollSerial", "hwgrep://.*",
-                                 "cp2110://x", "file://{}", "://{}", "loop://\x1b[2J"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "spy:///dev/null?file={}",
+        "SPY://loop://?file={}",
+        "alt:///dev/null?class=PosixPollSerial",
+        "hwgrep://.*",
+        "cp2110://x",
+        "file://{}",
+        "://{}",
+        "loop://\x1b[2J",
+    ],
+)
 def test_a_port_of_another_scheme_is_refused_and_writes_nothing(url, tmp_path):
     kept = tmp_path / "kept"
     kept.write_text("kept")
@@ -148,6 +176,16 @@ def test_a_port_of_another_scheme_is_refused_and_writes_nothing(url, tmp_path):
     assert kept.read_text() == "kept"
 
 
-@pytest.mark.parametrize("url", ["/dev/ttyUSB0", "COM3", "/dev/serial/by-id/usb-1a86", "socket://grbl.local:23", "rfc2217://10.0.0.2:4000", "loop://"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "/dev/ttyUSB0",
+        "COM3",
+        "/dev/serial/by-id/usb-1a86",
+        "socket://grbl.local:23",
+        "rfc2217://10.0.0.2:4000",
+        "loop://",
+    ],
+)
 def test_ports_are_what_they_were(url):
     assert port_problem(url) is None

@@ -1,4 +1,6 @@
-"""The driver against emulators of every protocol: what it refuses, what it recovers, what it stops at, and that nothing runs twice."""
+"""The driver against emulators of every protocol: what it refuses, what it recovers, what it stops at, and that nothing
+runs twice.
+"""
 
 from dataclasses import replace
 
@@ -13,9 +15,25 @@ from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Sta
 from tests.rig.driven import STEP, order, truly
 from tests.rig.judge import bench, judged
 
-RECOVERED = ("lost-ok", "two-ok", "resend", "resend-moving", "late", "half-line", "garbage", "early-stop", "unplug", "buffer-128")
-STOPPED = {"runs-after-error": ControllerFault, "reset-ignored": ControllerFault, "done-in-error": ControllerFault, "stall": Stalled,
-           "restart": (PositionLost, ControllerFault)}
+RECOVERED = (
+    "lost-ok",
+    "two-ok",
+    "resend",
+    "resend-moving",
+    "late",
+    "half-line",
+    "garbage",
+    "early-stop",
+    "unplug",
+    "buffer-128",
+)
+STOPPED = {
+    "runs-after-error": ControllerFault,
+    "reset-ignored": ControllerFault,
+    "done-in-error": ControllerFault,
+    "stall": Stalled,
+    "restart": (PositionLost, ControllerFault),
+}
 OTHERWISE = ("ok-after-error", "stale-alarm", "homes-on", "drift", "buffer-64")
 
 
@@ -41,7 +59,9 @@ def test_struts_start_and_arrive_together_at_no_more_than_their_speeds(ready):
     share = (lengths - home) / (4 * STEP)
     np.testing.assert_allclose(share, np.broadcast_to(share[:, :1], share.shape), atol=1e-3)
     speed = np.abs(np.diff(lengths, axis=0)) / np.diff(t)[:, None]
-    assert (speed.max(axis=0) <= driver.controller.max_speed * 1.001).all() and speed.max() > 0.9 * driver.controller.max_speed.max()
+    assert (
+        speed.max(axis=0) <= driver.controller.max_speed * 1.001
+    ).all() and speed.max() > 0.9 * driver.controller.max_speed.max()
 
 
 @pytest.mark.parametrize("kind", [kind for kind in RECOVERED if kind not in ALWAYS])
@@ -72,7 +92,9 @@ def test_an_error_is_believed_whatever_is_acknowledged_after_it(ready):
     order(emulator, "ok-after-error")
     try:
         driver.move(home + STEP)
-        assert len(emulator.machine.executed) == 1  # a frame that came broken is sent again, once it is seen that nothing moved
+        assert (
+            len(emulator.machine.executed) == 1
+        )  # a frame that came broken is sent again, once it is seen that nothing moved
     except ControllerFault as error:
         assert "refused" in str(error) and not emulator.machine.executed
     driver.move(home + STEP / 2)
@@ -157,7 +179,9 @@ def test_a_position_in_alarm_is_not_believed_though_nothing_can_home(driven_desi
     driver, emulator, clock = bench(driven_design, "grblhal", (), 1, homing=False)
     emulator.alarm = 3
     assert not driver.open().known
-    with pytest.raises(ControllerFault, match="alarm .* --unlock"):  # and not first that its position is lost, which nothing mends in an alarm
+    with pytest.raises(
+        ControllerFault, match="alarm .* --unlock"
+    ):  # and not first that its position is lost, which nothing mends in an alarm
         driver.move(home_lengths(driven_design.mechanism))
     driver.unlock()
     with pytest.raises(PositionLost, match="--trust"):
@@ -182,15 +206,36 @@ def test_a_rig_without_a_controller_cannot_be_driven(design):
 def test_many_moves_with_every_fault_among_them(driven_design, protocol):
     verdicts = judged(driven_design, protocol, ["all:0.6"], 40, seed=3)
     assert len(verdicts.struck) >= 10 and verdicts.done > 15
-    assert (verdicts.twice, verdicts.unacknowledged, verdicts.hangs, verdicts.reasonless, verdicts.unsafe) == (0, 0, 0, 0, 0), verdicts
+    assert (verdicts.twice, verdicts.unacknowledged, verdicts.hangs, verdicts.reasonless, verdicts.unsafe) == (
+        0,
+        0,
+        0,
+        0,
+        0,
+    ), verdicts
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("buffer", [[], ["buffer-128"]], ids=["", "buffer-128"])
 def test_ten_thousand_moves_with_faults_at_one_in_twenty(driven_design, protocol, buffer):
-    seldom = {"homes-on:0.05", "stale-alarm:0.3"} if protocol == "grblhal" else {"homes-on:0.05"}  # homing and resets are far fewer than moves
-    verdicts = judged(driven_design, protocol, ["all:0.05", *sorted(seldom), *buffer], 10_000, seed=4, max_speed=np.full(6, 0.1),
-                      max_acceleration=np.full(6, 5.0))
+    seldom = (
+        {"homes-on:0.05", "stale-alarm:0.3"} if protocol == "grblhal" else {"homes-on:0.05"}
+    )  # homing and resets are far fewer than moves
+    verdicts = judged(
+        driven_design,
+        protocol,
+        ["all:0.05", *sorted(seldom), *buffer],
+        10_000,
+        seed=4,
+        max_speed=np.full(6, 0.1),
+        max_acceleration=np.full(6, 5.0),
+    )
     never = {*KINDS} - {*verdicts.struck, *ALWAYS}
     assert never <= ({"stale-alarm"} if protocol == "struts" else set()) and verdicts.done > 9_000, never
-    assert (verdicts.twice, verdicts.unacknowledged, verdicts.hangs, verdicts.reasonless, verdicts.unsafe) == (0, 0, 0, 0, 0), verdicts
+    assert (verdicts.twice, verdicts.unacknowledged, verdicts.hangs, verdicts.reasonless, verdicts.unsafe) == (
+        0,
+        0,
+        0,
+        0,
+        0,
+    ), verdicts

@@ -1,4 +1,6 @@
-"""The driver stops what moves: interrupted, asked by another thread or process, at a homing that fails, at a line that is cut."""
+"""The driver stops what moves: interrupted, asked by another thread or process, at a homing that fails, at a line that
+is cut.
+"""
 
 import threading
 from dataclasses import replace
@@ -155,8 +157,13 @@ def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monke
     from rig.driving.serial_port import find_port
 
     driver, emulator, clock = bench(driven_design, "struts", (), 1)
-    opened, here = [], lambda name: [SimpleNamespace(device=name, serial_number="A9", hwid="USB VID:PID=2341:0042 SER=A9 LOCATION=1-2"),
-                                     SimpleNamespace(device="/dev/ttyS0", serial_number=None, hwid="n/a")]
+    opened, here = (
+        [],
+        lambda name: [
+            SimpleNamespace(device=name, serial_number="A9", hwid="USB VID:PID=2341:0042 SER=A9 LOCATION=1-2"),
+            SimpleNamespace(device="/dev/ttyS0", serial_number=None, hwid="n/a"),
+        ],
+    )
 
     def opener():
         name = f"/dev/ttyACM{emulator.replugged}" if emulator.plugged else "/dev/none"
@@ -169,7 +176,9 @@ def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monke
     driver.home()
     order(emulator, "unplug")
     driver.move(home_lengths(driven_design.mechanism) + STEP)
-    assert opened[0] == "/dev/ttyACM0" and opened[-1] == "/dev/ttyACM1" and find_port("x", "2341:0042") == "/dev/ttyACM1"
+    assert (
+        opened[0] == "/dev/ttyACM0" and opened[-1] == "/dev/ttyACM1" and find_port("x", "2341:0042") == "/dev/ttyACM1"
+    )
     with pytest.raises(LinkLost, match="0 ports answer"):
         find_port("/dev/ttyACM0", "B7")
 

@@ -1,4 +1,6 @@
-"""The operator's loop: what it leaves is a recording; killed at any instant it goes on from where the struts stand, and no move is repeated."""
+"""The operator's loop: what it leaves is a recording; killed at any instant it goes on from where the struts stand, and
+no move is repeated.
+"""
 
 import numpy as np
 import pytest
@@ -38,7 +40,12 @@ def test_a_run_is_a_recording_as_any_other(rig, tmp_path):
         middle, early = (found.commands.at(departure.t + s * (arrival.t - departure.t)) for s in (0.5, 0.05))
         np.testing.assert_allclose(middle, (np.array(departure.start) + departure.goal) / 2, atol=1e-6)
         assert np.abs(early - departure.start).max() < 0.05 * way
-    assert len(moves) == len(room.planned) and isinstance(rows[-1], Ended) and rows[-1].reason == "" and len(room.onlooker.shots) == 5
+    assert (
+        len(moves) == len(room.planned)
+        and isinstance(rows[-1], Ended)
+        and rows[-1].reason == ""
+        and len(room.onlooker.shots) == 5
+    )
 
 
 def test_it_can_be_read_while_it_grows(rig, tmp_path):
@@ -80,7 +87,9 @@ def test_killed_at_every_instant_it_goes_on_and_repeats_no_move(rig, tmp_path, h
         rows = read_journal(folder / "journal.jsonl")[0]
         assert all(row in rows for row in room.reported), "a row that was reported is there"
         broken = half and len(room.struts.visits) == len(room.planned) + 1  # it was begun, and stopped half way
-        assert len(room.struts.visits) == len(room.planned) or broken, "no goal is gone to twice, unless the struts were found half way"
+        assert len(room.struts.visits) == len(room.planned) or broken, (
+            "no goal is gone to twice, unless the struts were found half way"
+        )
         assert ("broken off" in next(row for row in rows if isinstance(row, Resumed)).found) == broken
         found = recording_folder.load(folder)
         exposed = [k for k, step in enumerate(room.planned) for _ in range(step.frames)]
@@ -102,7 +111,10 @@ def test_what_stands_elsewhere_is_said_and_gone_back_to(rig, tmp_path):
     room.struts.at += 2e-3
     room.process()
     rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
-    assert "2.000 mm from where they were left: somebody moved them" in next(row for row in rows if isinstance(row, Resumed)).found
+    assert (
+        "2.000 mm from where they were left: somebody moved them"
+        in next(row for row in rows if isinstance(row, Resumed)).found
+    )
     recording_folder.load(tmp_path / "rec")
 
 
@@ -161,7 +173,11 @@ def test_who_looks_on_can_stop_it_and_it_goes_on_later(rig, tmp_path):
 
 
 def test_a_plan_that_moves_while_exposing_or_loads_the_platform_is_refused(rig):
-    for text, why in (("moving:5", "while the struts move"), ("zigzag:5", "while the struts move"), ("payload:3", "payload")):
+    for text, why in (
+        ("moving:5", "while the struts move"),
+        ("zigzag:5", "while the struts move"),
+        ("payload:3", "payload"),
+    ):
         with pytest.raises(RigError, match=why):
             steps_of_plan(build_plan(rig, text))
 

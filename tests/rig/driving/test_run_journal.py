@@ -1,16 +1,36 @@
-"""The journal: what was appended is there, a torn end is recognised at every byte, damage is named, and one process writes."""
+"""The journal: what was appended is there, a torn end is recognised at every byte, damage is named, and one process
+writes.
+"""
 
 import os
 
 import pytest
 
-from rig.driving.run_journal import Arrival, Began, Departure, Ended, Exposed, Journal, Readings, Remark, Resumed, journal_line, read_journal
+from rig.driving.run_journal import (
+    Arrival,
+    Began,
+    Departure,
+    Ended,
+    Exposed,
+    Journal,
+    Readings,
+    Remark,
+    Resumed,
+    journal_line,
+    read_journal,
+)
 from rig.errors import FileError, RigError
 
-ROWS = [Began(0.0, 1.7e9, 2, "ab", (0.4,) * 6), Departure(1.0, 0, (0.4,) * 6, (0.41,) * 6),
-        Arrival(2.5, 0, (0.41,) * 6, True, ((1.2, 0.1), (2.2, 0.9))), Exposed(3.0, 0, 0, (1e-3, 2e-3), ("cam0", "cam1"), ("a.png", "b.png")),
-        Readings(3.0, ("ambient_temperature_C",), (20.5,)), Remark(3.1, 'covered: "3", größer'), Resumed(9.0, (0.41,) * 6, "at its goal"),
-        Ended(9.5, "")]
+ROWS = [
+    Began(0.0, 1.7e9, 2, "ab", (0.4,) * 6),
+    Departure(1.0, 0, (0.4,) * 6, (0.41,) * 6),
+    Arrival(2.5, 0, (0.41,) * 6, True, ((1.2, 0.1), (2.2, 0.9))),
+    Exposed(3.0, 0, 0, (1e-3, 2e-3), ("cam0", "cam1"), ("a.png", "b.png")),
+    Readings(3.0, ("ambient_temperature_C",), (20.5,)),
+    Remark(3.1, 'covered: "3", größer'),
+    Resumed(9.0, (0.41,) * 6, "at its goal"),
+    Ended(9.5, ""),
+]
 
 
 def write(path, rows):
@@ -30,7 +50,12 @@ def test_a_file_cut_off_anywhere_keeps_every_whole_row(tmp_path):
     write(path, ROWS)
     data = path.read_bytes()
     ends = [k + 1 for k, byte in enumerate(data) if byte == ord("\n")]
-    for size in sorted({*range(0, len(data) + 1, 13), *(end + k for end in [0, *ends] for k in (-1, 0, 1) if 0 <= end + k <= len(data))}):
+    for size in sorted(
+        {
+            *range(0, len(data) + 1, 13),
+            *(end + k for end in [0, *ends] for k in (-1, 0, 1) if 0 <= end + k <= len(data)),
+        }
+    ):
         path.write_bytes(data[:size])
         whole = sum(end <= size for end in ends)
         with Journal(path) as journal:

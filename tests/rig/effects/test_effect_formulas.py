@@ -51,7 +51,12 @@ def test_cyclic_error_by_hand(design, home):
 
 def test_transmission_error_by_hand(design, home):
     low, high = design.mechanism.strut_range[2]
-    found = moved(design, out_and_back(home, (low + high) / 2 - home[2]), [1], parse_effect("transmission_error:strut3:profile=0/3e-5/0"))
+    found = moved(
+        design,
+        out_and_back(home, (low + high) / 2 - home[2]),
+        [1],
+        parse_effect("transmission_error:strut3:profile=0/3e-5/0"),
+    )
     assert found[0, 2] == pytest.approx(3e-5, abs=1e-12)
 
 
@@ -64,7 +69,9 @@ def test_backlash_by_hand(design, home):
 
 def test_hysteresis_by_hand(design, home):
     found = moved(design, out_and_back(home, 0.02), [1, 2], parse_effect("hysteresis:strut3:range=4e-3,weight=1e-2"))
-    np.testing.assert_allclose(found[:, 2], [-2e-5, 2e-5], rtol=1e-9)  # weight x half the range, on the mean of the plays
+    np.testing.assert_allclose(
+        found[:, 2], [-2e-5, 2e-5], rtol=1e-9
+    )  # weight x half the range, on the mean of the plays
 
 
 def test_missed_steps_by_hand(design, home):
@@ -76,7 +83,9 @@ def test_servo_lag_by_hand(design, home):
     values = np.tile(home, (2, 1))
     values[1, 2] += 0.01  # 10 mm/s
     commands = Commands(np.array([0.0, 1.0]), values)
-    motion = motion_simulation.motion_of_commands(design, commands, np.array([0.5]), [parse_effect("servo_lag:strut3:time_constant=0.02")])
+    motion = motion_simulation.motion_of_commands(
+        design, commands, np.array([0.5]), [parse_effect("servo_lag:strut3:time_constant=0.02")]
+    )
     assert motion.lengths[0, 2] - home[2] == pytest.approx(0.005 - 0.01 * 0.02, rel=1e-9)
     assert motion.lengths[0, 1] == home[1]
 
@@ -109,7 +118,9 @@ def test_warm_up_by_hand(design, home):
 
 def test_screw_coupling_by_hand(design):
     """Turned by psi about upright struts, every platform-side cardan turns by psi against its base."""
-    upright = replace(design.mechanism, platform_joints=design.mechanism.base_joints, home=pose([0, 0, 0.45], [0, 0, 0]))
+    upright = replace(
+        design.mechanism, platform_joints=design.mechanism.base_joints, home=pose([0, 0, 0.45], [0, 0, 0])
+    )
     psi = 0.01
     np.testing.assert_allclose(cardan_twist(pose([0, 0, 0.45], [0, 0, psi]), upright), psi, rtol=2e-3)
     T = design.mechanism.home * exp(np.array([0, 0, 0, 0, 0, psi]))
@@ -139,14 +150,18 @@ def test_joint_clearance_by_hand(design, home):
     found = moved(loaded(design), np.tile(home, (2, 1)), [1], parse_effect("joint_clearance:strut3:gap=3e-5"))
     np.testing.assert_allclose(found[0], [0, 0, -1.5e-5, 0, 0, 0], atol=1e-15)  # a strut that pushes
     pulled = replace(loaded(design), gravity=np.array([0, 0, 9.80665]))
-    assert moved(pulled, np.tile(home, (2, 1)), [1], parse_effect("joint_clearance:strut3:gap=3e-5"))[0, 2] == pytest.approx(1.5e-5)
+    assert moved(pulled, np.tile(home, (2, 1)), [1], parse_effect("joint_clearance:strut3:gap=3e-5"))[
+        0, 2
+    ] == pytest.approx(1.5e-5)
 
 
 def test_base_expansion_by_hand(design, home):
     warm = Sensors(np.array([0.0, 9.0]), {"ambient_temperature_C": np.full(2, 22.0)})
     m = design.mechanism
     commands = Commands(np.array([0.0, 1.0]), np.tile(home, (2, 1)))
-    T = motion_simulation.run_machine(design, commands, np.array([1.0]), [parse_effect("base_expansion:rig:coefficient=5e-5")], warm).T_base_platform
+    T = motion_simulation.run_machine(
+        design, commands, np.array([1.0]), [parse_effect("base_expansion:rig:coefficient=5e-5")], warm
+    ).T_base_platform
     grown = replace(m, base_joints=m.base_joints * (1 + 5e-5 * 2))
     np.testing.assert_allclose(pose_difference(T[0], hexapod.forward(home, grown)), 0, atol=1e-11)
 
@@ -165,7 +180,10 @@ def test_the_clocks_by_hand(design, home):
     commands = Commands(np.array([0.0, 100.0]), values)
 
     def at(text):
-        return motion_simulation.motion_of_commands(design, commands, np.array([50.0]), [parse_effect(text)]).lengths[0, 2] - home[2]
+        return (
+            motion_simulation.motion_of_commands(design, commands, np.array([50.0]), [parse_effect(text)]).lengths[0, 2]
+            - home[2]
+        )
 
     assert at("time_offset:clock:offset=0.02") == pytest.approx(1e-4 * 50.02)
     assert at("time_offset:clock:offset=0.02,since=60") == pytest.approx(1e-4 * 50.0)  # a clock that has not jumped yet
@@ -174,10 +192,14 @@ def test_the_clocks_by_hand(design, home):
 
 @pytest.fixture
 def looking(design):
-    """One camera that looks straight at one marker of side 0.1 m, one metre ahead: f = 1000 px, middle (639.5, 511.5)."""
+    """One camera that looks straight at one marker of side 0.1 m, one metre ahead: f = 1000 px, middle (639.5,
+    511.5).
+    """
     from rig.model.design import Marker, Target
 
-    camera = Camera("cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
+    camera = Camera(
+        "cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity()
+    )
     ahead = pose([0, 0, 1.0], [np.pi, 0, 0])  # facing the camera, its top to the image's top
     one, two = (Marker(k, 0.1, ahead * pose([0.3 * k, 0, 0], [0, 0, 0]), 0.01) for k in range(2))
     rig = replace(design, cameras=(camera,), targets=(Target("t", "base", "DICT_5X5_100", listed=(one, two)),))
@@ -193,17 +215,20 @@ def looking(design):
     return look
 
 
-@pytest.mark.parametrize("text, corner", [
-    ("print_scale:markers:scale=0.01", [-50.5, -50.5]),
-    ("edge_bias:cameras:bias=0.5", [-49.5, -49.5]),
-    ("face_misplacement:0:offset=0.001/0.002/0", [-49, -52]),
-    ("cube_misplacement:t:motion=0.001/0.002/0/0/0/0", [-49, -48]),
-    ("marker_swap:0:turn=1", [-50, 50]),
-    ("marker_swap:0:other=1", [250, -50]),
-    ("lens_distortion:cam1:terms=0.1/0/0/0/0/0/0/0/0/0/0/0", [-50 * (1 + 0.1 * 0.005)] * 2),
-    ("camera_bump:cam1:motion=0.001/0/0/0/0/0,time=-1", [-51, -50]),
-    ("refraction:cam1:thickness=0.01", [-50 / (1 - 0.01 * (1 - 1 / 1.5))] * 2),
-])
+@pytest.mark.parametrize(
+    "text, corner",
+    [
+        ("print_scale:markers:scale=0.01", [-50.5, -50.5]),
+        ("edge_bias:cameras:bias=0.5", [-49.5, -49.5]),
+        ("face_misplacement:0:offset=0.001/0.002/0", [-49, -52]),
+        ("cube_misplacement:t:motion=0.001/0.002/0/0/0/0", [-49, -48]),
+        ("marker_swap:0:turn=1", [-50, 50]),
+        ("marker_swap:0:other=1", [250, -50]),
+        ("lens_distortion:cam1:terms=0.1/0/0/0/0/0/0/0/0/0/0/0", [-50 * (1 + 0.1 * 0.005)] * 2),
+        ("camera_bump:cam1:motion=0.001/0/0/0/0/0,time=-1", [-51, -50]),
+        ("refraction:cam1:thickness=0.01", [-50 / (1 - 0.01 * (1 - 1 / 1.5))] * 2),
+    ],
+)
 def test_what_cameras_see_by_hand(looking, text, corner):
     np.testing.assert_allclose(looking(text)[0, 0], corner, rtol=2e-5)
 
@@ -214,27 +239,39 @@ def test_a_tilted_window_is_a_square_one_seen_from_aside():
     points, turn = np.r_[0, 0, 1.0] + 0.2 * rng.normal(size=(40, 3)), Rotation.from_rotvec([0.3, -0.4, 0.1])
     square, normal = parse_effect("refraction:cam1:thickness=0.01"), turn.apply([0, 0, 1.0])
     tilted = parse_effect(f"refraction:cam1:thickness=0.01,normal={normal[0]}/{normal[1]}/{normal[2]}")
-    camera = Camera("cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
-    np.testing.assert_allclose(tilted.bend(camera, turn.apply(points)), turn.apply(square.bend(camera, points)), atol=1e-14)
+    camera = Camera(
+        "cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity()
+    )
+    np.testing.assert_allclose(
+        tilted.bend(camera, turn.apply(points)), turn.apply(square.bend(camera, points)), atol=1e-14
+    )
     assert np.abs(tilted.bend(camera, points) - square.bend(camera, points)).max() > 1e-4
     with pytest.raises(RigError, match="away from the camera"):
         parse_effect("refraction:cam1:thickness=0.01,normal=1/0/0.1")
 
 
 def test_a_slab_shifts_a_ray_as_snell_says():
-    """At 45 degrees a plate of 10 mm and index 1.5 shifts a ray sideways by t sin(a - b) / cos b, b the angle inside."""
-    camera = Camera("cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
+    """At 45 degrees a plate of 10 mm and index 1.5 shifts a ray sideways by t sin(a - b) / cos b, b the angle
+    inside.
+    """
+    camera = Camera(
+        "cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity()
+    )
     a, b = np.pi / 4, np.arcsin(np.sin(np.pi / 4) / 1.5)
     shift = 0.01 * np.sin(a - b) / np.cos(b)
     window = parse_effect("refraction:cam1:thickness=0.01,normal=0.7071067811865476/0/0.7071067811865476")
-    seen = window.bend(camera, np.array([[shift, 0.0, 1.0]]))[0]  # its ray leaves the camera along the axis and bends towards the normal
+    seen = window.bend(camera, np.array([[shift, 0.0, 1.0]]))[
+        0
+    ]  # its ray leaves the camera along the axis and bends towards the normal
     np.testing.assert_allclose(seen[:2] / seen[2], 0, atol=1e-12)
 
 
 def test_camera_drift_and_focal_drift_by_hand(looking):
     drift = looking("camera_drift:cam1:motion=0.001/0/0/0/0/0,time_constant=100", t=(0.0, 100.0, 1e5))
     np.testing.assert_allclose(drift[:, 0, 0], [-50, -50 - (1 - 1 / np.e), -51], rtol=1e-9)
-    assert looking("camera_bump:cam1:motion=0.001/0/0/0/0/0,time=50", t=(49.0, 51.0))[:, 0, 0].tolist() == pytest.approx([-50, -51])
+    assert looking("camera_bump:cam1:motion=0.001/0/0/0/0/0,time=50", t=(49.0, 51.0))[
+        :, 0, 0
+    ].tolist() == pytest.approx([-50, -51])
     assert looking("focal_drift:cameras:per_kelvin=1e-3", ambient_temperature_C=22.0)[0, 0, 0] == pytest.approx(-50.1)
     own = looking("focal_drift:cam1:per_kelvin=1e-3", ambient_temperature_C=22.0, camera_cam1_temperature_C=30.0)
     assert own[0, 0, 0] == pytest.approx(-50.5)
@@ -256,7 +293,9 @@ def test_rolling_shutter_by_hand(setting):
     for j, seconds in zip(k, late):
         then = motion_simulation.run_machine(design, commands, np.array([t[found.frame[j]] + seconds])).T_base_platform
         one = type(found)(np.array([0]), found.camera[[j]], found.marker[[j]])
-        np.testing.assert_allclose(predict_sightings(one, State(design.cameras, then, {}), markers)[0, 0], uv[j, 0], atol=0.02)
+        np.testing.assert_allclose(
+            predict_sightings(one, State(design.cameras, then, {}), markers)[0, 0], uv[j, 0], atol=0.02
+        )
     plain = predict_sightings(found, state, markers)
     assert np.abs(uv - plain).max() > 0.1
 
@@ -265,4 +304,6 @@ def test_play_and_lag_by_hand():
     path = np.array([[0.0], [1.0], [0.9], [0.2], [0.5]])
     np.testing.assert_allclose(play_operator(path, 0.1)[:, 0], [0, 0.9, 0.9, 0.3, 0.4])
     t = np.array([0.0, 1.0, 3.0])
-    np.testing.assert_allclose(first_order_lag(t, np.array([[0.0], [1.0], [1.0]]), 1.0)[:, 0], [0, 1 / np.e, 1 - (1 - 1 / np.e) / np.e**2])
+    np.testing.assert_allclose(
+        first_order_lag(t, np.array([[0.0], [1.0], [1.0]]), 1.0)[:, 0], [0, 1 / np.e, 1 - (1 - 1 / np.e) / np.e**2]
+    )

@@ -1,4 +1,6 @@
-"""Effects, places and plans named from outside: what the rig does not have is refused with the nearest that it has; counts are bounded."""
+"""Effects, places and plans named from outside: what the rig does not have is refused with the nearest that it has;
+counts are bounded.
+"""
 
 import time
 from dataclasses import replace
@@ -12,12 +14,18 @@ from rig.model.design import Planar2
 from rig.planning import plan
 
 
-@pytest.mark.parametrize(("text", "says"), [
-    ("backlash:strut9:gap=1e-5", "this rig has no strut '9'.*it has 1, 2, 3, 4, 5, 6"), ("backlash:joint1:gap=1e-5", "has no joint '1'"),
-    ("camera_bump:nosuch:motion=1e-4/0/0/0/0/0", "has no camera 'nosuch'"), ("camera_drift:cam11:motion=1e-4/0/0/0/0/0", "is 'cam1' meant"),
-    ("face_misplacement:999:offset=1e-4/0/0", "has no marker '999'"), ("cube_misplacement:PX:motion=1e-4/0/0/0/0/0", "has no target 'PX'"),
-    ("marker_swap:8:other=999", "has no marker '999'"),
-])
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("backlash:strut9:gap=1e-5", "this rig has no strut '9'.*it has 1, 2, 3, 4, 5, 6"),
+        ("backlash:joint1:gap=1e-5", "has no joint '1'"),
+        ("camera_bump:nosuch:motion=1e-4/0/0/0/0/0", "has no camera 'nosuch'"),
+        ("camera_drift:cam11:motion=1e-4/0/0/0/0/0", "is 'cam1' meant"),
+        ("face_misplacement:999:offset=1e-4/0/0", "has no marker '999'"),
+        ("cube_misplacement:PX:motion=1e-4/0/0/0/0/0", "has no target 'PX'"),
+        ("marker_swap:8:other=999", "has no marker '999'"),
+    ],
+)
 def test_places_that_the_rig_lacks_are_refused(design, text, says):
     with pytest.raises(RigError, match=says):
         require_place(parse_effect(text), design)
@@ -30,31 +38,57 @@ def test_a_planar_rig_has_two_struts(design):
         require_place(parse_effect("backlash:strut3:gap=1e-5"), planar)
 
 
-@pytest.mark.parametrize(("text", "says"), [
-    ("backlsh", "is 'backlash' meant"), ("backlash strut 9", "no strut '9'"), ("marker_swap strut 8", "cannot sit at 'strut 8'"),
-    ("backlash camera cam0", "cannot sit"), ("camera_bump camera cam9", "no camera 'cam9'"),
-])
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("backlsh", "is 'backlash' meant"),
+        ("backlash strut 9", "no strut '9'"),
+        ("marker_swap strut 8", "cannot sit at 'strut 8'"),
+        ("backlash camera cam0", "cannot sit"),
+        ("camera_bump camera cam9", "no camera 'cam9'"),
+    ],
+)
 def test_a_diagnosis_is_asked_only_for_what_can_be(design, text, says):
     assert require_known_effect("backlash strut 2", design) and require_known_effect("marker_swap", design)
     with pytest.raises(RigError, match=says):
         require_known_effect(text, design)
 
 
-@pytest.mark.parametrize("tree", [
-    0, [], {}, {"effect": "backlash", "place": 0, "parameters": {}}, {"effect": ["backlash"], "place": "strut 1", "parameters": {}},
-    {"effect": "backlash", "place": "strut \u00b2", "parameters": {}}, {"effect": "backlash", "place": "strut 1", "parameters": {"gap": 10**400}},
-    {"effect": "backlash", "place": "strut 1", "parameters": {"gap": True}}, {"effect": "backlash", "place": "strut 1", "parameters": {"gip": 1e-5}},
-    {"effect": "camera_bump", "place": "camera a", "parameters": {"motion": [[1]] * 6}}, {"effect": "lens_distortion", "place": "camera a",
-                                                                                         "parameters": {"warp": [0.1]}},
-    {"effect": "transmission_error", "place": "strut 1", "parameters": {"profile": [1e-5]}},
-])
+@pytest.mark.parametrize(
+    "tree",
+    [
+        0,
+        [],
+        {},
+        {"effect": "backlash", "place": 0, "parameters": {}},
+        {"effect": ["backlash"], "place": "strut 1", "parameters": {}},
+        {"effect": "backlash", "place": "strut \u00b2", "parameters": {}},
+        {"effect": "backlash", "place": "strut 1", "parameters": {"gap": 10**400}},
+        {"effect": "backlash", "place": "strut 1", "parameters": {"gap": True}},
+        {"effect": "backlash", "place": "strut 1", "parameters": {"gip": 1e-5}},
+        {"effect": "camera_bump", "place": "camera a", "parameters": {"motion": [[1]] * 6}},
+        {"effect": "lens_distortion", "place": "camera a", "parameters": {"warp": [0.1]}},
+        {"effect": "transmission_error", "place": "strut 1", "parameters": {"profile": [1e-5]}},
+    ],
+)
 def test_what_is_no_effect_is_refused(tree):
     with pytest.raises(RigError):
         effect_from_dict(tree)
 
 
-@pytest.mark.parametrize("text", ["grid:30", "sobol:10000000", "ladder:99999999", "sobol:\u00b2", "sobol:" + "9" * 5000, "sobol:00000000000009999999",
-                                  ",".join(["sobol:19000"] * 2), "simplices:100000"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "grid:30",
+        "sobol:10000000",
+        "ladder:99999999",
+        "sobol:\u00b2",
+        "sobol:" + "9" * 5000,
+        "sobol:00000000000009999999",
+        ",".join(["sobol:19000"] * 2),
+        "simplices:100000",
+    ],
+)
 def test_plans_are_bounded_with_a_word(design, text):
     start = time.monotonic()
     with pytest.raises(RigError, match="exposes|whole number"):

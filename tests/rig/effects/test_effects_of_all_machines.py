@@ -1,4 +1,6 @@
-"""The laws of effects over all mechanisms: what sits there changes nothing at zero, something finite when drawn; what cannot, says why."""
+"""The laws of effects over all mechanisms: what sits there changes nothing at zero, something finite when drawn; what
+cannot, says why.
+"""
 
 from dataclasses import replace
 
@@ -21,7 +23,10 @@ from tests.rig.arms import UR10
 
 KINDS = ("hexapod", "planar2", "arm")
 MOVING = [kind for kind in ALL if kind.stage in MOTION_STAGES]
-ALONE = {"screw_coupling": {"hexapod"}, "base_expansion": {"hexapod", "planar2"}}  # where not all mechanisms can have them
+ALONE = {
+    "screw_coupling": {"hexapod"},
+    "base_expansion": {"hexapod", "planar2"},
+}  # where not all mechanisms can have them
 
 
 def setting_of(design, kind):
@@ -46,7 +51,9 @@ def setting_of(design, kind):
 def context_of(setting):
     design, commands, t, sensors = setting
     T = motion_simulation.run_machine(design, commands, t).T_base_platform
-    return Context(design, t, sensors, replace(motion_simulation.motion_of_commands(design, commands, t, (), sensors), T=T))
+    return Context(
+        design, t, sensors, replace(motion_simulation.motion_of_commands(design, commands, t, (), sensors), T=T)
+    )
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -77,20 +84,28 @@ def test_zero_changes_nothing_and_a_drawn_one_something(there, kind):
     for place in kind.sites(context)[-2:]:
         zero = motion_simulation.run_machine(design, commands, t, [_other(check_effect(kind(place)), context)], sensors)
         np.testing.assert_allclose(pose_difference(zero.T_base_platform, clean), 0, atol=1e-9)
-        found = motion_simulation.run_machine(design, commands, t, [check_effect(kind.drawn(place, drawing, rng))], sensors)
+        found = motion_simulation.run_machine(
+            design, commands, t, [check_effect(kind.drawn(place, drawing, rng))], sensors
+        )
         moved = np.abs(pose_difference(found.T_base_platform, clean))
         assert moved.shape == (60, 6) and np.isfinite(moved).all() and 1e-9 < moved.max() < 0.5
 
 
 def _other(effect, context):
-    return replace(effect, other=2.0) if effect.place == context.motion.places[0] and hasattr(effect, "other") else effect
+    return (
+        replace(effect, other=2.0) if effect.place == context.motion.places[0] and hasattr(effect, "other") else effect
+    )
 
 
 @pytest.mark.parametrize("kind", MOVING, ids=lambda kind: kind.name)
 def test_columns_are_the_derivatives_of_the_model(there, kind):
     """A candidate's columns times its coefficients are what its effect does."""
     mechanism, (design, *_), context = there
-    if mechanism not in ALONE.get(kind.name, KINDS) or kind.stage == "command" or "frequency" in {p.role for p in kind.parameters}:
+    if (
+        mechanism not in ALONE.get(kind.name, KINDS)
+        or kind.stage == "command"
+        or "frequency" in {p.role for p in kind.parameters}
+    ):
         return
     rng = np.random.default_rng(2)
     for place in kind.sites(context)[-2:]:
@@ -98,10 +113,14 @@ def test_columns_are_the_derivatives_of_the_model(there, kind):
             shape = candidate.grid[len(candidate.grid) // 2]
             columns = candidate.deviation(shape, context.motion)
             assert columns.shape == (*context.motion.lengths.shape, max(len(candidate.linear), 1))
-            coefficients = np.array([column.step for column in candidate.linear]) * rng.uniform(0.5, 2, len(candidate.linear))
+            coefficients = np.array([column.step for column in candidate.linear]) * rng.uniform(
+                0.5, 2, len(candidate.linear)
+            )
             effect = check_effect(candidate.effect(shape, coefficients))
             told = columns @ (coefficients if len(coefficients) else np.ones(1))
-            np.testing.assert_allclose(effect.deviation(context.motion), told, rtol=1e-6, atol=1e-3 * np.abs(told).max() * 1e-3)
+            np.testing.assert_allclose(
+                effect.deviation(context.motion), told, rtol=1e-6, atol=1e-3 * np.abs(told).max() * 1e-3
+            )
 
 
 def test_covariates_are_drawn_for_every_axis(there):
@@ -110,19 +129,35 @@ def test_covariates_are_drawn_for_every_axis(there):
     for kind in MOVING:
         if mechanism in ALONE.get(kind.name, KINDS):
             shown = kind.drawn(kind.sites(context)[0], drawing, np.random.default_rng(3)).covariate(context.motion)
-            assert len(shown.values) == 60 and np.isfinite(shown.values).all() and "," in shown.label or "turn" in shown.label
+            assert (
+                len(shown.values) == 60
+                and np.isfinite(shown.values).all()
+                and "," in shown.label
+                or "turn" in shown.label
+            )
 
 
 def test_what_a_machine_lacks_is_said(design):
     bare = setting_of(design, "arm")
     bare = (replace(bare[0], platform=Platform(None, None, None)), *bare[1:])
     context = context_of(bare)
-    for text, says in (("compliance:joint2:stiffness=1e5", "needs .platform. mass"), ("compliance:joint2:moments=1e-6", "takes 24 moments"),
-                       ("screw_coupling:rig:gain=0.5", "takes a hexapod"), ("backlash:strut2:gap=1e-5", "axes are joint 1 to joint 6"),
-                       ("axis_coupling:joint2:scale=1e-3,other=9", "1 to 6"), ("axis_coupling:joint2:scale=1e-3,other=2", "than its own")):
+    for text, says in (
+        ("compliance:joint2:stiffness=1e5", "needs .platform. mass"),
+        ("compliance:joint2:moments=1e-6", "takes 24 moments"),
+        ("screw_coupling:rig:gain=0.5", "takes a hexapod"),
+        ("backlash:strut2:gap=1e-5", "axes are joint 1 to joint 6"),
+        ("axis_coupling:joint2:scale=1e-3,other=9", "1 to 6"),
+        ("axis_coupling:joint2:scale=1e-3,other=2", "than its own"),
+    ):
         with pytest.raises(RigError, match=says):
             motion_simulation.run_machine(*bare[:3], [parse_effect(text)], bare[3])
-    found = [c for name in ("compliance", "joint_clearance") for kind in ALL if kind.name == name for c in kind.candidates("joint 2", context)]
+    found = [
+        c
+        for name in ("compliance", "joint_clearance")
+        for kind in ALL
+        if kind.name == name
+        for c in kind.candidates("joint 2", context)
+    ]
     assert len(found) == 2 and all(c.grid for c in found)  # the weight of its links is linear in what is not stated
 
 
@@ -143,14 +178,19 @@ def test_a_joint_holds_its_links_as_newton_and_euler_say(design):
     rng, mechanism = np.random.default_rng(4), Arm(UR10.joints, UR10.limits)
     q, mass, centre = rng.uniform(-2, 2, (20, 6)), rng.uniform(1, 5, 6), rng.uniform(-0.1, 0.1, (6, 3))
     own = np.column_stack([mass, mass[:, None] * centre]).ravel()
-    torque = arm_dynamics.joint_torques(q, np.zeros(6), np.zeros(6), mechanism, arm_dynamics.Links(mass, centre, np.zeros((6, 3, 3))), design.gravity)
+    torque = arm_dynamics.joint_torques(
+        q, np.zeros(6), np.zeros(6), mechanism, arm_dynamics.Links(mass, centre, np.zeros((6, 3, 3))), design.gravity
+    )
     np.testing.assert_allclose(arm.links(None, q, mechanism, design.gravity) @ own, torque, atol=1e-9)
 
 
 def test_links_that_grow_move_the_hand_as_longer_links_do():
     from rig.model.mechanisms import arm
 
-    q, grown = np.random.default_rng(6).uniform(-2, 2, (10, 6)), replace(UR10, joints=UR10.rows * [1, 1 + 1e-6, 1 + 1e-6, 1, 1])
+    q, grown = (
+        np.random.default_rng(6).uniform(-2, 2, (10, 6)),
+        replace(UR10, joints=UR10.rows * [1, 1 + 1e-6, 1 + 1e-6, 1, 1]),
+    )
     sway = arm.grown(None, q, UR10, np.full((10, 6), 1e-6))[1]
     np.testing.assert_allclose(sway, pose_difference(arm.forward(q, UR10), arm.forward(q, grown)), atol=1e-11)
 
@@ -159,17 +199,27 @@ def test_a_shaking_has_one_notation(design):
     """A direction and a phase may be written in many ways: all shake alike, and `written` is the same for all."""
     setting = setting_of(design, "hexapod")
     motion = context_of(setting).motion
-    texts = ("mode=0.6/0/0.8/0.5/0/0,phase=1", "mode=1.2/0/1.6/1/0/0,phase=1", f"mode=-0.6/0/-0.8/-0.5/0/0,phase={1 - np.pi}")
+    texts = (
+        "mode=0.6/0/0.8/0.5/0/0,phase=1",
+        "mode=1.2/0/1.6/1/0/0,phase=1",
+        f"mode=-0.6/0/-0.8/-0.5/0/0,phase={1 - np.pi}",
+    )
     shakes = [parse_effect(f"vibration:rig:amplitude=2e-5,frequency=3.3,{text}") for text in texts]
     for shake in shakes:
         np.testing.assert_allclose(shake.sway(motion), shakes[0].sway(motion), atol=1e-18)
         np.testing.assert_allclose(shake.written().sway(motion), shakes[0].sway(motion), atol=1e-18)
-        np.testing.assert_allclose([*shake.written().mode, shake.written().phase], [0.6, 0, 0.8, 0.5, 0, 0, 1], atol=1e-12)
+        np.testing.assert_allclose(
+            [*shake.written().mode, shake.written().phase], [0.6, 0, 0.8, 0.5, 0, 0, 1], atol=1e-12
+        )
 
 
 def test_one_direction_is_found_among_twelve_numbers():
     rng = np.random.default_rng(7)
-    X, phase, direction = rng.normal(size=(200, 12)) * np.tile([1, 1, 1, 50, 50, 50], 2), np.array([0.6, 0.8]), rng.normal(size=6)
+    X, phase, direction = (
+        rng.normal(size=(200, 12)) * np.tile([1, 1, 1, 50, 50, 50], 2),
+        np.array([0.6, 0.8]),
+        rng.normal(size=6),
+    )
     x = np.outer(phase, direction).ravel()
     drop, found = one_direction(X.T @ X @ x, X.T @ X)
     np.testing.assert_allclose(found, x, rtol=1e-6)
@@ -177,7 +227,10 @@ def test_one_direction_is_found_among_twelve_numbers():
 
 
 def test_a_last_step_does_not_depend_on_knots_or_waits():
-    t, values = np.array([0.0, 1, 2, 3, 5, 6, 9]), np.array([[0.0, 0], [0, 0], [1, 2], [1, 2], [3, 0], [4, -1], [4, -1]])
+    t, values = (
+        np.array([0.0, 1, 2, 3, 5, 6, 9]),
+        np.array([[0.0, 0], [0, 0], [1, 2], [1, 2], [3, 0], [4, -1], [4, -1]]),
+    )
     path = Path(t, values, np.array([1, 2, 3, 4, 5, 6]))
     expected = [[0, 0], [1, 2], [1, 2], [2, -2], [3, -3], [3, -3]]  # the last two knots lie on one straight way
     np.testing.assert_allclose(path.last_step, expected)

@@ -1,4 +1,6 @@
-"""Effects of a user's own: a file is one of the catalogue's kind, and what is wrong with it is told with file and line."""
+"""Effects of a user's own: a file is one of the catalogue's kind, and what is wrong with it is told with file and
+line.
+"""
 
 import hashlib
 import pickle
@@ -47,7 +49,11 @@ WRONG = [  # what stands in place of what, what is said of it
     ("import numpy as np", "import nothing_of_the_kind", "mine.py:6: cannot be run: ModuleNotFoundError"),
     ("(Effect)", "", "mine.py: defines no effect"),
     ("frozen=True, ", "", "mine.py:12: Mine must be a frozen dataclass"),
-    ('name: ClassVar = "mine"', 'name: ClassVar = "backlash"', "mine.py:12: Mine collides with the catalogue's backlash"),
+    (
+        'name: ClassVar = "mine"',
+        'name: ClassVar = "backlash"',
+        "mine.py:12: Mine collides with the catalogue's backlash",
+    ),
     ('name: ClassVar = "mine"', 'name: ClassVar = "My own"', "mine.py:12: .*small letters"),
     ('"struts"', '"somewhere"', "mine.py:12: .*stage 'somewhere'"),
     ('("axis",)', '("leg",)', "mine.py:12: .*sits at"),
@@ -62,9 +68,15 @@ WRONG = [  # what stands in place of what, what is said of it
 ]
 FAILS = [  # the model, what is said of it
     ("        return self.size / 0 * motion.stroke\n", "mine.py:25: mine.deviation fails: ZeroDivisionError"),
-    ("        return self.size * motion.stroke[:, 0]\n", r"mine.py:24: mine.deviation answers numbers of shape \(60,\).*\(60, 6\)"),
+    (
+        "        return self.size * motion.stroke[:, 0]\n",
+        r"mine.py:24: mine.deviation answers numbers of shape \(60,\).*\(60, 6\)",
+    ),
     ("        return self.size * np.inf + motion.stroke\n", "mine.py:24: .*no finite number"),
-    ("        return 1e-6 + self.size * motion.stroke\n", "mine.py:12: mine changes something with its parameters at their defaults"),
+    (
+        "        return 1e-6 + self.size * motion.stroke\n",
+        "mine.py:12: mine changes something with its parameters at their defaults",
+    ),
 ]
 
 
@@ -78,7 +90,10 @@ def test_a_sound_file_is_an_effect_like_any_other(tmp_path, design):
     path = written(tmp_path)
     plugin = load_effect_file(path)
     known = catalogue_with_files((plugin,))
-    assert list(known) == [*(kind.name for kind in ALL), "mine"] and plugin.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert (
+        list(known) == [*(kind.name for kind in ALL), "mine"]
+        and plugin.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    )
     effect = parse_effect("mine:strut3:size=2e-5", known)
     assert effect_from_dict(effect_to_dict(effect), known) == effect
     setting = setting_of(design, "hexapod")
@@ -121,11 +136,30 @@ def test_a_file_that_is_none_is_refused(tmp_path):
 def test_commands_take_the_file(tmp_path, rig_text, capsys):
     (tmp_path / "rig.toml").write_text(rig_text)
     path, options = written(tmp_path), ["--plan", "sobol:3", "--effect", "mine:strut3:size=2e-5"]
-    simulate = ["simulate", str(tmp_path / "rig.toml"), *options, "--truth", str(tmp_path / "truth.json"), "--out", str(tmp_path / "rec")]
+    simulate = [
+        "simulate",
+        str(tmp_path / "rig.toml"),
+        *options,
+        "--truth",
+        str(tmp_path / "truth.json"),
+        "--out",
+        str(tmp_path / "rec"),
+    ]
     assert main(simulate) == 1 and "there is no effect 'mine'" in capsys.readouterr().err
-    assert main([*simulate, "--effects", str(tmp_path)]) == 1 and "cannot be read: Is a directory" in capsys.readouterr().err
+    assert (
+        main([*simulate, "--effects", str(tmp_path)]) == 1
+        and "cannot be read: Is a directory" in capsys.readouterr().err
+    )
     assert main([*simulate, "--effects", str(path)]) == 0 and "mine at strut 3" in capsys.readouterr().out
-    again = [*simulate[:2], "--plan", "sobol:3", "--machine", str(tmp_path / "truth.json"), "--out", str(tmp_path / "again")]
+    again = [
+        *simulate[:2],
+        "--plan",
+        "sobol:3",
+        "--machine",
+        str(tmp_path / "truth.json"),
+        "--out",
+        str(tmp_path / "again"),
+    ]
     assert main(again) == 1 and "truth.json" in capsys.readouterr().err
     assert main([*again, "--effects", str(path)]) == 0
 

@@ -15,12 +15,37 @@ from rig.formats.number_parsing import NotFinite, parse_number, parse_whole_numb
 from rig.recording.frame_mask import parse_frame_ranges
 from vision.lenses import calibration_board
 
-NONE = ("1_0", "1_000.5", "\uff11", "\u0661", "1\u00b2", " 1", "1 ", "1\n", "\u00a01", "0x10", "1e5_0", "", "+", ".", "e5", "1e", "--1", "1.2.3",
-        "1,5", "9" * 101, "true", "1j")
+NONE = (
+    "1_0",
+    "1_000.5",
+    "\uff11",
+    "\u0661",
+    "1\u00b2",
+    " 1",
+    "1 ",
+    "1\n",
+    "\u00a01",
+    "0x10",
+    "1e5_0",
+    "",
+    "+",
+    ".",
+    "e5",
+    "1e",
+    "--1",
+    "1.2.3",
+    "1,5",
+    "9" * 101,
+    "true",
+    "1j",
+)
 UNBOUNDED = ("nan", "NaN", "-nan", "inf", "-Infinity", "1e999", "-1e400")
 
 
-@pytest.mark.parametrize(("text", "value"), [("1", 1.0), ("-1.5e-3", -1.5e-3), ("+.5", 0.5), ("5.", 5.0), ("0e0", 0.0), ("1E5", 1e5), ("007", 7.0)])
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("1", 1.0), ("-1.5e-3", -1.5e-3), ("+.5", 0.5), ("5.", 5.0), ("0e0", 0.0), ("1E5", 1e5), ("007", 7.0)],
+)
 def test_plain_decimals_are_numbers(text, value):
     assert parse_number(text) == value
 
@@ -42,7 +67,9 @@ def test_anything_else_is_none_wherever_it_stands(text, tmp_path, capsys):
     assert f"argument {option}: invalid" in capsys.readouterr().err
     if text.strip(" \t") == text and "," not in text and "\n" not in text:
         (tmp_path / "t.csv").write_text(f"a,b\n0,1\n{text},1\n", encoding="utf-8")
-        with pytest.raises(FileError, match="is not finite" if text in UNBOUNDED else "is not a number|is empty|more than any number") as caught:
+        with pytest.raises(
+            FileError, match="is not finite" if text in UNBOUNDED else "is not a number|is empty|more than any number"
+        ) as caught:
             csv_table.read(tmp_path / "t.csv", ("a", "b")).numbers("a")
         assert caught.value.line == 3
 

@@ -1,4 +1,6 @@
-"""Recordings behind a URL: read as those in a folder are, image by image when it is needed; what goes wrong there is said in a line."""
+"""Recordings behind a URL: read as those in a folder are, image by image when it is needed; what goes wrong there is
+said in a line.
+"""
 
 import sys
 
@@ -35,7 +37,11 @@ def kept():
 
 def test_a_recording_behind_a_url_is_the_one_in_the_folder(kept, recording_folder, tmp_path, capsys):
     here, there = recording.load(recording_folder), recording.load(kept(recording_folder))
-    assert there.name == "rec" and np.array_equal(here.corners.uv, there.corners.uv) and np.array_equal(here.commands.values, there.commands.values)
+    assert (
+        there.name == "rec"
+        and np.array_equal(here.corners.uv, there.corners.uv)
+        and np.array_equal(here.commands.values, there.commands.values)
+    )
     for at, place in ((str(recording_folder), "here"), ("memory://bucket/rec", "there")):
         assert main(["measure", at, "--out", str(tmp_path / place), "--quiet"]) == 0
     for name in ("poses.csv", "corners.csv", "rig.toml", "commands.csv", "frames.csv"):
@@ -45,7 +51,11 @@ def test_a_recording_behind_a_url_is_the_one_in_the_folder(kept, recording_folde
 
 def test_images_are_fetched_one_by_one_when_they_are_read(kept, monkeypatch):
     address, fetched = kept(BENCH / "check"), []
-    monkeypatch.setattr(remote_folders, "read", lambda path, most=None, real=remote_folders.read: fetched.append(path.name) or real(path, most))
+    monkeypatch.setattr(
+        remote_folders,
+        "read",
+        lambda path, most=None, real=remote_folders.read: fetched.append(path.name) or real(path, most),
+    )
     found = recording.load(address)
     assert found.has_images and not [name for name in fetched if name.endswith(".png")]
     image = exposures.read_image(found.folder / found.exposures.image[4])
@@ -77,11 +87,16 @@ def test_stages_of_a_chain_are_looked_for_there_too(kept, recording_folder):
             recording.load(folder)
 
 
-@pytest.mark.parametrize("name, says", [
-    ("memory://bucket/rek", "memory://bucket/rek: no such folder"), ("memory://none/rec", "memory://none/rec: no such folder"),
-    ("memry://bucket/rec", "did you mean memory://?"), ("memory://bucket/rec/rig.toml", "is a file, not a recording folder"),
-    ("nothing://bucket/rec", "Protocol not known: nothing"),
-])
+@pytest.mark.parametrize(
+    "name, says",
+    [
+        ("memory://bucket/rek", "memory://bucket/rek: no such folder"),
+        ("memory://none/rec", "memory://none/rec: no such folder"),
+        ("memry://bucket/rec", "did you mean memory://?"),
+        ("memory://bucket/rec/rig.toml", "is a file, not a recording folder"),
+        ("nothing://bucket/rec", "Protocol not known: nothing"),
+    ],
+)
 def test_what_is_not_there_is_said(kept, recording_folder, tmp_path, capsys, name, says):
     kept(recording_folder)
     assert main(["measure", name, "--out", str(tmp_path / "o")]) == 1
@@ -116,7 +131,9 @@ def test_what_is_not_installed_is_named(monkeypatch):
 def test_names_leave_no_folder_behind_a_url_and_results_stay_here(kept, recording_folder, tmp_path, capsys):
     text = (recording_folder / "frames.csv").read_text().splitlines()
     cells = text[1].split(",")
-    (recording_folder / "frames.csv").write_text("\n".join([text[0], ",".join([*cells[:3], "../other/0.png"]), *text[2:]]) + "\n")
+    (recording_folder / "frames.csv").write_text(
+        "\n".join([text[0], ",".join([*cells[:3], "../other/0.png"]), *text[2:]]) + "\n"
+    )
     with pytest.raises(FileError, match="lies outside the recording"):
         recording.load(kept(recording_folder))
     assert main(["design", "--radius", "0.3", "--out", "memory://bucket/rig.toml"]) == 1
@@ -129,7 +146,9 @@ def test_a_folder_here_comes_before_a_url(tmp_path, recording_folder, monkeypatc
     monkeypatch.chdir(tmp_path)
     (tmp_path / "memory:").mkdir()
     recording_folder.rename(tmp_path / "memory:" / "rec")
-    assert len(recording.load("memory:/rec").exposures.frame) and not remote_folders.is_remote(recording.Path("memory:/rec"))
+    assert len(recording.load("memory:/rec").exposures.frame) and not remote_folders.is_remote(
+        recording.Path("memory:/rec")
+    )
 
 
 def test_what_is_fetched_can_be_kept(kept, recording_folder, tmp_path):
@@ -151,8 +170,12 @@ def test_a_bucket_of_a_local_s3(tmp_path, monkeypatch, capsys):
     server.start()
     try:
         host, port = server.get_host_and_port()
-        for name, value in (("AWS_ACCESS_KEY_ID", "a"), ("AWS_SECRET_ACCESS_KEY", "b"), ("AWS_DEFAULT_REGION", "us-east-1"),
-                            ("AWS_ENDPOINT_URL", f"http://{host}:{port}")):
+        for name, value in (
+            ("AWS_ACCESS_KEY_ID", "a"),
+            ("AWS_SECRET_ACCESS_KEY", "b"),
+            ("AWS_DEFAULT_REGION", "us-east-1"),
+            ("AWS_ENDPOINT_URL", f"http://{host}:{port}"),
+        ):
             monkeypatch.setenv(name, value)
         bucket = boto3.client("s3")
         bucket.create_bucket(Bucket="rigs")

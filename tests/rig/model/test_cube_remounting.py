@@ -1,4 +1,6 @@
-"""Cubes that are put back turned: what a rig.toml and a plan may say of them, where their faces look, and which recordings share a seat."""
+"""Cubes that are put back turned: what a rig.toml and a plan may say of them, where their faces look, and which
+recordings share a seat.
+"""
 
 from dataclasses import replace
 
@@ -29,11 +31,17 @@ def test_what_a_rig_toml_says_of_cubes(rig_text, tmp_path):
     assert design.experiment.may == ("wait", "turn cube P2", "turn cube B1") and design.experiment.cubes == ("P2", "B1")
     assert quarter_turns(design) == {"P1": 1}
     line, value, says = refused(path, rig_text, '[experiment]\nmay = ["turn cube P9"]\n')
-    assert (line, value) == (lines + 2, "turn cube P9") and "there is no cube 'P9'; there are P1, P2, P3, P4, B1" in says
+    assert (line, value) == (
+        lines + 2,
+        "turn cube P9",
+    ) and "there is no cube 'P9'; there are P1, P2, P3, P4, B1" in says
     assert refused(path, rig_text, '[experiment]\nmay = ["turn cube 9"]\n')[1] == "turn cube 9"
     line, value, says = refused(path, rig_text, "[turned]\nP2 = 1\nQ1 = 1\n")
     assert (line, value) == (lines + 3, "Q1") and "no cube 'Q1'" in says
-    assert "turned.P1 must be a whole number of at least 0 and at most 3, not 4" in refused(path, rig_text, "[turned]\nP1 = 4\n")[2]
+    assert (
+        "turned.P1 must be a whole number of at least 0 and at most 3, not 4"
+        in refused(path, rig_text, "[turned]\nP1 = 4\n")[2]
+    )
     assert "nothing holds its frame" in refused(path, rig_text, "[turned]\nP1 = 1\nP2 = 1\nP3 = 0\nP4 = 2\n")[2]
 
 
@@ -41,9 +49,15 @@ def test_a_turned_cube_looks_the_other_way_and_stays_where_it_is(design):
     before, after = marker_map(design), marker_map(design_with_turned_cubes(design, {"P1": 1}))
     ids = dict(next(t for t in design.targets if t.name == "P1").faces)
     row = {face: int(np.flatnonzero(before.id == number)[0]) for face, number in ids.items()}
-    np.testing.assert_allclose(after.corners[row["+x"]].mean(axis=0), before.corners[row["+y"]].mean(axis=0), atol=1e-12)
-    np.testing.assert_allclose(after.T_body_marker[row["-y"]].as_matrix(), before.T_body_marker[row["+x"]].as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(after.corners[row["+z"]].mean(axis=0), before.corners[row["+z"]].mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(
+        after.corners[row["+x"]].mean(axis=0), before.corners[row["+y"]].mean(axis=0), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        after.T_body_marker[row["-y"]].as_matrix(), before.T_body_marker[row["+x"]].as_matrix(), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        after.corners[row["+z"]].mean(axis=0), before.corners[row["+z"]].mean(axis=0), atol=1e-12
+    )
     others = ~np.isin(before.id, list(ids.values()))
     assert (after.corners[others] == before.corners[others]).all()
     with pytest.raises(RigError, match="no cube 'P7'"):
@@ -81,7 +95,10 @@ def test_the_text_of_a_rig_says_it_and_keeps_its_comments(rig_text, tmp_path):
 
 
 def test_recordings_share_a_seat_until_the_cube_is_turned_again(design):
-    stood = [design_with_turned_cubes(design, {} if quarter is None else {"P1": quarter}) for quarter in (None, 1, 1, 0, 0, None, 1)]
+    stood = [
+        design_with_turned_cubes(design, {} if quarter is None else {"P1": quarter})
+        for quarter in (None, 1, 1, 0, 0, None, 1)
+    ]
     assert [own["P1"] for own in combined_recordings.target_seats(stood)] == [0, 1, 1, 3, 3, 0, 6]
     assert all(own["P2"] == 0 for own in combined_recordings.target_seats(stood))
 

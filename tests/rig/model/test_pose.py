@@ -1,7 +1,17 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.pose import angle_sigmas, covariance_from_triangle, exp, log, pose, pose_difference, pose_to_vector, roll_pitch_yaw, transform_points
+from rig.model.pose import (
+    angle_sigmas,
+    covariance_from_triangle,
+    exp,
+    log,
+    pose,
+    pose_difference,
+    pose_to_vector,
+    roll_pitch_yaw,
+    transform_points,
+)
 from tests.numeric import jacobian
 
 

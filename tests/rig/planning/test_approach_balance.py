@@ -1,4 +1,6 @@
-"""Plans whose direction of approach and time are no function of place, by construction: same configurations, same count, same from run to run."""
+"""Plans whose direction of approach and time are no function of place, by construction: same configurations, same
+count, same from run to run.
+"""
 
 import numpy as np
 import pytest
@@ -11,20 +13,38 @@ from rig.planning import plan
 from rig.planning.approach_balance import REACHES, balanced_order
 from rig.recording.recording_folder import PAYLOAD
 
-SCATTERED = ("sobol:14", "sobol:40", "grid:2", "simplices:2", "division:1", "axes:9", "combined:3", "payload:14", "repeat:30", "warmup:30")
+SCATTERED = (
+    "sobol:14",
+    "sobol:40",
+    "grid:2",
+    "simplices:2",
+    "division:1",
+    "axes:9",
+    "combined:3",
+    "payload:14",
+    "repeat:30",
+    "warmup:30",
+)
 
 
 def _confounds(design: Design, text: str, seed: int) -> Confounds:
     found = plan.build_plan(design, text, seed)
     mass = found.payload[np.searchsorted(found.payload[:, 0], found.t, side="right") - 1, 1]
-    return confounds_of_design(found.commands.at(found.t), approach_direction(found.commands, found.t), found.t, {PAYLOAD: mass},
-                     mechanisms.axis_places(design.mechanism))
+    return confounds_of_design(
+        found.commands.at(found.t),
+        approach_direction(found.commands, found.t),
+        found.t,
+        {PAYLOAD: mass},
+        mechanisms.axis_places(design.mechanism),
+    )
 
 
 @pytest.mark.parametrize("text", SCATTERED)
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_neither_direction_nor_time_nor_load_is_a_function_of_place(design: Design, text: str, seed: int) -> None:
-    """No share exceeds what as many poses in random order would give by much, and where there are many poses none is left at all."""
+    """No share exceeds what as many poses in random order would give by much, and where there are many poses none is
+    left at all.
+    """
     found = _confounds(design, text, seed)
     assert not found.serious and found.rows
     for row in found.rows:
@@ -33,8 +53,10 @@ def test_neither_direction_nor_time_nor_load_is_a_function_of_place(design: Desi
 
 
 def test_configurations_are_those_that_were_asked_for(design: Design) -> None:
-    found, wanted = plan.build_plan(design, "sobol:40", 5), plan.low_discrepancy(plan.axis_strokes(design), 40,
-                                                                             seed=int(np.random.default_rng(5).integers(1 << 30)))
+    found, wanted = (
+        plan.build_plan(design, "sobol:40", 5),
+        plan.low_discrepancy(plan.axis_strokes(design), 40, seed=int(np.random.default_rng(5).integers(1 << 30))),
+    )
     visited = found.commands.at(found.t)
     assert len(found.t) == 40
     order = np.abs(visited[:, None] - wanted).max(axis=2).argmin(axis=1)
@@ -49,10 +71,17 @@ def test_last_moves_are_long_and_short_from_either_side(design: Design) -> None:
     rows = np.searchsorted(found.commands.t, found.t)
     last = (found.commands.values[rows - 1] - found.commands.values[rows - 2]) / extent
     place = found.commands.at(found.t)
-    assert np.abs(last).min() > REACHES[0] - 1e-5 and np.abs(last).max() < REACHES[1] + 1e-5 and np.abs(last).min() < 0.3 * np.abs(last).max()
+    assert (
+        np.abs(last).min() > REACHES[0] - 1e-5
+        and np.abs(last).max() < REACHES[1] + 1e-5
+        and np.abs(last).min() < 0.3 * np.abs(last).max()
+    )
     assert np.abs(np.sign(last).mean(axis=0)).max() < 0.05
     for i in range(6):
-        assert abs(np.corrcoef(last[:, i], place[:, i])[0, 1]) < 0.4 and np.corrcoef(last[:, i], np.sign(last[:, i]))[0, 1] < 0.95
+        assert (
+            abs(np.corrcoef(last[:, i], place[:, i])[0, 1]) < 0.4
+            and np.corrcoef(last[:, i], np.sign(last[:, i]))[0, 1] < 0.95
+        )
 
 
 def test_an_axis_at_its_end_comes_from_within(design: Design) -> None:
@@ -67,12 +96,16 @@ def test_a_one_sided_plan_comes_from_below_everywhere(design: Design) -> None:
 
 
 def test_an_order_alone_balances_what_it_can(design: Design) -> None:
-    """Configurations that are visited straight from one to the next, as a table has them: an end is always reached from within."""
+    """Configurations that are visited straight from one to the next, as a table has them: an end is always reached from
+    within.
+    """
     strokes = plan.axis_strokes(design)
     values = plan.low_discrepancy(strokes, 60, seed=3)
     start = strokes.mean(axis=1)
     before = confounds_of_configurations(values, start, design.mechanism)
-    after = confounds_of_configurations(values[balanced_order(values, np.random.default_rng(0), start)], start, design.mechanism)
+    after = confounds_of_configurations(
+        values[balanced_order(values, np.random.default_rng(0), start)], start, design.mechanism
+    )
     assert before.serious and not after.serious
     assert max(row.share for row in after.rows) < 0.35
 

@@ -8,8 +8,22 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.planning import plan
 
-EXPECTED = {"sobol": 100, "grid": 64, "division": 729, "simplices": 89, "axes": 54, "combined": 108, "iso9283": 150, "ladder": 96,
-            "payload": 36, "moving": 60, "zigzag": 60, "warmup": 48, "repeat": 30, "dwell": 20}
+EXPECTED = {
+    "sobol": 100,
+    "grid": 64,
+    "division": 729,
+    "simplices": 89,
+    "axes": 54,
+    "combined": 108,
+    "iso9283": 150,
+    "ladder": 96,
+    "payload": 36,
+    "moving": 60,
+    "zigzag": 60,
+    "warmup": 48,
+    "repeat": 30,
+    "dwell": 20,
+}
 
 
 @pytest.mark.parametrize("part", [name for name in plan.PARTS if name not in ("commands", "wait", "turn")])
@@ -60,8 +74,14 @@ def test_iso_9283_visits_the_cubes_middle_and_four_corners_of_a_plane_in_turn(de
     p = hexapod.forward(poses, design.mechanism).translation
     arms = p[1:] - p[0]
     half = np.abs(arms).max()
-    assert p[0] == pytest.approx(design.mechanism.home.translation, abs=1e-9) and np.abs(arms) == pytest.approx(half, abs=1e-9) and half > 0.005
-    assert arms[:, 1] == pytest.approx(arms[:, 2], abs=1e-9) and np.ptp(arms, axis=0) == pytest.approx(2 * half, abs=1e-9)
+    assert (
+        p[0] == pytest.approx(design.mechanism.home.translation, abs=1e-9)
+        and np.abs(arms) == pytest.approx(half, abs=1e-9)
+        and half > 0.005
+    )
+    assert arms[:, 1] == pytest.approx(arms[:, 2], abs=1e-9) and np.ptp(arms, axis=0) == pytest.approx(
+        2 * half, abs=1e-9
+    )
     found = plan.build_plan(design, "iso9283:3")
     rows = np.searchsorted(found.commands.t, found.t) - 1
     assert np.abs(found.commands.values[rows] - np.tile(poses[::-1], (3, 1))).max() < 1e-6
@@ -84,7 +104,10 @@ def test_combined_plans_turn_while_they_move_along_every_pair_of_axes(design):
             for k, sign in enumerate((1, -1)):
                 part = moved[i, j, k]
                 place = T.translation.reshape(3, 3, 2, 4, 3)[i, j, k] - design.mechanism.home.translation
-                assert np.abs(np.delete(place, i, axis=1)).max() < 1e-9 and np.abs(np.delete(part[:, 3:], j, axis=1)).max() < 1e-9
+                assert (
+                    np.abs(np.delete(place, i, axis=1)).max() < 1e-9
+                    and np.abs(np.delete(part[:, 3:], j, axis=1)).max() < 1e-9
+                )
                 assert np.ptp(place[:, i]) > 0.01 and np.ptp(part[:, 3 + j]) > 0.03
                 assert (np.sign(place[[0, -1], i] * part[[0, -1], 3 + j]) == sign).all()
 
@@ -124,8 +147,16 @@ def test_commands_come_from_a_file(design, tmp_path):
     assert caught.value.line == 3
 
 
-@pytest.mark.parametrize("text, says", [("sobl:3", "no part 'sobl'"), ("sobol:x", "whole number"), ("sobol:0", "whole number"),
-                                        ("grid:1", "at least 2"), ("commands:nowhere.csv", "no such file")])
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        ("sobl:3", "no part 'sobl'"),
+        ("sobol:x", "whole number"),
+        ("sobol:0", "whole number"),
+        ("grid:1", "at least 2"),
+        ("commands:nowhere.csv", "no such file"),
+    ],
+)
 def test_what_is_no_plan_is_refused(design, text, says):
     with pytest.raises(RigError, match=says):
         plan.build_plan(design, text)

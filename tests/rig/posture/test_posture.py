@@ -1,4 +1,6 @@
-"""Postures for force: measures and their slopes, searches that leave the hand alone, wrenches that are as certain as they say."""
+"""Postures for force: measures and their slopes, searches that leave the hand alone, wrenches that are as certain as
+they say.
+"""
 
 import json
 from importlib.resources import files
@@ -21,7 +23,14 @@ from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 from tests.rig.pinocchio_arm import build
 
 PANDA = design_file.load(files("rig") / "arms" / "panda.toml").mechanism
-WISHES = [Wish(("fy",)), Wish(("fy",), np.inf), Wish(("fx", "mz"), length=0.3), Wish(), Wish((), 2, "norm"), Wish((), np.inf, "norm")]
+WISHES = [
+    Wish(("fy",)),
+    Wish(("fy",), np.inf),
+    Wish(("fx", "mz"), length=0.3),
+    Wish(),
+    Wish((), 2, "norm"),
+    Wish((), np.inf, "norm"),
+]
 
 
 @pytest.mark.parametrize("wish", WISHES, ids=str)
@@ -29,18 +38,28 @@ def test_slope_of_the_measure_agrees_with_differences(wish):
     for arm in (PANDA, random_arm(np.random.default_rng(3), 8)):
         q = configurations(arm, 4, np.random.default_rng(0), 0.8)
         for one, slope in zip(q, force_transmission.transmission_gradient(q, arm, wish)):
-            np.testing.assert_allclose(slope, jacobian(lambda x, arm=arm: force_transmission.transmission_measure(x, arm, wish), one), atol=1e-7)
+            np.testing.assert_allclose(
+                slope,
+                jacobian(lambda x, arm=arm: force_transmission.transmission_measure(x, arm, wish), one),
+                atol=1e-7,
+            )
 
 
 def test_measures_are_hand_worked():
-    """Two links of 1 m in line along x, as three joints about z and one above: a force along the line is not felt by any."""
+    """Two links of 1 m in line along x, as three joints about z and one above: a force along the line is not felt by
+    any.
+    """
     arm = type(PANDA)([[0, 0, 1.0, 0], [0, 0, 1.0, 0]], [[-3, 3]] * 2)
-    np.testing.assert_allclose(force_transmission.direction_norms(np.zeros(2), arm, Wish()), [0, np.sqrt(5), 0, 0, 0, np.sqrt(2)], atol=1e-15)
+    np.testing.assert_allclose(
+        force_transmission.direction_norms(np.zeros(2), arm, Wish()), [0, np.sqrt(5), 0, 0, 0, np.sqrt(2)], atol=1e-15
+    )
     assert (
         force_transmission.transmission_measure(np.zeros(2), arm, Wish(("fx", "fy"))) == 0
         and force_transmission.transmission_measure(np.zeros(2), arm, Wish(("fy",), np.inf)) == 2
     )
-    assert force_transmission.transmission_measure(np.zeros(2), arm, Wish(("mz",), length=0.1)) == pytest.approx(0.1 * np.sqrt(2))
+    assert force_transmission.transmission_measure(np.zeros(2), arm, Wish(("mz",), length=0.1)) == pytest.approx(
+        0.1 * np.sqrt(2)
+    )
 
 
 @pytest.mark.parametrize("wish", [Wish(("fy",)), Wish(("fx", "mz"), np.inf), Wish()], ids=str)
@@ -50,9 +69,17 @@ def test_searches_leave_the_hand_and_keep_the_limits(wish):
     sampled = null_space_search.sampled_search(q, PANDA, wish, np.random.default_rng(2), count=80)
     best = null_space_search.global_search(q, PANDA, wish)
     for found in (gradient, sampled, best):
-        assert found.moved.max() < 1e-9 and (mechanism.limits(found.q, PANDA) == 0).all() and (found.value >= found.start).all()
-        np.testing.assert_allclose(found.value, force_transmission.transmission_measure(found.q, PANDA, wish), rtol=1e-12)
-        np.testing.assert_allclose(pose_difference(mechanism.forward(q, PANDA), mechanism.forward(found.q, PANDA)), 0, atol=1e-9)
+        assert (
+            found.moved.max() < 1e-9
+            and (mechanism.limits(found.q, PANDA) == 0).all()
+            and (found.value >= found.start).all()
+        )
+        np.testing.assert_allclose(
+            found.value, force_transmission.transmission_measure(found.q, PANDA, wish), rtol=1e-12
+        )
+        np.testing.assert_allclose(
+            pose_difference(mechanism.forward(q, PANDA), mechanism.forward(found.q, PANDA)), 0, atol=1e-9
+        )
     assert (gradient.value <= best.value * (1 + 1e-7)).all() and np.median(gradient.value / best.value) > 0.99
     assert np.median(best.value / gradient.start) > 1.02
 
@@ -63,7 +90,10 @@ def test_global_search_is_the_best_of_the_traced_self_motion():
     for one, value in zip(q, null_space_search.global_search(q, PANDA, wish).value):
         path = null_space_search.trace_self_motion(one, PANDA)
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 2 * null_space_search.TRACE
-        ends = [np.abs(mechanism.limits(path[k] + 1.01 * (path[k] - path[k + (1 if k == 0 else -1)]) * 2, PANDA)).max() > 0 for k in (0, -1)]
+        ends = [
+            np.abs(mechanism.limits(path[k] + 1.01 * (path[k] - path[k + (1 if k == 0 else -1)]) * 2, PANDA)).max() > 0
+            for k in (0, -1)
+        ]
         assert all(ends) or np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < 2 * null_space_search.TRACE
         reached = force_transmission.transmission_measure(path, PANDA, wish).max()
         assert reached <= value <= reached * 1.001
@@ -72,7 +102,10 @@ def test_global_search_is_the_best_of_the_traced_self_motion():
 def test_a_full_turn_of_the_elbow_is_traced_once():
     round_ = type(SEVEN)(SEVEN.joints, [[-50, 50]] * 7)
     path = null_space_search.trace_self_motion(np.array([0.3, 0.7, 0.2, 1.2, 0.4, 0.9, 0.1]), round_)
-    assert np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < null_space_search.TRACE and len(path) * null_space_search.TRACE > np.pi
+    assert (
+        np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < null_space_search.TRACE
+        and len(path) * null_space_search.TRACE > np.pi
+    )
 
 
 def test_a_limit_suffices():
@@ -81,7 +114,11 @@ def test_a_limit_suffices():
     limit = float(np.median(force_transmission.transmission_measure(q, PANDA, wish)))
     found = null_space_search.gradient_search(q, PANDA, wish, above=limit)
     already = found.start > limit
-    assert (found.q[already] == q[already]).all() and already.any() and (found.value[~already] > found.start[~already]).any()
+    assert (
+        (found.q[already] == q[already]).all()
+        and already.any()
+        and (found.value[~already] > found.start[~already]).any()
+    )
 
 
 def test_a_six_joint_arm_may_turn_its_hand_only():
@@ -101,7 +138,9 @@ def test_a_start_beyond_its_limits_is_refused():
 
 def links(rng, n=7):
     half = rng.normal(size=(n, 3, 3))
-    return arm_dynamics.Links(rng.uniform(1, 4, n), 0.1 * rng.normal(size=(n, 3)), 0.01 * half @ np.swapaxes(half, 1, 2))
+    return arm_dynamics.Links(
+        rng.uniform(1, 4, n), 0.1 * rng.normal(size=(n, 3)), 0.01 * half @ np.swapaxes(half, 1, 2)
+    )
 
 
 def test_weight_and_motion_agree_with_pinocchio():
@@ -109,7 +148,9 @@ def test_weight_and_motion_agree_with_pinocchio():
     arm, own, gravity = random_arm(rng, 7), links(rng), np.array([1.0, -2.0, -9.5])
     model, _ = build(arm)
     for i, row in enumerate(arm.rows):
-        to_link = pinocchio.SE3(pinocchio.utils.rotate("x", row[3]) @ pinocchio.utils.rotate("y", row[4]), np.array([row[2], 0, 0]))
+        to_link = pinocchio.SE3(
+            pinocchio.utils.rotate("x", row[3]) @ pinocchio.utils.rotate("y", row[4]), np.array([row[2], 0, 0])
+        )
         model.appendBodyToJoint(i + 1, pinocchio.Inertia(own.mass[i], own.centre[i], own.inertia[i]), to_link)
     model.gravity.linear = gravity
     data = model.createData()
@@ -129,7 +170,9 @@ def test_stated_covariance_of_a_wrench_covers_its_scatter():
     noise = rng.normal(size=q.shape) @ half.T
     pushed = np.einsum("mai,ma->mi", mechanism.jacobian(q, PANDA, "base"), true)
     measured = arm_dynamics.joint_torques(q, v, a, PANDA, own, gravity) - pushed + noise
-    found = wrench_estimate.estimate_wrench(wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T)
+    found = wrench_estimate.estimate_wrench(
+        wrench_estimate.external(measured, q, v, a, PANDA, own, gravity), q, PANDA, half @ half.T
+    )
     error = found.value - true
     inside = np.einsum("mi,mij,mj->m", error, np.linalg.inv(found.covariance), error) < chi2.ppf(0.95, 6)
     each = np.abs(error) < 1.96 * np.sqrt(np.einsum("mii->mi", found.covariance))
@@ -155,7 +198,9 @@ def test_motions_end_in_the_posture():
     q = configurations(PANDA, 1, rng, 0.6)[0]
     goal = null_space_search.global_search(q, PANDA, Wish(("fy",))).q[0]
     rows = posture_transition.motion_with_hand_still(q, goal, PANDA)
-    np.testing.assert_allclose(pose_difference(mechanism.forward(q, PANDA), mechanism.forward(rows, PANDA)), 0, atol=1e-9)
+    np.testing.assert_allclose(
+        pose_difference(mechanism.forward(q, PANDA), mechanism.forward(rows, PANDA)), 0, atol=1e-9
+    )
     assert (rows[0] == q).all() and (rows[-1] == goal).all() and np.abs(np.diff(rows, axis=0)).max() < 0.03
     before = np.clip(q + 0.15 * rng.normal(size=7), *PANDA.limits.T)
     way = posture_transition.motion_with_straight_hand(before, goal, PANDA)
@@ -174,21 +219,38 @@ POSE = "0.4,0.1,0.5,3.0,0.2,0"
 
 def test_the_command_finds_and_certifies(capsys, tmp_path):
     out = tmp_path / "commands.csv"
-    assert command_line.main(["posture", "panda", "--pose", POSE, "--force", "y", "--norm", "2", "--json", "--out", str(out)]) == 0
+    assert (
+        command_line.main(
+            ["posture", "panda", "--pose", POSE, "--force", "y", "--norm", "2", "--json", "--out", str(out)]
+        )
+        == 0
+    )
     tree = json.loads(capsys.readouterr().out)
     q = np.array(tree["q"])
     np.testing.assert_allclose(pose_to_vector(mechanism.forward(q, PANDA)), np.array(POSE.split(","), float), atol=1e-9)
-    assert tree["value"] == pytest.approx(force_transmission.transmission_measure(q, PANDA, Wish(("fy",)))) and tree["value"] > tree["start"]["value"]
-    assert tree["certificate"]["reached_over_best_of_all_self_motions"] > 0.999 and tree["hand_moved"]["position"] < 1e-9
+    assert (
+        tree["value"] == pytest.approx(force_transmission.transmission_measure(q, PANDA, Wish(("fy",))))
+        and tree["value"] > tree["start"]["value"]
+    )
+    assert (
+        tree["certificate"]["reached_over_best_of_all_self_motions"] > 0.999 and tree["hand_moved"]["position"] < 1e-9
+    )
     lines = out.read_text().splitlines()
-    assert lines[0] == "t,q1,q2,q3,q4,q5,q6,q7" and np.allclose([float(x) for x in lines[-1].split(",")[1:]], q, atol=1e-9)
+    assert lines[0] == "t,q1,q2,q3,q4,q5,q6,q7" and np.allclose(
+        [float(x) for x in lines[-1].split(",")[1:]], q, atol=1e-9
+    )
 
 
-@pytest.mark.parametrize("words, message", [
-    (["--pose", "3.4,0,0.5,3,0,0"], "out of the arm's reach"), (["--pose", "1,2"], "--pose takes 6 numbers"),
-    (["--pose", POSE, "--force", "q"], "takes x, y or z, not 'q'"),
-    (["--pose", POSE, "--force", "y", "--above", "9"], "no posture found whose measure"),
-    (["--pose", POSE, "--from", "0,0,0,-1,0,1,0"], "bring it there first")])
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["--pose", "3.4,0,0.5,3,0,0"], "out of the arm's reach"),
+        (["--pose", "1,2"], "--pose takes 6 numbers"),
+        (["--pose", POSE, "--force", "q"], "takes x, y or z, not 'q'"),
+        (["--pose", POSE, "--force", "y", "--above", "9"], "no posture found whose measure"),
+        (["--pose", POSE, "--from", "0,0,0,-1,0,1,0"], "bring it there first"),
+    ],
+)
 def test_the_command_refuses_with_a_reason(words, message, capsys):
     assert command_line.main(["posture", "panda", *words]) == 1
     assert message in capsys.readouterr().err
@@ -198,7 +260,8 @@ RAIL = """schema = "rig/1"
 [mechanism]
 kind = "arm"
 joints = [["prismatic", 0.0, 0.1, 0.0, -1.5707963267948966], [0.0, 0.3, 0.0, 1.5707963267948966], [0.0, 0.0, 0.4, 0.0],
-          [0.0, 0.1, 0.0, -1.5707963267948966], [0.0, 0.3, 0.0, 1.5707963267948966], [0.0, 0.1, 0.05, 1.2], [0.0, 0.1, 0.0, 0.0]]
+          [0.0, 0.1, 0.0, -1.5707963267948966], [0.0, 0.3, 0.0, 1.5707963267948966], [0.0, 0.1, 0.05, 1.2], [0.0, 0.1, \
+0.0, 0.0]]
 limits = [[-0.5, 0.5], [-2.9, 2.9], [-2.9, 2.9], [-2.9, 2.9], [-2.9, 2.9], [-2.9, 2.9], [-2.9, 2.9]]
 [dynamics]
 torque_limits = [400, 90, 90, 50, 12, 12, 12]     # N m, of the slide N

@@ -1,4 +1,6 @@
-"""Several recordings of one rig: nothing of the one before is remembered, and what cannot be one rig is refused by name."""
+"""Several recordings of one rig: nothing of the one before is remembered, and what cannot be one rig is refused by
+name.
+"""
 
 import json
 import shutil
@@ -21,8 +23,12 @@ from tests.rig.effects.test_effects_of_all_machines import MOVING, context_of, s
 
 OWN_CLOCK = ("moment", "phase")  # roles of parameters that are told by one recording's clock
 BOTH = [kind for kind in MOVING if not any(p.role in OWN_CLOCK for p in kind.parameters)]
-REMEMBER = ("backlash:strut 6:gap=1e-4", "creep:rig:fraction=5e-3,time_constant=600", "hysteresis:strut 2:range=5e-3,weight=5e-3",
-            "warm_up:rig:amplitude=1e-4")
+REMEMBER = (
+    "backlash:strut 6:gap=1e-4",
+    "creep:rig:fraction=5e-3,time_constant=600",
+    "hysteresis:strut 2:range=5e-3,weight=5e-3",
+    "warm_up:rig:amplitude=1e-4",
+)
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +37,18 @@ def two(design):
     rig, commands, t, sensors = setting_of(design, "hexapod")
     t = np.r_[1e-4, t[1:]]  # at once, while what was before would still show
     exposures = Exposures(np.arange(len(t)), t, [""] * len(t), [""] * len(t))
-    parts = [Recording(Path(f"/rec{k}"), rig, Commands(commands.t, np.roll(commands.values, 17 * k, axis=0)), exposures,
-                       replace(sensors, channels={n: v + k for n, v in sensors.channels.items()}), None, None) for k in range(2)]
+    parts = [
+        Recording(
+            Path(f"/rec{k}"),
+            rig,
+            Commands(commands.t, np.roll(commands.values, 17 * k, axis=0)),
+            exposures,
+            replace(sensors, channels={n: v + k for n, v in sensors.channels.items()}),
+            None,
+            None,
+        )
+        for k in range(2)
+    ]
     return parts, join_recordings(parts, stated_camera_owners(parts))
 
 
@@ -70,7 +86,10 @@ def test_frames_times_and_logs_stand_apart(two):
     assert frames.tolist() == [*range(60), *range(100, 160)] and (np.diff(t) > 0).all() and len(both.parts) == 2
     second = both.parts[1]
     np.testing.assert_allclose(both.commands.at(t[60:]), parts[1].commands.at(parts[1].exposures.t), atol=1e-12)
-    np.testing.assert_allclose(both.sensors.at(t[60:], "ambient_temperature_C"), parts[1].sensors.at(t[60:] - second.t, "ambient_temperature_C"))
+    np.testing.assert_allclose(
+        both.sensors.at(t[60:], "ambient_temperature_C"),
+        parts[1].sensors.at(t[60:] - second.t, "ambient_temperature_C"),
+    )
     assert both.sensors.starts[0] in both.sensors.t and both.name == "rec0 + rec1"
 
 
@@ -84,16 +103,25 @@ def test_what_cannot_be_one_rig_is_refused_by_name(recording_folder, tmp_path, c
 
     (tmp_path / "empty").mkdir()
     half = other("half", "frame,t,camera,image", "frame,t", "frames.csv")
-    cases = {str(tmp_path / "none"): "no such folder", str(tmp_path / "empty"): "empty folder", half: "frames.csv",
-             str(recording_folder): "named twice",
-             other("copied", "", ""): "6 of 6 frames are in another",
-             other("heavier", "mass = 12.15", "mass = 14.15"): "payload_mass_kg",
-             other("other", "screw_lead = 0.004", "screw_lead = 0.005"): "actuator.screw_lead: 0.004 and 0.005"}
+    cases = {
+        str(tmp_path / "none"): "no such folder",
+        str(tmp_path / "empty"): "empty folder",
+        half: "frames.csv",
+        str(recording_folder): "named twice",
+        other("copied", "", ""): "6 of 6 frames are in another",
+        other("heavier", "mass = 12.15", "mass = 14.15"): "payload_mass_kg",
+        other("other", "screw_lead = 0.004", "screw_lead = 0.005"): "actuator.screw_lead: 0.004 and 0.005",
+    }
     for folder, says in cases.items():
         command = "calibrate" if says == "frames.csv" else "diagnose"
         assert main([command, str(recording_folder), folder, "--out", str(tmp_path / "out.json")]) == 1
         assert says in capsys.readouterr().err, folder
-    assert main(["diagnose", str(recording_folder), str(tmp_path / "copied"), "--mask", "1", "--out", str(tmp_path / "out")]) == 1
+    assert (
+        main(
+            ["diagnose", str(recording_folder), str(tmp_path / "copied"), "--mask", "1", "--out", str(tmp_path / "out")]
+        )
+        == 1
+    )
     assert "--mask names frames of one recording" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
@@ -110,28 +138,77 @@ def test_a_camera_stated_with_another_lens_is_another_camera(recording_folder, t
 
 @pytest.mark.slow
 def test_a_moved_camera_is_told_and_the_diagnosis_is_of_both(tmp_path, capsys, rig_text):
-    """What one recording alone shows less surely, two show with a narrower interval; the calibration of both is held out of neither."""
+    """What one recording alone shows less surely, two show with a narrower interval; the calibration of both is held
+    out of neither.
+    """
     (tmp_path / "rig.toml").write_text(rig_text)
     one, two = str(tmp_path / "one"), str(tmp_path / "two")
     rig = str(tmp_path / "rig.toml")
-    assert main(["simulate", rig, "--plan", "moving:20,sobol:50,ladder:1", "--effect", "backlash:strut 3:gap=4e-5", "--seed", "1", "--out", one,
-                 "--truth", str(tmp_path / "truth.json")]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                rig,
+                "--plan",
+                "moving:20,sobol:50,ladder:1",
+                "--effect",
+                "backlash:strut 3:gap=4e-5",
+                "--seed",
+                "1",
+                "--out",
+                one,
+                "--truth",
+                str(tmp_path / "truth.json"),
+            ]
+        )
+        == 0
+    )
     truth = json.loads((tmp_path / "truth.json").read_text())
     at = np.array(truth["cameras"][1]["pose"])
-    truth["cameras"][1]["pose"] = pose_to_vector(pose(at[:3], at[3:]) * exp(np.array([2e-3, 0, 1e-3, 3e-3, 0, 0]))).tolist()
+    truth["cameras"][1]["pose"] = pose_to_vector(
+        pose(at[:3], at[3:]) * exp(np.array([2e-3, 0, 1e-3, 3e-3, 0, 0]))
+    ).tolist()
     (tmp_path / "moved.json").write_text(json.dumps(truth))
-    assert main(["simulate", rig, "--plan", "sobol:40,moving:10", "--machine", str(tmp_path / "moved.json"), "--seed", "2", "--out", two]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                rig,
+                "--plan",
+                "sobol:40,moving:10",
+                "--machine",
+                str(tmp_path / "moved.json"),
+                "--seed",
+                "2",
+                "--out",
+                two,
+            ]
+        )
+        == 0
+    )
     capsys.readouterr()
     assert main(["diagnose", one, two, "--out", str(tmp_path / "both")]) == 0
     said = capsys.readouterr().out
-    assert "camera cam1 stands elsewhere, by 2." in said and "where cameras cam0, cam2 stand;" in said and "backlash at strut 3" in said
+    assert (
+        "camera cam1 stands elsewhere, by 2." in said
+        and "where cameras cam0, cam2 stand;" in said
+        and "backlash at strut 3" in said
+    )
     assert main(["diagnose", one, "--out", str(tmp_path / "alone")]) == 0
     found = [json.loads((tmp_path / name / "diagnosis.json").read_text()) for name in ("both", "alone")]
     low, high = zip(*(f["findings"][0]["parameters"]["gap"]["ci95"] for f in found))
     assert high[0] - low[0] < high[1] - low[1] and low[0] < 4e-5 < high[0]
-    assert [(r["name"], r["frames"]) for r in found[0]["recordings"]] == [("one", 0), ("two", 100)] and "recordings" not in found[1]
+    assert [(r["name"], r["frames"]) for r in found[0]["recordings"]] == [
+        ("one", 0),
+        ("two", 100),
+    ] and "recordings" not in found[1]
     capsys.readouterr()
-    assert main(["calibrate", one, two, "--diagnosis", str(tmp_path / "both"), "--out", str(tmp_path / "calibration.json")]) == 0
+    assert (
+        main(
+            ["calibrate", one, two, "--diagnosis", str(tmp_path / "both"), "--out", str(tmp_path / "calibration.json")]
+        )
+        == 0
+    )
     assert "backlash at strut 3" in capsys.readouterr().out
     assert main(["certify", str(tmp_path / "calibration.json"), two, "--out", str(tmp_path / "certificate.json")]) == 1
     assert "took part in fitting" in capsys.readouterr().err

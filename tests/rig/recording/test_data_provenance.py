@@ -1,4 +1,6 @@
-"""Data are known again by their content: through measuring, copying, renumbering and other clocks, and nothing counts twice."""
+"""Data are known again by their content: through measuring, copying, renumbering and other clocks, and nothing counts
+twice.
+"""
 
 import json
 import shutil
@@ -76,7 +78,9 @@ def test_poses_are_data_and_what_repeats_is_no_mark(two, tmp_path):
     head, *rows = (folder / "poses.csv").read_text().splitlines()
     rows[5] = ",".join([rows[5].split(",")[0], *rows[4].split(",")[1:]])  # two readings alike
     (folder / "poses.csv").write_text("\n".join([head, *rows]) + "\n")
-    assert data_provenance.frames_with_known_data(of(folder), known(two / "measured")) == [k for k in range(30) if k not in (4, 5)]
+    assert data_provenance.frames_with_known_data(of(folder), known(two / "measured")) == [
+        k for k in range(30) if k not in (4, 5)
+    ]
 
 
 @pytest.mark.parametrize("name", ["fit", "measured"])
@@ -107,7 +111,12 @@ def test_on_line_learning_takes_each_frame_once(two, tmp_path, capfd):
     assert json.loads(state.read_text())["number"] == 60
     assert command_line.main(["online", str(two / "fit"), "--calibration", str(two / "c.json")]) == 1
     assert "count twice" in capfd.readouterr().err
-    assert command_line.main(["diagnose", str(two / "fit"), "--calibration", str(two / "c.json"), "--out", str(tmp_path / "d")]) == 1
+    assert (
+        command_line.main(
+            ["diagnose", str(two / "fit"), "--calibration", str(two / "c.json"), "--out", str(tmp_path / "d")]
+        )
+        == 1
+    )
     assert "made from 30 of the frames" in capfd.readouterr().err and not (tmp_path / "d").exists()
 
 

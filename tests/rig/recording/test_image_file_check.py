@@ -17,7 +17,9 @@ from rig.recording.exposures import read_image
 
 CAMERA = Camera("cam0", 64, 48, np.diag([50.0, 50.0, 1.0]), np.zeros(5), pose([0, 0, 0], [0, 0, 0]))
 PICTURE = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)
-HUGE_JPEG = b"\xff\xd8\xff\xe0\x00\x04ab\xff\xc0\x00\x0b\x08" + struct.pack(">HH", 30000, 30000) + b"\x01\x01\x11\x00\xff\xd9"
+HUGE_JPEG = (
+    b"\xff\xd8\xff\xe0\x00\x04ab\xff\xc0\x00\x0b\x08" + struct.pack(">HH", 30000, 30000) + b"\x01\x01\x11\x00\xff\xd9"
+)
 HUGE_PNG = image_file_check.PNG + b"\0\0\0\rIHDR" + struct.pack(">II", 30000, 30000) + bytes(40) + b"IEND\xaeB`\x82"
 
 
@@ -30,11 +32,20 @@ def test_the_size_of_every_format_is_seen_without_decoding(tmp_path, name):
     assert "is 48 x 64 px, but camera 'cam0' has 64 x 48" in image_file_check.check_image(path, CAMERA)
 
 
-@pytest.mark.parametrize(("name", "data", "says"), [
-    ("a.jpg", HUGE_JPEG, "claims 30000 x 30000"), ("a.png", HUGE_PNG, "claims 30000 x 30000"), ("a.webp", b"RIFF" + bytes(60), "no image"),
-    ("a.pgm", b"P5 999999999 999999999 255\n", "claims"), ("a.bmp", b"BM" + bytes(12), "no image"), ("a.tif", b"II*\0" + b"\xff" * 4, "no image"),
-    ("a.jpg", b"\xff\xd8\xff" + b"\xff" * 200 + b"\xff\xd9", "no image"), ("a.png", b"", "empty"), ("a.jpg", HUGE_JPEG[:20], "cut off"),
-])
+@pytest.mark.parametrize(
+    ("name", "data", "says"),
+    [
+        ("a.jpg", HUGE_JPEG, "claims 30000 x 30000"),
+        ("a.png", HUGE_PNG, "claims 30000 x 30000"),
+        ("a.webp", b"RIFF" + bytes(60), "no image"),
+        ("a.pgm", b"P5 999999999 999999999 255\n", "claims"),
+        ("a.bmp", b"BM" + bytes(12), "no image"),
+        ("a.tif", b"II*\0" + b"\xff" * 4, "no image"),
+        ("a.jpg", b"\xff\xd8\xff" + b"\xff" * 200 + b"\xff\xd9", "no image"),
+        ("a.png", b"", "empty"),
+        ("a.jpg", HUGE_JPEG[:20], "cut off"),
+    ],
+)
 def test_what_an_image_claims_is_looked_at_first(tmp_path, name, data, says):
     path = tmp_path / name
     path.write_bytes(data)
@@ -88,7 +99,9 @@ def test_all_bad_images_are_named_at_once_and_left_out_where_asked(seen):
         recording.load(seen)
     assert first in str(error.value) and second in str(error.value) and "2 images" in str(error.value)
     found = recording.load(seen, skip_unreadable=True)
-    assert [s.path for s in found.skipped] == [seen / first, seen / second] and sum(map(bool, found.exposures.image)) == 1
+    assert [s.path for s in found.skipped] == [seen / first, seen / second] and sum(
+        map(bool, found.exposures.image)
+    ) == 1
     assert len(found.exposures.frame) == len(recording.load(seen, skip_unreadable=True).exposures.frame)
 
 
@@ -96,7 +109,11 @@ def test_what_only_decoding_shows_is_left_out_as_well(seen):
     name = (seen / "frames.csv").read_text().splitlines()[1].split(",")[3]
     data = b"\0\0\0\rIHDR" + struct.pack(">IIBBBBB", 1280, 1024, 8, 0, 0, 0, 0)
     (seen / name).write_bytes(
-        image_file_check.PNG + data + struct.pack(">I", zlib.crc32(data[4:])) + b"\0\0\0\x04IDATxxxx\0\0\0\0" + b"\0\0\0\0IEND\xaeB`\x82"
+        image_file_check.PNG
+        + data
+        + struct.pack(">I", zlib.crc32(data[4:]))
+        + b"\0\0\0\x04IDATxxxx\0\0\0\0"
+        + b"\0\0\0\0IEND\xaeB`\x82"
     )
     assert recording.load(seen).has_images  # whole, and of the right size
     assert len(recording.load(seen, skip_unreadable=True).skipped) == 1

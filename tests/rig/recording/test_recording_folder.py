@@ -59,42 +59,66 @@ def test_a_sound_recording_is_read(recording_folder):
 
 def test_a_last_row_that_does_not_end_is_said_to_be_cut_off(tmp_path):
     path = tmp_path / "table.csv"
-    for text, says in (("a,b\n1,2\n3", "1 cells in a table of 2 columns (cut off?)"), ("a,b\n1\n3,4\n", "1 cells in a table of 2 columns")):
+    for text, says in (
+        ("a,b\n1,2\n3", "1 cells in a table of 2 columns (cut off?)"),
+        ("a,b\n1\n3,4\n", "1 cells in a table of 2 columns"),
+    ):
         path.write_text(text)
         with pytest.raises(FileError) as refused:
             csv_table.read(path, ("a", "b"))
         assert str(refused.value).endswith(says)
 
 
-@pytest.mark.parametrize("file, change, line, column, says", [
-    ("commands.csv", swapped(4, 5), 5, 1, "time must increase"),
-    ("commands.csv", replaced(3, 4, "nan"), 3, 4, "'l3' is not finite"),
-    ("commands.csv", replaced(3, 4, "x"), 3, 4, "'l3' is not a number"),
-    ("commands.csv", replaced(3, 4, ""), 3, 4, "'l3' is empty"),
-    ("commands.csv", without_column("l4"), 1, None, "'l4' is missing"),
-    ("commands.csv", lambda lines: [lines[0] + ",l7"] + [line + ",1" for line in lines[1:]], 1, 8, "only 6 axes"),
-    ("commands.csv", lambda lines: lines[:5], 5, 1, "cut off"),
-    ("commands.csv", lambda lines: lines[:1], 1, None, "no rows"),
-    ("commands.csv", lambda lines: [], 1, None, "is empty"),
-    ("commands.csv", lambda lines: lines[:-1] + [lines[-1][: len(lines[-1]) // 2]], None, None, "cells in a table of 7"),
-    ("commands.csv", later, 2, 1, "before the first"),
-    ("frames.csv", swapped(2, 8), 3, 1, "in order"),
-    ("frames.csv", replaced(5, 2, "0.1"), 5, 2, "backwards"),
-    ("frames.csv", replaced(3, 2, "99"), 3, 2, "simultaneous"),
-    ("frames.csv", replaced(3, 3, "cam9"), 3, 3, "unknown camera 'cam9'"),
-    ("frames.csv", replaced(3, 3, "cam0"), 3, 1, "listed twice, first in line 2"),
-    ("frames.csv", replaced(3, 1, "-1"), 3, 1, "whole number"),
-    ("frames.csv", replaced(3, 4, "images/none.png"), None, None, "no such image"),
-    ("corners.csv", replaced(7, 3, "99"), 7, 3, "unknown marker 99"),
-    ("corners.csv", replaced(7, 4, "4"), 7, 4, "corners 0..3"),
-    ("corners.csv", replaced(7, 2, "cam7"), 7, 2, "unknown camera 'cam7'"),
-    ("corners.csv", replaced(7, 1, "77"), 7, 1, "not in frames.csv"),
-    ("corners.csv", replaced(7, 5, "inf"), 7, 5, "not finite"),
-    ("corners.csv", lambda lines: lines[:9] + [lines[8]] + lines[9:], 10, 3, "listed twice.*first in line 9"),
-    ("corners.csv", lambda lines: [lines[0] + ",sigma"] + [line + ",0" for line in lines[1:]], 2, 7, "sigma must be positive"),
-    ("corners.csv", lambda lines: [lines[0] + ",sigam"] + [line + ",1" for line in lines[1:]], 1, 7, "'sigma' meant"),
-    ("corners.csv", lambda lines: [lines[0].replace("v", "u")] + lines[1:], 1, 6, "given twice"),
-])
+@pytest.mark.parametrize(
+    "file, change, line, column, says",
+    [
+        ("commands.csv", swapped(4, 5), 5, 1, "time must increase"),
+        ("commands.csv", replaced(3, 4, "nan"), 3, 4, "'l3' is not finite"),
+        ("commands.csv", replaced(3, 4, "x"), 3, 4, "'l3' is not a number"),
+        ("commands.csv", replaced(3, 4, ""), 3, 4, "'l3' is empty"),
+        ("commands.csv", without_column("l4"), 1, None, "'l4' is missing"),
+        ("commands.csv", lambda lines: [lines[0] + ",l7"] + [line + ",1" for line in lines[1:]], 1, 8, "only 6 axes"),
+        ("commands.csv", lambda lines: lines[:5], 5, 1, "cut off"),
+        ("commands.csv", lambda lines: lines[:1], 1, None, "no rows"),
+        ("commands.csv", lambda lines: [], 1, None, "is empty"),
+        (
+            "commands.csv",
+            lambda lines: lines[:-1] + [lines[-1][: len(lines[-1]) // 2]],
+            None,
+            None,
+            "cells in a table of 7",
+        ),
+        ("commands.csv", later, 2, 1, "before the first"),
+        ("frames.csv", swapped(2, 8), 3, 1, "in order"),
+        ("frames.csv", replaced(5, 2, "0.1"), 5, 2, "backwards"),
+        ("frames.csv", replaced(3, 2, "99"), 3, 2, "simultaneous"),
+        ("frames.csv", replaced(3, 3, "cam9"), 3, 3, "unknown camera 'cam9'"),
+        ("frames.csv", replaced(3, 3, "cam0"), 3, 1, "listed twice, first in line 2"),
+        ("frames.csv", replaced(3, 1, "-1"), 3, 1, "whole number"),
+        ("frames.csv", replaced(3, 4, "images/none.png"), None, None, "no such image"),
+        ("corners.csv", replaced(7, 3, "99"), 7, 3, "unknown marker 99"),
+        ("corners.csv", replaced(7, 4, "4"), 7, 4, "corners 0..3"),
+        ("corners.csv", replaced(7, 2, "cam7"), 7, 2, "unknown camera 'cam7'"),
+        ("corners.csv", replaced(7, 1, "77"), 7, 1, "not in frames.csv"),
+        ("corners.csv", replaced(7, 5, "inf"), 7, 5, "not finite"),
+        ("corners.csv", lambda lines: lines[:9] + [lines[8]] + lines[9:], 10, 3, "listed twice.*first in line 9"),
+        (
+            "corners.csv",
+            lambda lines: [lines[0] + ",sigma"] + [line + ",0" for line in lines[1:]],
+            2,
+            7,
+            "sigma must be positive",
+        ),
+        (
+            "corners.csv",
+            lambda lines: [lines[0] + ",sigam"] + [line + ",1" for line in lines[1:]],
+            1,
+            7,
+            "'sigma' meant",
+        ),
+        ("corners.csv", lambda lines: [lines[0].replace("v", "u")] + lines[1:], 1, 6, "given twice"),
+    ],
+)
 def test_every_spoiled_file_names_its_place(recording_folder, file, change, line, column, says):
     edit(recording_folder / file, change)
     with pytest.raises(FileError, match=says) as caught:
@@ -154,7 +178,9 @@ def test_commands_are_linear_between_rows_and_dwell_after_the_last():
 
 
 def test_frames_that_are_masked_are_in_no_poses():
-    poses = corner_and_pose_tables.Poses(np.arange(4), pose(np.zeros((4, 3)), np.zeros((4, 3))), np.tile(np.eye(6), (4, 1, 1)))
+    poses = corner_and_pose_tables.Poses(
+        np.arange(4), pose(np.zeros((4, 3)), np.zeros((4, 3))), np.tile(np.eye(6), (4, 1, 1))
+    )
     whole = replace(recording.load(BENCH / "check"), poses=poses, stages={1: poses})
     left = remove_frames(whole, "1-2")
     for own in (left.poses, left.stages[1]):
@@ -167,7 +193,9 @@ def test_poses_survive_writing(tmp_path):
     A = rng.normal(size=(4, 6, 6)) * 1e-5
     from rig.model.pose import exp
 
-    poses = recording.Poses(np.array([0, 2, 3, 9]), exp(rng.normal(size=(4, 6)) * 0.2), A @ np.swapaxes(A, 1, 2) + 1e-12 * np.eye(6))
+    poses = recording.Poses(
+        np.array([0, 2, 3, 9]), exp(rng.normal(size=(4, 6)) * 0.2), A @ np.swapaxes(A, 1, 2) + 1e-12 * np.eye(6)
+    )
     recording_tables.write_poses(tmp_path / "poses.csv", poses)
     again = recording.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
     assert again.frame.tolist() == [0, 2, 3, 9]
@@ -175,13 +203,16 @@ def test_poses_survive_writing(tmp_path):
     np.testing.assert_allclose(again.covariance, poses.covariance, rtol=1e-6)
 
 
-@pytest.mark.parametrize("rows, says", [
-    ("frame,x,y,z,rx,ry\n0,0,0,0,0,0", "'rz' is missing"),
-    ("frame,x,y,z,rx,ry,rz\n0,0,0,450,0,0,0", "in metres"),
-    ("frame,x,y,z,rx,ry,rz\n0,0,0,0,0,0,0\n0,0,0,0,0,0,0", "listed twice, first in line 2"),
-    ("frame,x,y,z,rx,ry,rz,c00\n0,0,0,0,0,0,0,1", "'c01' is missing"),
-    ("frame,x,y,z,rx,ry,rz\n0.5,0,0,0,0,0,0", "whole number"),
-])
+@pytest.mark.parametrize(
+    "rows, says",
+    [
+        ("frame,x,y,z,rx,ry\n0,0,0,0,0,0", "'rz' is missing"),
+        ("frame,x,y,z,rx,ry,rz\n0,0,0,450,0,0,0", "in metres"),
+        ("frame,x,y,z,rx,ry,rz\n0,0,0,0,0,0,0\n0,0,0,0,0,0,0", "listed twice, first in line 2"),
+        ("frame,x,y,z,rx,ry,rz,c00\n0,0,0,0,0,0,0,1", "'c01' is missing"),
+        ("frame,x,y,z,rx,ry,rz\n0.5,0,0,0,0,0,0", "whole number"),
+    ],
+)
 def test_poses_that_are_none(tmp_path, rows, says):
     (tmp_path / "poses.csv").write_text(rows + "\n")
     with pytest.raises(FileError, match=says):

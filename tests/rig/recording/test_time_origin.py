@@ -1,4 +1,6 @@
-"""Clocks that count from anywhere: what is read does not depend on it, what is written is by the owner's clock again."""
+"""Clocks that count from anywhere: what is read does not depend on it, what is written is by the owner's clock
+again.
+"""
 
 from decimal import Decimal
 
@@ -14,9 +16,16 @@ from tests.origins import ORIGINS, counted_from
 
 @pytest.mark.parametrize("origin", [*ORIGINS, "-86400.5", "1700000000.123456789"])
 def test_what_is_read_does_not_depend_on_the_origin(recording_folder, tmp_path, origin):
-    plain, moved = recording.load(recording_folder), recording.load(counted_from(recording_folder, tmp_path / "moved", origin))
-    for a, b in ((plain.commands.t, moved.commands.t), (plain.exposures.t, moved.exposures.t), (plain.sensors.t, moved.sensors.t),
-                 (plain.commanded()[2], moved.commanded()[2])):
+    plain, moved = (
+        recording.load(recording_folder),
+        recording.load(counted_from(recording_folder, tmp_path / "moved", origin)),
+    )
+    for a, b in (
+        (plain.commands.t, moved.commands.t),
+        (plain.exposures.t, moved.exposures.t),
+        (plain.sensors.t, moved.sensors.t),
+        (plain.commanded()[2], moved.commanded()[2]),
+    ):
         np.testing.assert_array_equal(a, b)
     assert moved.commands.t[0] == 0 and Decimal(moved.origin.text(0.0)) == Decimal(origin)
 
@@ -26,7 +35,10 @@ def test_a_measured_recording_keeps_the_owners_clock(recording_folder, tmp_path)
     found = recording.load(folder)
     (tmp_path / "out").mkdir()
     recording_tables.copy_times(folder, tmp_path / "out", found.exposures, found.origin)
-    before, after = ([line.split(",")[:3] for line in (part / "frames.csv").read_text().splitlines()] for part in (folder, tmp_path / "out"))
+    before, after = (
+        [line.split(",")[:3] for line in (part / "frames.csv").read_text().splitlines()]
+        for part in (folder, tmp_path / "out")
+    )
     assert [[a, Decimal(b), c] for a, b, c in before[1:]] == [[a, Decimal(b), c] for a, b, c in after[1:]]
 
 
@@ -40,7 +52,12 @@ def test_nanoseconds_of_a_clock_that_counts_from_1970_are_kept():
 def test_another_unit_is_named(recording_folder, scale, unit):
     path = recording_folder / "sensors.csv"
     lines = path.read_text().splitlines()
-    path.write_text("\n".join([lines[0], *(f"{1700000000 * scale + k},{line.split(',', 1)[1]}" for k, line in enumerate(lines[1:]))]) + "\n")
+    path.write_text(
+        "\n".join(
+            [lines[0], *(f"{1700000000 * scale + k},{line.split(',', 1)[1]}" for k, line in enumerate(lines[1:]))]
+        )
+        + "\n"
+    )
     with pytest.raises(FileError, match=unit) as error:
         recording.load(recording_folder)
     assert (error.value.line, error.value.column) == (2, 1)

@@ -50,22 +50,30 @@ def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     observations, stated, true, T = setting
     if correlated:
         root = np.random.default_rng(8).normal(size=(len(observations) // 4, 8, 8)) + 3 * np.eye(8)
-        observations = replace(observations, correlation=corner_correlation(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8))
+        observations = replace(
+            observations, correlation=corner_correlation(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8)
+        )
         observations = observations.take(np.arange(len(observations)) % 7 != 0)
     state = with_markers(start(stated, true, T), stated)
     if moving:
         state = replace(state, moving={1: RigidTransform.concatenate([state.cameras[1].pose] * 6)})
     u, estimate = adjustment_unknowns(observations, state, replace(state, markers=marker_map(stated)), free)
     rng = np.random.default_rng(1)
-    estimate = update_estimate(estimate, u, 1e-3 * rng.normal(size=u.shared), np.zeros((6, u.local)))  # not where moves are still zero
+    estimate = update_estimate(
+        estimate, u, 1e-3 * rng.normal(size=u.shared), np.zeros((6, u.local))
+    )  # not where moves are still zero
     _, found = linearise(observations, estimate, u, whitener(observations))
     shared, local = rng.normal(size=u.shared), rng.normal(size=(6, u.local))
     h = 1e-5
-    up, down = (whitened(observations, update_estimate(estimate, u, s * h * shared, s * h * local).state) for s in (1, -1))
+    up, down = (
+        whitened(observations, update_estimate(estimate, u, s * h * shared, s * h * local).state) for s in (1, -1)
+    )
     expected = np.zeros_like(up)
     for d in found.values():
         frame, marker = observations.frame[d.rows], observations.marker[d.rows]
-        expected[d.rows] = (d.own @ local[frame][:, d.own_columns, None])[..., 0] + (d.shared @ shared[d.shared_columns[marker]][..., None])[..., 0]
+        expected[d.rows] = (d.own @ local[frame][:, d.own_columns, None])[..., 0] + (
+            d.shared @ shared[d.shared_columns[marker]][..., None]
+        )[..., 0]
     np.testing.assert_allclose(-(up - down) / (2 * h), expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
 
 
@@ -79,7 +87,9 @@ def test_optimum_equals_scipys(setting, free):
 
     def residual(p):
         moved = update_estimate(estimate, u, u.basis @ p[: u.basis.shape[1]], p[u.basis.shape[1] :].reshape(6, 6))
-        return np.r_[whitened(observations, moved.state).ravel(), (u.prior * offset_from_stated(moved, state, u))[u.prior > 0]]
+        return np.r_[
+            whitened(observations, moved.state).ravel(), (u.prior * offset_from_stated(moved, state, u))[u.prior > 0]
+        ]
 
     zero = np.zeros(u.basis.shape[1] + 36)
     other = least_squares(residual, zero, method="trf", x_scale="jac", max_nfev=2)
@@ -102,15 +112,33 @@ def test_markers_and_targets_off_their_places_are_found(setting):
         rows = seen[before.on_platform[seen] == on]
         gone = (found.corners - before.corners)[rows].reshape(-1, 3)
         arms = before.corners[rows].reshape(-1, 3)
-        assert np.abs(gone.sum(axis=0)).max() < 1e-12 and np.abs(np.cross(found.corners[rows].reshape(-1, 3), arms).sum(axis=0)).max() < 1e-12
-    freed = adjust_bundle(shifted, true_state, ("poses", "lenses", "markers"), stated=state)  # another start, the same optimum
+        assert (
+            np.abs(gone.sum(axis=0)).max() < 1e-12
+            and np.abs(np.cross(found.corners[rows].reshape(-1, 3), arms).sum(axis=0)).max() < 1e-12
+        )
+    freed = adjust_bundle(
+        shifted, true_state, ("poses", "lenses", "markers"), stated=state
+    )  # another start, the same optimum
     np.testing.assert_allclose(freed.state.markers.corners[seen], found.corners[seen], atol=1e-7)
-    shift = {on: align_points(true_state.markers.corners[rows].reshape(-1, 3), before.corners[rows].reshape(-1, 3)) for on in (False, True)
-             for rows in [seen[before.on_platform[seen] == on]]}
+    shift = {
+        on: align_points(true_state.markers.corners[rows].reshape(-1, 3), before.corners[rows].reshape(-1, 3))
+        for on in (False, True)
+        for rows in [seen[before.on_platform[seen] == on]]
+    }
     columns = np.concatenate([np.arange(c.start, c.stop) for c in result.unknowns.markers.values()])
     scale = result.unknowns.scale[columns]
-    errors = np.concatenate([log((shift[bool(before.on_platform[row])] * true_state.markers.T_body_marker[row]).inv() * found.T_body_marker[row])
-                             for row in result.unknowns.markers]) / scale
+    errors = (
+        np.concatenate(
+            [
+                log(
+                    (shift[bool(before.on_platform[row])] * true_state.markers.T_body_marker[row]).inv()
+                    * found.T_body_marker[row]
+                )
+                for row in result.unknowns.markers
+            ]
+        )
+        / scale
+    )
     values, vectors = np.linalg.eigh(result.shared_covariance[np.ix_(columns, columns)] / np.outer(scale, scale))
     free = values > 1e-12 * values.max()
     assert free.sum() == len(columns) - 12  # the datums take six of each body
@@ -165,7 +193,11 @@ def test_a_term_that_nothing_shows_stays_put(setting):
 def test_moving_camera_is_found_in_every_frame(setting):
     observations, stated, true, T = setting
     state = start(stated, true, T)
-    state = State(state.cameras, state.platform, {0: RigidTransform.concatenate([state.cameras[0].pose] * 6) * exp(1e-3 * np.ones((6, 6)))})
+    state = State(
+        state.cameras,
+        state.platform,
+        {0: RigidTransform.concatenate([state.cameras[0].pose] * 6) * exp(1e-3 * np.ones((6, 6)))},
+    )
     result = adjust_bundle(observations, state)
     wander = pose_difference(RigidTransform.concatenate([true.cameras[0].pose] * 6), result.state.moving[0])
     assert np.abs(wander[:, :3]).max() < 2e-3 and np.abs(wander).max() > 0

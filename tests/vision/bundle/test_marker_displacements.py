@@ -1,4 +1,6 @@
-"""A block moved by hand before a hand-held camera: tags off their places are found, no frame is flipped, none is filled in."""
+"""A block moved by hand before a hand-held camera: tags off their places are found, no frame is flipped, none is filled
+in.
+"""
 
 from dataclasses import replace
 
@@ -27,11 +29,16 @@ def worked():
 
 
 def datums(measured, true):
-    """Base and platform frame of the stated places, in the true ones: what measured poses must be turned by to be compared."""
+    """Base and platform frame of the stated places, in the true ones: what measured poses must be turned by to be
+    compared.
+    """
     a = measured.adjustment
     seen, stated = a.unknowns.seen, a.stated.markers
     on = stated.on_platform[seen]
-    return [align_points(true.markers.corners[rows].reshape(-1, 3), stated.corners[rows].reshape(-1, 3)) for rows in (seen[~on], seen[on])]
+    return [
+        align_points(true.markers.corners[rows].reshape(-1, 3), stated.corners[rows].reshape(-1, 3))
+        for rows in (seen[~on], seen[on])
+    ]
 
 
 def test_frames_are_solved_and_their_covariance_is_true(worked):
@@ -72,7 +79,10 @@ def test_held_out_frames_are_as_far_off_as_the_covariance_says(worked):
 
 def test_the_statement_names_who_holds_the_frames(worked):
     lines = "\n".join(determined_combinations(worked[-1].adjustment).lines())
-    assert "base frame is held by the stated places of its markers, taken together" in lines and "camera poses as stated" in lines
+    assert (
+        "base frame is held by the stated places of its markers, taken together" in lines
+        and "camera poses as stated" in lines
+    )
 
 
 def test_stated_places_that_contradict_are_told(worked):
@@ -83,7 +93,9 @@ def test_stated_places_that_contradict_are_told(worked):
 
 def test_one_sighting_counts_only_where_neighbours_confirm_it(worked):
     observations, stated, true, t, m = worked
-    full = [f for f in range(20, 100) if (observations.frame[observations.on_platform] == f).sum() >= 8 and f in m.frames]
+    full = [
+        f for f in range(20, 100) if (observations.frame[observations.on_platform] == f).sum() >= 8 and f in m.frames
+    ]
     f = full[len(full) // 2]
     mine = (observations.frame == f) & observations.on_platform
     one = observations.marker == observations.marker[mine][0]
@@ -97,9 +109,15 @@ def test_one_sighting_counts_only_where_neighbours_confirm_it(worked):
 
 def test_places_are_written_into_rig_toml_and_read_back(worked, tmp_path):
     m = worked[-1]
-    text = '\n'.join(['schema = "rig/1"', '[mechanism]', 'kind = "free"'] + [
-        f'[[target]]\nname = "{target.name}"\nbody = "{target.body}"\ndictionary = "{target.dictionary}"\nedge = 1.0\nmarker = 0.5\n'
-        'faces = {"+x" = 0}\npose = { position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }' for target in m.design.targets])
+    text = "\n".join(
+        ['schema = "rig/1"', "[mechanism]", 'kind = "free"']
+        + [
+            f'[[target]]\nname = "{target.name}"\nbody = "{target.body}"\ndictionary = '
+            f'"{target.dictionary}"\nedge = 1.0\nmarker = 0.5\n'
+            'faces = {"+x" = 0}\npose = { position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }'
+            for target in m.design.targets
+        ]
+    )
     path = tmp_path / "rig.toml"
     path.write_text(design_text_edits.with_places(text, adjusted_markers(m)))
     again = marker_map(design_file.load(path))

@@ -1,4 +1,6 @@
-"""Printed markers a little off: how far is told by the recording, poses own up to it, and nothing is said where nothing is off."""
+"""Printed markers a little off: how far is told by the recording, poses own up to it, and nothing is said where nothing
+is off.
+"""
 
 from dataclasses import replace
 
@@ -36,18 +38,25 @@ def off_recording(design, seed, frames=24, noise=NOISE, **off):
     """(Observations, stated Design, true poses) of markers printed a little off."""
     observations, stated, true, T = scene(design, seed, frames=frames, noise=noise)
     rng, plain = np.random.default_rng(seed), State(true.cameras, T, {})
-    moved = predict(observations, replace(plain, markers=printed(design, rng, **off)))[0] - predict(observations, plain)[0]
+    moved = (
+        predict(observations, replace(plain, markers=printed(design, rng, **off)))[0] - predict(observations, plain)[0]
+    )
     return replace(observations, uv=observations.uv + moved), stated, T
 
 
 def test_derivatives_of_prints_agree_with_differences(design):
     observations, stated, _ = off_recording(design, 3, frames=3)
     state = State(stated.cameras, scene(design, 3, frames=3)[3], {}, printed(design, np.random.default_rng(1)))
-    u, estimate = adjustment_unknowns(observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(1.0, 0.5, 1.0, 1.0))
+    u, estimate = adjustment_unknowns(
+        observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(1.0, 0.5, 1.0, 1.0)
+    )
     W, rng = whitener(observations), np.random.default_rng(2)
     _, found = linearise(observations, estimate, u, W)
     shared, local, h = rng.normal(size=u.shared), np.zeros((3, u.local)), 1e-3
-    up, down = (W(observations.uv - predict(observations, update_estimate(estimate, u, s * h * shared, local).state)[0]) for s in (1, -1))
+    up, down = (
+        W(observations.uv - predict(observations, update_estimate(estimate, u, s * h * shared, local).state)[0])
+        for s in (1, -1)
+    )
     expected = np.zeros_like(up)
     for d in found.values():
         expected[d.rows] = (d.shared @ shared[d.shared_columns[observations.marker[d.rows]]][..., None])[..., 0]
@@ -55,15 +64,24 @@ def test_derivatives_of_prints_agree_with_differences(design):
 
 
 def test_the_common_part_of_the_sides_is_what_the_priors_make_likeliest(design):
-    """Of each marker's side only the whole shows; no other split of it between its own and all together's costs less."""
+    """Of each marker's side only the whole shows; no other split of it between its own and all together's costs
+    less.
+    """
     observations, stated, T = off_recording(design, 4, frames=3)
     state = State(stated.cameras, T, {}, printed(design, np.random.default_rng(1)))
-    u, estimate = adjustment_unknowns(observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(0.0, 0.0, 0.0, 1.0))
+    u, estimate = adjustment_unknowns(
+        observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(0.0, 0.0, 0.0, 1.0)
+    )
     away = offset_from_stated(estimate, replace(state, markers=marker_map(stated)), u)
     own = np.concatenate([np.arange(c.start, c.stop) for c in u.prints.rows.values()])
 
     def cost(common):
-        return np.array([(away[u.prints.together] + common[0]) @ (away[u.prints.together] + common[0]) + ((away[own] - common[0]) ** 2).sum()])
+        return np.array(
+            [
+                (away[u.prints.together] + common[0]) @ (away[u.prints.together] + common[0])
+                + ((away[own] - common[0]) ** 2).sum()
+            ]
+        )
 
     assert abs(away[u.prints.together][0]) > 0.1
     assert jacobian(cost, np.zeros(1))[0, 0] == pytest.approx(0, abs=1e-6)

@@ -20,7 +20,10 @@ def setting(design):
     observations, stated, true, T = scene(design, 1, frames=6)
     rng = np.random.default_rng(0)
     A = rng.normal(size=(len(observations), 2, 2))
-    uneven = replace(observations, covariance=observations.covariance * (1 + rng.uniform(size=(len(A), 1, 1))) + 1e-4 * A @ np.swapaxes(A, 1, 2))
+    uneven = replace(
+        observations,
+        covariance=observations.covariance * (1 + rng.uniform(size=(len(A), 1, 1))) + 1e-4 * A @ np.swapaxes(A, 1, 2),
+    )
     return uneven, State(known(stated, true).cameras, T, {})
 
 
@@ -32,11 +35,18 @@ def test_cost_and_normal_equations_are_the_same(setting):
     both = []
     for o, rest in ((observations, 0.0), (few, spare)):
         residual, derivatives = linearise(o, estimate, u, whitener(o))
-        both.append((normal_equations(o, derivatives, u, offset_from_stated(estimate, state, u)), float((residual**2).sum()) + rest))
+        both.append(
+            (
+                normal_equations(o, derivatives, u, offset_from_stated(estimate, state, u)),
+                float((residual**2).sum()) + rest,
+            )
+        )
     (whole, cost), (short, same) = both
     assert same == pytest.approx(cost, rel=1e-12)
     for name in ("local", "cross", "shared", "own", "common"):
-        np.testing.assert_allclose(getattr(short, name), getattr(whole, name), rtol=1e-9, atol=1e-9 * np.abs(getattr(whole, name)).max())
+        np.testing.assert_allclose(
+            getattr(short, name), getattr(whole, name), rtol=1e-9, atol=1e-9 * np.abs(getattr(whole, name)).max()
+        )
 
 
 def test_an_adjustment_is_the_same(setting, monkeypatch):
@@ -53,7 +63,10 @@ def test_an_adjustment_is_the_same(setting, monkeypatch):
 def test_what_hangs_together_and_what_moves_stays_as_it_is(setting):
     observations, state = setting
     m = -(-len(observations) // 4)
-    tied = replace(observations, correlation=corner_correlation(np.tile(np.eye(8), (m, 1, 1))).reshape(-1, 2, 8)[: len(observations)])
+    tied = replace(
+        observations,
+        correlation=corner_correlation(np.tile(np.eye(8), (m, 1, 1))).reshape(-1, 2, 8)[: len(observations)],
+    )
     assert merge_repeated_corners(tied, state) == (tied, 0.0)
     moving = replace(state, moving={0: state.platform})
     few, _ = merge_repeated_corners(observations, moving)

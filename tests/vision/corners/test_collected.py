@@ -19,7 +19,9 @@ def test_pixels_are_taken_for_what_they_see():
     assert told(corner, 1, 1, LEFT | TOP) == NONE
     assert told(corner, 1, 1, RIGHT) == 2 + 2 + 1  # one upright edge, the cell's right side, white first
     assert told(corner, 1, 2, TOP) == 2 + 4 + 1  # one level edge, the cell's upper side, white first
-    assert told(corner, 1, 1, RIGHT | BOTTOM) == MEETS + 16 + 32 + 1  # they meet at its right and bottom: white at the top left alone
+    assert (
+        told(corner, 1, 1, RIGHT | BOTTOM) == MEETS + 16 + 32 + 1
+    )  # they meet at its right and bottom: white at the top left alone
     assert told(corner, 0, 2, LEFT | BOTTOM) == MEETS + 32 + 1 + 2 + 4
     assert told(corner, 1, 1, 16) == 1  # where cells beyond the next are in sight
 
@@ -35,5 +37,7 @@ def test_ranks_are_those_of_sorting():
     for size in (1, 2, 7, 300):
         values = rng.normal(0, 20, size)
         for rank in {0, size // 2, size - 1}:
-            assert order_statistic(values, rank) == pytest.approx(np.sort(values)[rank], abs=np.ptp(values) / 16000 + 1e-12)
+            assert order_statistic(values, rank) == pytest.approx(
+                np.sort(values)[rank], abs=np.ptp(values) / 16000 + 1e-12
+            )
     assert order_statistic(np.zeros(0), 0) == 0

@@ -16,7 +16,9 @@ def test_plain_edges_are_odd_and_their_slope_is_theirs():
     share, slope = PLAIN.tables[..., 0], PLAIN.tables[..., 1]
     np.testing.assert_allclose(share + share[..., ::-1], 1, atol=1e-9)
     np.testing.assert_allclose(np.gradient(share[2:], GRID, axis=-1), slope[2:], atol=2e-3)
-    np.testing.assert_allclose(share[-1], np.broadcast_to(ndtr(GRID), share[-1].shape), atol=1e-3)  # a wide edge is a Gaussian's
+    np.testing.assert_allclose(
+        share[-1], np.broadcast_to(ndtr(GRID), share[-1].shape), atol=1e-3
+    )  # a wide edge is a Gaussian's
 
 
 def test_a_plain_edge_is_a_gaussian_seen_through_pixels():
@@ -41,10 +43,17 @@ def test_what_a_camera_does_to_edges_is_learnt(design):
 
     def fit(spread):
         profile = empty_profile()
-        found = [fit_read_markers(image, camera(), markers, Read([k], corners[None]), spread=spread, profile=profile)
-                 for k, (image, corners) in enumerate(zip(images, truth))]
+        found = [
+            fit_read_markers(image, camera(), markers, Read([k], corners[None]), spread=spread, profile=profile)
+            for k, (image, corners) in enumerate(zip(images, truth))
+        ]
         error = np.concatenate([f.corners[0] - corners for f, corners in zip(found, truth)])
-        return profile, np.median([f.noise[0] for f in found]), np.sqrt(np.mean(error**2)), np.median([f.blur[0] for f in found])
+        return (
+            profile,
+            np.median([f.noise[0] for f in found]),
+            np.sqrt(np.mean(error**2)),
+            np.median([f.blur[0] for f in found]),
+        )
 
     spread = PLAIN
     _, noise_before, error_before, _ = fit(spread)

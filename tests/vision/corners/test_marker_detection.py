@@ -16,12 +16,27 @@ from vision.predict import expected
 from vision.targets import marker_map
 
 
-@pytest.mark.parametrize("dictionary", ["DICT_4X4_50", "DICT_5X5_1000", "DICT_6X6_250", "DICT_7X7_50", "DICT_ARUCO_ORIGINAL", "DICT_ARUCO_MIP_36h12",
-                                        "DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11"])
+@pytest.mark.parametrize(
+    "dictionary",
+    [
+        "DICT_4X4_50",
+        "DICT_5X5_1000",
+        "DICT_6X6_250",
+        "DICT_7X7_50",
+        "DICT_ARUCO_ORIGINAL",
+        "DICT_ARUCO_MIP_36h12",
+        "DICT_APRILTAG_16h5",
+        "DICT_APRILTAG_25h9",
+        "DICT_APRILTAG_36h10",
+        "DICT_APRILTAG_36h11",
+    ],
+)
 def test_every_family_is_read(design, dictionary):
     assert dictionary in DICTIONARIES
     corners = quad(np.random.default_rng(3), side=80, tilt=0.4)
-    image = np.clip(picture(corners, dictionary, 7) + np.random.default_rng(0).normal(0, 1, (SIZE, SIZE)), 0, 255).astype(np.uint8)
+    image = np.clip(
+        picture(corners, dictionary, 7) + np.random.default_rng(0).normal(0, 1, (SIZE, SIZE)), 0, 255
+    ).astype(np.uint8)
     found = detect_markers(image, camera(), sheet(design, dictionary, range(8)))
     assert found.marker.tolist() == [7]
     np.testing.assert_allclose(found.corners[0], corners, atol=0.05)
@@ -33,7 +48,10 @@ def test_what_covers_a_marker_does_not_pull_it(design):
     middle = (corners[1] + corners[2]) / 2
     cv2.circle(image, tuple(int(v) for v in middle), 7, 140.0, -1)
     found = fit_read_markers(
-        image + np.random.default_rng(0).normal(0, 1, image.shape).astype(np.float32), camera(), sheet(design), Read([5], corners[None])
+        image + np.random.default_rng(0).normal(0, 1, image.shape).astype(np.float32),
+        camera(),
+        sheet(design),
+        Read([5], corners[None]),
     )
     np.testing.assert_allclose(found.corners[0], corners, atol=0.06)
     image[:, : SIZE // 2] = 100
@@ -41,28 +59,40 @@ def test_what_covers_a_marker_does_not_pull_it(design):
     assert not len(gone.marker) and gone.left_out[0][0] == 5
 
 
-@pytest.mark.parametrize("spoil, says", [
-    (lambda image: image * 0 + 90, "white is no brighter|contrast|pixels|settle|determined|lost"),
-    (lambda image: 210 - image, "white is no brighter"),
-    (lambda image: np.random.default_rng(0).normal(100, 60, image.shape), "lost in noise|not this marker|settle|brighter|turned|left the place"),
-])
+@pytest.mark.parametrize(
+    "spoil, says",
+    [
+        (lambda image: image * 0 + 90, "white is no brighter|contrast|pixels|settle|determined|lost"),
+        (lambda image: 210 - image, "white is no brighter"),
+        (
+            lambda image: np.random.default_rng(0).normal(100, 60, image.shape),
+            "lost in noise|not this marker|settle|brighter|turned|left the place",
+        ),
+    ],
+)
 def test_what_is_no_marker_gets_a_reason(design, spoil, says):
     import re
 
     corners = quad(np.random.default_rng(5))
-    found = fit_read_markers(spoil(picture(corners, NAME, 1)).astype(np.float32), camera(), sheet(design), Read([1], corners[None]))
+    found = fit_read_markers(
+        spoil(picture(corners, NAME, 1)).astype(np.float32), camera(), sheet(design), Read([1], corners[None])
+    )
     assert not len(found.marker) and re.search(says, found.left_out[0][1]), found.left_out
 
 
 def test_another_marker_is_not_taken_for_it(design):
     corners = quad(np.random.default_rng(6))
-    found = fit_read_markers(picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), Read([2], corners[None]))
+    found = fit_read_markers(
+        picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), Read([2], corners[None])
+    )
     assert not len(found.marker)
 
 
 def test_a_marker_too_small_is_left_out_with_its_size(design):
     corners = quad(np.random.default_rng(7), side=14)
-    found = fit_read_markers(picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), Read([1], corners[None]))
+    found = fit_read_markers(
+        picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), Read([1], corners[None])
+    )
     assert not len(found.marker) and "too small" in found.left_out[0][1]
 
 
@@ -80,8 +110,12 @@ def test_an_identity_seen_twice_is_not_averaged(design):
 def test_every_kind_of_image_is_read(design, form):
     corners = quad(np.random.default_rng(9), side=70)
     clean = picture(corners, NAME, 6)
-    image = {"colour": np.repeat(clean[..., None], 3, axis=2).astype(np.uint8), "alpha": np.repeat(clean[..., None], 4, axis=2).astype(np.uint8),
-             "16 bit": (clean * 257).astype(np.uint16), "12 in 16 bit": (clean * 16).astype(np.uint16)}[form]
+    image = {
+        "colour": np.repeat(clean[..., None], 3, axis=2).astype(np.uint8),
+        "alpha": np.repeat(clean[..., None], 4, axis=2).astype(np.uint8),
+        "16 bit": (clean * 257).astype(np.uint16),
+        "12 in 16 bit": (clean * 16).astype(np.uint16),
+    }[form]
     found = detect_markers(image, camera(), sheet(design))
     assert found.marker.tolist() == [6]
     np.testing.assert_allclose(found.corners[0], corners, atol=0.03)
@@ -100,7 +134,10 @@ def test_an_empty_image_shows_nothing(design):
 def cube_scene(design, at, dictionary=NAME):
     """(camera, marker map, pose expected, image) of one sheet on the platform, drawn where a pose puts it."""
     view = camera()
-    listed = (Marker(3, 0.06, pose([0, 0, 0.9], [np.pi - 0.4, 0.2, 0.3]), 0.008), Marker(4, 0.06, pose([0.5, 0, 0.9], [np.pi, 0, 0]), 0.008))
+    listed = (
+        Marker(3, 0.06, pose([0, 0, 0.9], [np.pi - 0.4, 0.2, 0.3]), 0.008),
+        Marker(4, 0.06, pose([0.5, 0, 0.9], [np.pi, 0, 0]), 0.008),
+    )
     markers = marker_map(replace(design, targets=(Target("t", "platform", dictionary, listed=listed),)))
     _, (corners,) = expected(view, at, markers)
     image = picture(corners, dictionary, 3) + np.random.default_rng(0).normal(0, 1, (SIZE, SIZE))
@@ -111,7 +148,9 @@ def test_where_a_pose_is_expected_only_its_places_are_read(design, monkeypatch):
     here = pose([0, 0, 0], [0, 0, 0])
     view, markers, corners, image = cube_scene(design, here)
     whole = detect_markers(image, view, markers)
-    monkeypatch.setattr("vision.corners.marker_detection.read_markers", lambda *_: pytest.fail("the whole image was searched"))
+    monkeypatch.setattr(
+        "vision.corners.marker_detection.read_markers", lambda *_: pytest.fail("the whole image was searched")
+    )
     for offset in ([0, 0, 0], [0.003, -0.003, 0]):  # 3 px
         found = detect_markers(image, view, markers, T_base_platform=pose(offset, [0, 0, 0]))
         assert found.marker.tolist() == [3]
@@ -145,17 +184,27 @@ def test_no_identity_in_noise(design):
     rng = np.random.default_rng(0)
     markers, view = sheet(design, ids=range(100)), camera(size=160)
     for k in range(10_000):
-        image = cv2.GaussianBlur(rng.normal(0, 1, (160, 160)), (0, 0), rng.uniform(0.3, 6)) if k % 3 else rng.normal(0, 1, (160, 160))
+        image = (
+            cv2.GaussianBlur(rng.normal(0, 1, (160, 160)), (0, 0), rng.uniform(0.3, 6))
+            if k % 3
+            else rng.normal(0, 1, (160, 160))
+        )
         image = np.clip(128 + rng.uniform(20, 120) * image / image.std(), 0, 255).astype(np.uint8)
         found = detect_markers(image, view, markers)
         assert not len(found.marker), (k, found.marker)
 
 
-@pytest.mark.parametrize("spoil, atol", [
-    (lambda image, rng: cv2.GaussianBlur(image, (0, 0), 1.3), 0.05),
-    (lambda image, rng: image * 0.12 + 3 + rng.normal(0, 0.5, image.shape), 0.1),
-    (lambda image, rng: image * 0.5 + 60 * (1 + np.sin(2.1 * np.arange(image.shape[1]))) / 2, 0.4),  # the stripes of a screen
-])
+@pytest.mark.parametrize(
+    "spoil, atol",
+    [
+        (lambda image, rng: cv2.GaussianBlur(image, (0, 0), 1.3), 0.05),
+        (lambda image, rng: image * 0.12 + 3 + rng.normal(0, 0.5, image.shape), 0.1),
+        (
+            lambda image, rng: image * 0.5 + 60 * (1 + np.sin(2.1 * np.arange(image.shape[1]))) / 2,
+            0.4,
+        ),  # the stripes of a screen
+    ],
+)
 def test_blurred_dark_and_striped_markers_are_right_or_left_out_with_a_reason(design, spoil, atol):
     rng = np.random.default_rng(10)
     corners = quad(rng, side=70, tilt=0.3)
@@ -179,7 +228,9 @@ def test_markers_that_the_rig_has_not_are_passed_over_and_its_own_keep_their_ide
 def test_a_mirrored_image_shows_no_marker(design, flip):
     image = np.clip(picture(quad(np.random.default_rng(13), side=70), NAME, 6), 0, 255).astype(np.uint8)
     assert detect_markers(image, camera(), sheet(design)).marker.tolist() == [6]
-    assert not len(detect_markers(np.ascontiguousarray(np.flip(image, flip)), camera(), sheet(design, ids=range(100))).marker)
+    assert not len(
+        detect_markers(np.ascontiguousarray(np.flip(image, flip)), camera(), sheet(design, ids=range(100))).marker
+    )
 
 
 @pytest.mark.parametrize("pitch", [1.7, 2.6, 5.3])
@@ -189,9 +240,13 @@ def test_a_marker_on_a_screen_is_right_or_left_out_with_a_reason(design, pitch):
     corners = quad(rng, side=80, tilt=0.3)
     u, v = np.meshgrid(*[(np.arange(SIZE * fine) + 0.5) / fine] * 2)
     x, y = (u * np.cos(0.1) + v * np.sin(0.1)) / pitch, (v * np.cos(0.1) - u * np.sin(0.1)) / pitch
-    open_ = (np.mod(y, 1) < 0.85)[..., None] & (np.abs(np.mod(x[..., None] - np.array([0.17, 0.5, 0.83]) + 0.5, 1) - 0.5) < 0.14)
+    open_ = (np.mod(y, 1) < 0.85)[..., None] & (
+        np.abs(np.mod(x[..., None] - np.array([0.17, 0.5, 0.83]) + 0.5, 1) - 0.5) < 0.14
+    )
     screen = open_.reshape(SIZE, fine, SIZE, fine, 3).mean(axis=(1, 3)) / 0.24
-    image = np.clip(np.rint(picture(corners, NAME, 6, white=150.0)[..., None] * screen + rng.normal(0, 1, screen.shape)), 0, 255).astype(np.uint8)
+    image = np.clip(
+        np.rint(picture(corners, NAME, 6, white=150.0)[..., None] * screen + rng.normal(0, 1, screen.shape)), 0, 255
+    ).astype(np.uint8)
     found = detect_markers(image, camera(), sheet(design))
     if len(found.marker):
         assert found.marker.tolist() == [6]

@@ -1,4 +1,6 @@
-"""Markers found and read: whatever OpenCV's own reader finds, at the same pixels, in pictures of every kind; and each step by itself."""
+"""Markers found and read: whatever OpenCV's own reader finds, at the same pixels, in pictures of every kind; and each
+step by itself.
+"""
 
 import cv2
 import numpy as np
@@ -14,7 +16,15 @@ from vision.targets import marker_cells
 
 FINE = 12  # texture pixels to a cell
 GROUNDS = ("flat", "slope", "cloth", "checks")
-FAMILIES = ("DICT_4X4_1000", NAME, "DICT_6X6_250", "DICT_7X7_50", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5", "DICT_APRILTAG_36h11")
+FAMILIES = (
+    "DICT_4X4_1000",
+    NAME,
+    "DICT_6X6_250",
+    "DICT_7X7_50",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_36h11",
+)
 
 
 def by_opencv(image, name, numbers):
@@ -22,7 +32,9 @@ def by_opencv(image, name, numbers):
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     parameters = cv2.aruco.DetectorParameters()
     parameters.perspectiveRemovePixelPerCell = 8
-    only = cv2.aruco.Dictionary(dictionary.bytesList[list(numbers)], dictionary.markerSize, dictionary.maxCorrectionBits)
+    only = cv2.aruco.Dictionary(
+        dictionary.bytesList[list(numbers)], dictionary.markerSize, dictionary.maxCorrectionBits
+    )
     corners, rows, _ = cv2.aruco.ArucoDetector(only, parameters).detectMarkers(image)
     rows = [] if rows is None else rows.ravel().tolist()
     return {numbers[row]: corners[k][0] for k, row in enumerate(rows) if rows.count(row) == 1}
@@ -36,7 +48,9 @@ def ground(rng, width, height):
     if kind == "slope":
         return np.add.outer(np.linspace(*rng.uniform(10, 230, 2), height), np.linspace(*rng.uniform(-60, 60, 2), width))
     if kind == "cloth":
-        return 100 + rng.uniform(20, 200) * 3 * cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), rng.uniform(0.5, 8))
+        return 100 + rng.uniform(20, 200) * 3 * cv2.GaussianBlur(
+            rng.normal(size=(height, width)), (0, 0), rng.uniform(0.5, 8)
+        )
     v, u = np.mgrid[:height, :width] // rng.integers(5, 60)
     return np.where((u + v) % 2, *rng.uniform(10, 240, 2))
 
@@ -48,19 +62,24 @@ def lay(image, corners, name, number, margin, white, black):
     low, high = int(margin * FINE) - 0.5, len(printed) - int(margin * FINE) - 0.5
     square = np.array([[low, low], [high, low], [high, high], [low, high]], np.float32)
     reach = 0.8 * np.ptp(corners, axis=0)
-    (x0, y0), (x1, y1) = (np.clip(end, 0, image.shape[::-1]).astype(int) for end in (corners.min(axis=0) - reach, corners.max(axis=0) + reach + 1))
+    (x0, y0), (x1, y1) = (
+        np.clip(end, 0, image.shape[::-1]).astype(int)
+        for end in (corners.min(axis=0) - reach, corners.max(axis=0) + reach + 1)
+    )
     if x1 <= x0 or y1 <= y0:
         return
     here = cv2.getPerspectiveTransform(square, (corners - [x0, y0]).astype(np.float32))
     thrice, size = np.array([[3.0, 0, 1], [0, 3, 1], [0, 0, 1]]) @ here, (x1 - x0, y1 - y0)
-    paper, grey = (cv2.resize(cv2.warpPerspective(part, thrice, (3 * size[0], 3 * size[1])), size, interpolation=cv2.INTER_AREA)
-                   for part in (np.ones_like(printed), black + (white - black) * printed))
+    paper, grey = (
+        cv2.resize(cv2.warpPerspective(part, thrice, (3 * size[0], 3 * size[1])), size, interpolation=cv2.INTER_AREA)
+        for part in (np.ones_like(printed), black + (white - black) * printed)
+    )
     image[y0:y1, x0:x1] = image[y0:y1, x0:x1] * (1 - paper) + grey
 
 
 def photograph(rng, name, numbers, width, height):
-    """(image (height, width) uint8, {identity: corners (4, 2) px}): markers of 12 px and more, tilted, over each other and the border, lit, blurred,
-    crossed, with noise."""
+    """(image (height, width) uint8, {identity: corners (4, 2) px}): markers of 12 px and more, tilted, over each other
+    and the border, lit, blurred, crossed, with noise."""
     image, true = ground(rng, width, height).astype(float), {}
     for number in rng.permutation(numbers)[: rng.integers(1, 8)].tolist():
         side = np.exp(rng.uniform(np.log(12), np.log(height / 2.5)))
@@ -71,13 +90,19 @@ def photograph(rng, name, numbers, width, height):
         ends = rng.integers(0, [width, height], (2, 2)).tolist()
         cv2.line(image, *ends, rng.uniform(0, 255), int(rng.integers(1, 6)), cv2.LINE_AA)
     v, u = (np.mgrid[:height, :width] / np.array([height, width])[:, None, None]) - 0.5
-    image *= (1 - rng.uniform(0, 1.2) * (u * u + v * v)) * (1 + rng.uniform(-0.6, 0.6) * u) * rng.choice([0.3, 0.7, 1, 1.3])
-    image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 2)) + rng.normal(0, rng.choice([0.5, 1, 3, 8]), image.shape)
+    image *= (
+        (1 - rng.uniform(0, 1.2) * (u * u + v * v)) * (1 + rng.uniform(-0.6, 0.6) * u) * rng.choice([0.3, 0.7, 1, 1.3])
+    )
+    image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 2)) + rng.normal(
+        0, rng.choice([0.5, 1, 3, 8]), image.shape
+    )
     return np.clip(np.rint(image), 0, 255).astype(np.uint8), true
 
 
 def compared(design, rng, name, count, width, height):
-    """How many markers OpenCV finds in so many photographs, each of which is read at the same pixels; what is read besides is there too."""
+    """How many markers OpenCV finds in so many photographs, each of which is read at the same pixels; what is read
+    besides is there too.
+    """
     numbers, seen = list(range(20)), 0
     markers = sheet(design, name, numbers)
     for k in range(count):
@@ -117,7 +142,9 @@ def test_what_is_darker_than_its_surroundings_is_marked(window, shape):
 
 
 def test_outlines_of_what_is_dark_and_of_what_is_bright_in_it_are_found():
-    """A dark frame: the outer pixels of the dark are the one outline, those of the dark around the bright the other; a disc has none."""
+    """A dark frame: the outer pixels of the dark are the one outline, those of the dark around the bright the other; a
+    disc has none.
+    """
     image = np.full((200, 200), 200, np.uint8)
     image[40:101, 30:111] = 20
     image[60:81, 60:81] = 200

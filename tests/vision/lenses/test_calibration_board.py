@@ -19,14 +19,20 @@ from vision.lenses.calibration_board import find_board_corners, parse
 
 TEXT = "charuco:5x7:0.036:0.018:DICT_6X6_250"
 PINHOLE = Camera("cam", 420, 460, [[500, 0, 210], [0, 500, 230], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
-BENT = Camera("cam", 420, 460, [[500, 0, 210], [0, 500, 230], [0, 0, 1]], [-0.35, 0.15, 0, 0, 0], RigidTransform.identity())
+BENT = Camera(
+    "cam", 420, 460, [[500, 0, 210], [0, 500, 230], [0, 0, 1]], [-0.35, 0.15, 0, 0, 0], RigidTransform.identity()
+)
 
 
 def draw(board, camera, T_camera_board, noise=1.5, blur=0.8, seed=0, finer=3):
     """A photograph of a board: every sample of every pixel looked up on the board, averaged, blurred, made noisy."""
     cells = 40
-    sheet = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch, board.side,
-                                   cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary)))
+    sheet = cv2.aruco.CharucoBoard(
+        (board.columns, board.rows),
+        board.pitch,
+        board.side,
+        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary)),
+    )
     flat = sheet.generateImage((board.columns * cells * 8, board.rows * cells * 8), marginSize=0)
     scale = cells * 8 / board.pitch
     step = (np.arange(finer) + 0.5) / finer - 0.5
@@ -42,8 +48,15 @@ def draw(board, camera, T_camera_board, noise=1.5, blur=0.8, seed=0, finer=3):
     on = on[..., :2] / on[..., 2:]
     x, y = np.floor(on * scale).astype(int).transpose(2, 0, 1)
     inside = (x >= 0) & (y >= 0) & (x < flat.shape[1]) & (y < flat.shape[0])
-    bright = np.where(inside, flat[np.clip(y, 0, flat.shape[0] - 1), np.clip(x, 0, flat.shape[1] - 1)] > 127, True) * 180.0 + 30
-    image = cv2.GaussianBlur(bright, (0, 0), blur * finer).reshape(camera.height, finer, camera.width, finer).mean(axis=(1, 3))
+    bright = (
+        np.where(inside, flat[np.clip(y, 0, flat.shape[0] - 1), np.clip(x, 0, flat.shape[1] - 1)] > 127, True) * 180.0
+        + 30
+    )
+    image = (
+        cv2.GaussianBlur(bright, (0, 0), blur * finer)
+        .reshape(camera.height, finer, camera.width, finer)
+        .mean(axis=(1, 3))
+    )
     image += noise * np.random.default_rng(seed).normal(size=image.shape)
     uv = lens.project(transform_points(T_camera_board, board.points), camera.matrix, camera.distortion)
     return np.clip(np.round(image), 0, 255).astype(np.uint8), uv
@@ -80,9 +93,15 @@ def test_share_is_the_bivariate_normals():
         value, dh, dk, dr = chessboard_corner.share(h, k, rho)
         expected = [normal.cdf([a, b]) + normal.cdf([-a, -b]) for a, b in zip(h, k)]
         np.testing.assert_allclose(value, expected, atol=1e-6)
-        np.testing.assert_allclose(np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.share(x, k, r)[0], h)), dh, atol=1e-6)
-        np.testing.assert_allclose(np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.share(h, x, r)[0], k)), dk, atol=1e-6)
-        np.testing.assert_allclose(jacobian(lambda r: chessboard_corner.share(h, k, r[0])[0], np.array([rho]))[:, 0], dr, atol=1e-6)
+        np.testing.assert_allclose(
+            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.share(x, k, r)[0], h)), dh, atol=1e-6
+        )
+        np.testing.assert_allclose(
+            np.diagonal(jacobian(lambda x, r=rho: chessboard_corner.share(h, x, r)[0], k)), dk, atol=1e-6
+        )
+        np.testing.assert_allclose(
+            jacobian(lambda r: chessboard_corner.share(h, k, r[0])[0], np.array([rho]))[:, 0], dr, atol=1e-6
+        )
 
 
 def test_what_is_no_corner_gives_a_reason():
@@ -115,26 +134,31 @@ def test_a_grid_of_markers_is_read_too():
 def test_layout_is_opencvs():
     for legacy, text in ((False, "charuco:6x5:0.04:0.02:DICT_4X4_50"), (True, "charuco:5x6:0.04:0.02:DICT_4X4_50")):
         board = replace(parse(text), legacy=legacy)
-        theirs = cv2.aruco.CharucoBoard((board.columns, board.rows), 0.04, 0.02, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
+        theirs = cv2.aruco.CharucoBoard(
+            (board.columns, board.rows), 0.04, 0.02, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+        )
         theirs.setLegacyPattern(legacy)
         np.testing.assert_allclose(theirs.getChessboardCorners(), board.points, atol=1e-7)
         np.testing.assert_allclose(np.array(theirs.getObjPoints()), board.marker_corners(), atol=1e-7)
 
 
-@pytest.mark.parametrize("text, what", [
-    ("charucoo:5x7:0.036:0.018:DICT_6X6_250", "charucoo"),
-    ("charuco:5x7:0.036:DICT_6X6_250", "4 parts"),
-    ("charuco:5by7:0.036:0.018:DICT_6X6_250", "5by7"),
-    ("charuco:5x7:36:18:DICT_6X6_250", "metres"),
-    ("charuco:5x7:0.018:0.036:DICT_6X6_250", "does not fit"),
-    ("charuco:5x7:a:0.018:DICT_6X6_250", "'a'"),
-    ("charuco:5x7:0.036:0.018:DICT_6X6", "DICT_6X6"),
-    ("charuco:2x2:0.036:0.018:DICT_6X6_250", "2x2"),
-    ("charuco:0x7:0.036:0.018:DICT_6X6_250", "0x7"),
-    ("charuco:20x20:0.036:0.018:DICT_4X4_50", "only 50"),
-    ("charuco:5x7:nan:0.018:DICT_6X6_250", "nan"),
-    ("", "no kind"),
-])
+@pytest.mark.parametrize(
+    "text, what",
+    [
+        ("charucoo:5x7:0.036:0.018:DICT_6X6_250", "charucoo"),
+        ("charuco:5x7:0.036:DICT_6X6_250", "4 parts"),
+        ("charuco:5by7:0.036:0.018:DICT_6X6_250", "5by7"),
+        ("charuco:5x7:36:18:DICT_6X6_250", "metres"),
+        ("charuco:5x7:0.018:0.036:DICT_6X6_250", "does not fit"),
+        ("charuco:5x7:a:0.018:DICT_6X6_250", "'a'"),
+        ("charuco:5x7:0.036:0.018:DICT_6X6", "DICT_6X6"),
+        ("charuco:2x2:0.036:0.018:DICT_6X6_250", "2x2"),
+        ("charuco:0x7:0.036:0.018:DICT_6X6_250", "0x7"),
+        ("charuco:20x20:0.036:0.018:DICT_4X4_50", "only 50"),
+        ("charuco:5x7:nan:0.018:DICT_6X6_250", "nan"),
+        ("", "no kind"),
+    ],
+)
 def test_a_typo_in_the_board_is_named(text, what):
     with pytest.raises(RigError, match=what):
         parse(text)

@@ -14,7 +14,14 @@ from vision.lenses.calibration_board import BoardView, parse
 from vision.lenses.lens_calibration import calibrate, choose, hold_out, observations_of, projection_uncertainty
 
 BOARD = parse("charuco:8x9:0.03:0.02:DICT_6X6_250")
-TRUE = Camera("cam", 1280, 1024, [[1000, 0, 650], [0, 1005, 500], [0, 0, 1]], [-0.2, 0.08, 1e-3, -5e-4, 0.0], RigidTransform.identity())
+TRUE = Camera(
+    "cam",
+    1280,
+    1024,
+    [[1000, 0, 650], [0, 1005, 500], [0, 0, 1]],
+    [-0.2, 0.08, 1e-3, -5e-4, 0.0],
+    RigidTransform.identity(),
+)
 
 
 def views(seed, count=12, noise=0.05, camera=TRUE):
@@ -50,7 +57,10 @@ def test_the_simplest_model_that_serves_is_taken():
     assert held[0].rms > 5 * held[1].rms and choose(held).terms in (4, 5)
     assert held[1].rms == pytest.approx(0.05, rel=0.1) and held[1].corners == len(o) and len(held[1].by_image) == 12
     straight = observations_of(views(3, camera=replace(TRUE, distortion=np.zeros(5))), BOARD)
-    assert choose([hold_out(straight, TRUE.width, TRUE.height, terms, inliers[: len(straight)]) for terms in (0, 4)]).terms == 0
+    assert (
+        choose([hold_out(straight, TRUE.width, TRUE.height, terms, inliers[: len(straight)]) for terms in (0, 4)]).terms
+        == 0
+    )
 
 
 def test_outliers_are_set_aside():

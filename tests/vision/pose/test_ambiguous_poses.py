@@ -3,13 +3,21 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from vision.pose.ambiguous_poses import choose_by_neighbours, expected_pose, neighbour_distance, pose_outliers, rotation_angle
+from vision.pose.ambiguous_poses import (
+    choose_by_neighbours,
+    expected_pose,
+    neighbour_distance,
+    pose_outliers,
+    rotation_angle,
+)
 
 
 def track(count=60, rate=0.6, jitter=0.002, seed=0):
     t = np.arange(count) * 0.05
     rng = np.random.default_rng(seed)
-    turn = Rotation.from_rotvec(np.outer(np.sin(rate * t), [1.0, 0.5, 0.2])) * Rotation.from_rotvec(jitter * rng.normal(size=(count, 3)))
+    turn = Rotation.from_rotvec(np.outer(np.sin(rate * t), [1.0, 0.5, 0.2])) * Rotation.from_rotvec(
+        jitter * rng.normal(size=(count, 3))
+    )
     T = RigidTransform.from_components(np.outer(t, [0.1, 0, 0]), turn).as_matrix()
     return t, dict(enumerate(T))
 
@@ -32,7 +40,10 @@ def test_no_candidate_is_taken_that_neighbours_do_not_lead_to():
     wrong = flipped(found.pop(20))
     near = wrong.copy()
     near[:3, :3] = near[:3, :3] @ Rotation.from_rotvec([0, 0, 0.4]).as_matrix()
-    assert choose_by_neighbours(found, {20: [wrong, near]}, t) == {} and choose_by_neighbours(found, {20: [wrong]}, t) == {}
+    assert (
+        choose_by_neighbours(found, {20: [wrong, near]}, t) == {}
+        and choose_by_neighbours(found, {20: [wrong]}, t) == {}
+    )
 
 
 def test_a_body_that_leaps_vouches_for_nothing():
@@ -48,7 +59,10 @@ def test_frames_far_apart_in_time_say_nothing():
     reach = neighbour_distance(found, t)
     late = t.copy()
     late[30:] += 60
-    assert expected_pose({29: found[29]}, 30, late, reach)[0] is None and expected_pose({29: found[29]}, 30, t, reach)[0] is not None
+    assert (
+        expected_pose({29: found[29]}, 30, late, reach)[0] is None
+        and expected_pose({29: found[29]}, 30, t, reach)[0] is not None
+    )
     assert neighbour_distance(found, t * 100) is None
 
 

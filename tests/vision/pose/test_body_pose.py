@@ -18,12 +18,23 @@ def view_of(observations, design, frame, keep=None):
     if keep is not None:
         rows = rows[keep(observations, rows)]
     markers = marker_map(design)
-    ideal, covariance = undistorted(observations.uv[rows], observations.covariance[rows], observations.camera[rows], design.cameras)
+    ideal, covariance = undistorted(
+        observations.uv[rows], observations.covariance[rows], observations.camera[rows], design.cameras
+    )
     normals = markers.T_body_marker.rotation.as_matrix()[:, :, 2][observations.marker[rows]]
     focal = np.array([camera.matrix[0, 0] for camera in design.cameras])
     T = np.array([camera.pose.inv().as_matrix() for camera in design.cameras])
-    return View(observations.points[rows], normals, ideal, covariance, observations.camera[rows], observations.marker[rows],
-                observations.corner[rows], focal, T), markers
+    return View(
+        observations.points[rows],
+        normals,
+        ideal,
+        covariance,
+        observations.camera[rows],
+        observations.marker[rows],
+        observations.corner[rows],
+        focal,
+        T,
+    ), markers
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +79,14 @@ def test_exchanged_identities_flips_and_outliers_are_cast_out(setting):
 
 def test_one_sighting_is_not_believed(setting):
     observations, design, _ = setting
-    found = locate(*view_of(observations, design, 0, lambda o, rows: (o.camera[rows] == o.camera[rows[0]]) & (o.marker[rows] == o.marker[rows[0]])))
+    found = locate(
+        *view_of(
+            observations,
+            design,
+            0,
+            lambda o, rows: (o.camera[rows] == o.camera[rows[0]]) & (o.marker[rows] == o.marker[rows[0]]),
+        )
+    )
     assert not found
     assert "only marker" in found.reason and "single sighting" in found.reason
 
@@ -111,7 +129,9 @@ def test_poisoned_outliers_leave_no_trace(setting):
 
 @pytest.mark.parametrize("distance", [0.6, 1.2])
 def test_a_flip_that_the_image_cannot_exclude_is_said(distance):
-    """Two small markers on one face: from afar the mirrored tilt fits as well, and neither is taken; from nearby the pose is the true one."""
+    """Two small markers on one face: from afar the mirrored tilt fits as well, and neither is taken; from nearby the
+    pose is the true one.
+    """
     listed = tuple(Marker(k, 0.03, pose([0.04 * k, 0, 0], [0, 0, 0]), 0.003) for k in range(2))
     markers = marker_map(replace(tumbling.design(), targets=(Target("t", "platform", "DICT_5X5_100", listed=listed),)))
     T, points = pose([0, 0, distance], [np.pi - 0.4, 0.1, 0.0]), markers.corners.reshape(-1, 3)
@@ -119,8 +139,20 @@ def test_a_flip_that_the_image_cannot_exclude_is_said(distance):
     said = []
     for seed in range(40):
         ideal = ahead[:, :2] / ahead[:, 2:] + 1e-4 * np.random.default_rng(seed).normal(size=(8, 2))
-        found = locate(View(points, np.tile([0.0, 0, 1], (8, 1)), ideal, np.tile(1e-8 * np.eye(2), (8, 1, 1)), np.zeros(8, int),
-                            np.repeat([0, 1], 4), np.tile(range(4), 2), np.array([1500.0]), np.eye(4)[None]), markers)
+        found = locate(
+            View(
+                points,
+                np.tile([0.0, 0, 1], (8, 1)),
+                ideal,
+                np.tile(1e-8 * np.eye(2), (8, 1, 1)),
+                np.zeros(8, int),
+                np.repeat([0, 1], 4),
+                np.tile(range(4), 2),
+                np.array([1500.0]),
+                np.eye(4)[None],
+            ),
+            markers,
+        )
         if found:
             assert np.linalg.norm(pose_difference(found.T_world_body, T)[3:]) < 0.3  # its mirrored tilt is 0.8 away
         else:

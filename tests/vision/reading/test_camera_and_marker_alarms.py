@@ -1,4 +1,6 @@
-"""What frames say of cameras and markers: a knocked camera, a covered marker, a frame without a pose; and nothing of a quiet run."""
+"""What frames say of cameras and markers: a knocked camera, a covered marker, a frame without a pose; and nothing of a
+quiet run.
+"""
 
 from types import SimpleNamespace
 
@@ -17,14 +19,25 @@ def detection(seen):
 
 @pytest.fixture
 def ids(design):
-    return {body: [number for target in design.targets if target.body == body for number in target.ids] for body in ("base", "platform")}
+    return {
+        body: [number for target in design.targets if target.body == body for number in target.ids]
+        for body in ("base", "platform")
+    }
 
 
 def sight(design, ids, frame, rng, shift=(0.0, 0.0), missing=(), solved=True):
-    """A sight in which every camera sees four base markers and six of the platform; `shift` px is what cam1 has moved by."""
+    """A sight in which every camera sees four base markers and six of the platform; `shift` px is what cam1 has moved
+    by.
+    """
     names = [camera.name for camera in design.cameras]
     ought = ids["base"][:4] + ids["platform"][:6]
-    rows = [(c, number, k) for c in range(len(names)) for number in ought if (names[c], number) not in missing for k in range(4)]
+    rows = [
+        (c, number, k)
+        for c in range(len(names))
+        for number in ought
+        if (names[c], number) not in missing
+        for k in range(4)
+    ]
     camera, number = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
     on = np.isin(number, ids["platform"])
     residuals = NOISE * rng.normal(size=(len(rows), 2))
@@ -32,8 +45,17 @@ def sight(design, ids, frame, rng, shift=(0.0, 0.0), missing=(), solved=True):
     observations = SimpleNamespace(camera=camera, marker=number, on_platform=on)
     found = {name: detection([n for n in ought if (name, n) not in missing]) for name in names}
     T = design.mechanism.home if solved else None
-    return Sight(frame, T, np.eye(6) if solved else None, "" if solved else "the markers contradict each other", observations, residuals,
-                 np.ones(len(rows), bool), found, dict.fromkeys(names, tuple(ought)))
+    return Sight(
+        frame,
+        T,
+        np.eye(6) if solved else None,
+        "" if solved else "the markers contradict each other",
+        observations,
+        residuals,
+        np.ones(len(rows), bool),
+        found,
+        dict.fromkeys(names, tuple(ought)),
+    )
 
 
 def test_a_quiet_run_is_left_in_peace(design, ids):
@@ -51,8 +73,14 @@ def test_a_moved_camera_is_named_at_once_and_once(design, ids, size):
         assert watch.look(sight(design, ids, frame, rng), NOISE) == []
     said = [watch.look(sight(design, ids, frame, rng, shift=(size, 0.0)), NOISE) for frame in range(5, 9)]
     assert [len(alarms) for alarms in said] == [1, 0, 0, 0]
-    assert said[0][0].kind == "camera" and "camera 'cam1' has moved" in said[0][0].text and f"{size:.1f}" in said[0][0].text
-    assert Watch(design).look(sight(design, ids, 0, rng, shift=(size, 0.0)), None) == [], "before cameras are adjusted nothing is known of them"
+    assert (
+        said[0][0].kind == "camera"
+        and "camera 'cam1' has moved" in said[0][0].text
+        and f"{size:.1f}" in said[0][0].text
+    )
+    assert Watch(design).look(sight(design, ids, 0, rng, shift=(size, 0.0)), None) == [], (
+        "before cameras are adjusted nothing is known of them"
+    )
 
 
 def test_a_covered_marker_is_named_soon_and_a_hand_before_a_camera_at_once(design, ids):

@@ -1,4 +1,6 @@
-"""Images read where markers ought to be: as much is found as in whole images, and what is not as stated is searched for."""
+"""Images read where markers ought to be: as much is found as in whole images, and what is not as stated is searched
+for.
+"""
 
 from dataclasses import replace
 
@@ -20,7 +22,10 @@ from vision.recording_measurement import measure_recording
 from vision.targets import marker_map
 
 FRAMES = 28
-SHOWN = {"platform": [0, 8, 11, 17], "base": [24, 26, 31, 37]}  # faces that none of the others covers in the first camera's images
+SHOWN = {
+    "platform": [0, 8, 11, 17],
+    "base": [24, 26, 31, 37],
+}  # faces that none of the others covers in the first camera's images
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +33,15 @@ def drawn(design, tmp_path_factory):
     """(Recording of one camera, images in its folder, true poses); the platform moves little from frame to frame."""
     folder, rng = tmp_path_factory.mktemp("drawn"), np.random.default_rng(0)
     m = marker_map(design)
-    listed = {body: tuple(Marker(int(m.id[k]), m.side[k], m.T_body_marker[k], m.side[k] / 7) for k in m.rows(SHOWN[body])) for body in SHOWN}
-    one = replace(design, cameras=design.cameras[:1], targets=tuple(Target(body, body, m.dictionary[0], listed=listed[body]) for body in SHOWN))
+    listed = {
+        body: tuple(Marker(int(m.id[k]), m.side[k], m.T_body_marker[k], m.side[k] / 7) for k in m.rows(SHOWN[body]))
+        for body in SHOWN
+    }
+    one = replace(
+        design,
+        cameras=design.cameras[:1],
+        targets=tuple(Target(body, body, m.dictionary[0], listed=listed[body]) for body in SHOWN),
+    )
     wave = np.sin(np.outer(np.arange(FRAMES), [0.1, 0.13, 0.17, 0.11, 0.07, 0.19]))
     T = one.mechanism.home * exp(wave * [0.005, 0.005, 0.005, 0.02, 0.02, 0.02])
     write(folder, one, T, rng, {})
@@ -77,8 +89,13 @@ def test_only_the_images_that_teach_are_searched(drawn, searches, monkeypatch, h
     assert len(searches) == 2 * LEARN_FROM + FRAMES - LEARN_FROM
 
     def keyed(c):
-        return {key: uv for *key, uv in ((f, m, k, uv) for f, m, k, uv in zip(c.frame.tolist(), c.marker.tolist(), c.corner.tolist(), c.uv))
-                for key in [tuple(key)]}
+        return {
+            key: uv
+            for *key, uv in (
+                (f, m, k, uv) for f, m, k, uv in zip(c.frame.tolist(), c.marker.tolist(), c.corner.tolist(), c.uv)
+            )
+            for key in [tuple(key)]
+        }
 
     ours, theirs = keyed(found.corners), keyed(whole.corners)
     both = sorted(ours.keys() & theirs.keys())
@@ -96,9 +113,18 @@ def test_poses_are_the_same_and_right(drawn):
 
 def test_images_that_teach_are_placed_by_the_lens_that_they_teach(drawn, monkeypatch):
     recording, T = drawn
-    camera, markers, place, by = recording.design.cameras[0], marker_map(recording.design), collecting.fit_read_markers, []
+    camera, markers, place, by = (
+        recording.design.cameras[0],
+        marker_map(recording.design),
+        collecting.fit_read_markers,
+        [],
+    )
     taught = replace(camera, distortion=camera.distortion + 1e-4)
-    monkeypatch.setattr(expected_markers, "learn_expectation", lambda *_: expected_markers.Expectation((taught,), markers, dict(enumerate(T))))
+    monkeypatch.setattr(
+        expected_markers,
+        "learn_expectation",
+        lambda *_: expected_markers.Expectation((taught,), markers, dict(enumerate(T))),
+    )
 
     def placed(full, camera, *arguments, **options):
         by.append((camera is taught, full.tobytes()))
@@ -123,7 +149,14 @@ def test_an_image_is_searched_where_something_else_is_in_a_markers_place(drawn, 
         if k == odd and case == "turned":
             image[y0:y1, x0:x1] = image[y0:y1, x0:x1][::-1, ::-1].copy()
         elif k == odd and case == "another":
-            write(tmp_path, recording.design, T, np.random.default_rng(0), {int(marker_map(recording.design).id[rows[0]]): 97}, [k])
+            write(
+                tmp_path,
+                recording.design,
+                T,
+                np.random.default_rng(0),
+                {int(marker_map(recording.design).id[rows[0]]): 97},
+                [k],
+            )
             continue
         elif k == odd:
             for place in places[: 1 if case == "hidden" else 3]:
@@ -145,10 +178,18 @@ def test_what_is_not_as_stated_is_still_found_and_named(drawn, searches, tmp_pat
     markers = marker_map(recording.design)
     rows, _ = expect_places(recording, T[0])
     a, b = markers.id[[row for row in rows if markers.on_platform[row]][:2]].tolist()
-    write(tmp_path, recording.design, T, np.random.default_rng(0), {a: b, b: a} if case == "two faces exchanged" else {a: 97})
+    write(
+        tmp_path,
+        recording.design,
+        T,
+        np.random.default_rng(0),
+        {a: b, b: a} if case == "two faces exchanged" else {a: 97},
+    )
     spoilt = replace(recording, folder=tmp_path)
     m, collected = measure_recording(spoilt)
-    assert len(searches) == FRAMES  # each of them: the teaching ones, and those where something is not where it should be
+    assert (
+        len(searches) == FRAMES
+    )  # each of them: the teaching ones, and those where something is not where it should be
     from vision.reading.recording_corners import image_reader
 
     named = {(s.marker, s.kind, s.other) for s in suspects(m, markers, collected.repeated, image_reader(spoilt))}

@@ -1,4 +1,6 @@
-"""A recording measured as it grows: poses at once, cameras adjusted beside, and what that came to from the next frame on."""
+"""A recording measured as it grows: poses at once, cameras adjusted beside, and what that came to from the next frame
+on.
+"""
 
 import threading
 from concurrent.futures import wait
@@ -31,8 +33,14 @@ def frames():
     """Design, and {camera: image} of a recording's first frames."""
     read = recording_folder.load(ALL)
     e = read.exposures
-    return read.design, [{camera: read_image(read.folder / image) for f, camera, image in zip(e.frame.tolist(), e.camera, e.image) if f == frame}
-                         for frame in range(TAUGHT[0] + 3)]
+    return read.design, [
+        {
+            camera: read_image(read.folder / image)
+            for f, camera, image in zip(e.frame.tolist(), e.camera, e.image)
+            if f == frame
+        }
+        for frame in range(TAUGHT[0] + 3)
+    ]
 
 
 def test_frames_do_not_wait_for_the_cameras_to_be_adjusted(frames, monkeypatch):
@@ -47,7 +55,9 @@ def test_frames_do_not_wait_for_the_cameras_to_be_adjusted(frames, monkeypatch):
 
     for frame in range(TAUGHT[0] + 2):  # the last two while they are being adjusted
         take(frame)
-    assert all(sight.T_base_platform is not None and sight.covariance is None for sight in sights) and live.noise is None
+    assert (
+        all(sight.T_base_platform is not None and sight.covariance is None for sight in sights) and live.noise is None
+    )
     stated = live.cameras
     gate.set()
     wait([live._adjusting])
@@ -74,25 +84,36 @@ def test_a_mistake_made_while_adjusting_is_raised(frames, monkeypatch):
 
 @pytest.mark.slow
 def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl):
-    """Through the emulator's eyes: a camera that the platform carries, drawn as the struts stand, and where the platform is told by what it sees."""
+    """Through the emulator's eyes: a camera that the platform carries, drawn as the struts stand, and where the
+    platform is told by what it sees.
+    """
     (tmp_path / "rig.toml").write_text(in_hand.text())
     design = design_file.load(tmp_path / "rig.toml")
     secret, strokes = secret_machine.draw_machine(design, np.random.default_rng(2)), design.mechanism.strut_range
     goals = low_discrepancy(strokes, TAUGHT[0] + 4, 0.5, 1)
     t = 10.0 * np.arange(len(goals) + 1)
     sensor = Sensor(blur=0.6, read_noise=1.5, electrons=8000.0)
-    eyes = Eyes(secret, Images(sensor), 1, lambda: (np.repeat(t, 2)[1:-1] + np.tile([0, 5.0], len(goals)), np.repeat(goals, 2, axis=0)),
-                SimulatedClock(t[-1]))
+    eyes = Eyes(
+        secret,
+        Images(sensor),
+        1,
+        lambda: (np.repeat(t, 2)[1:-1] + np.tile([0, 5.0], len(goals)), np.repeat(goals, 2, axis=0)),
+        SimulatedClock(t[-1]),
+    )
     live, sights, true = Live(design), [], []
     for k, goal in enumerate(goals):
         T = RigidTransform.from_matrix(eyes.pose(t[k] + 4.0))
-        sights.append(live.take(k, {"cam0": eyes.image("cam0", t[k] + 4.0, USUAL)}, hexapod.forward(goal, design.mechanism)))
+        sights.append(
+            live.take(k, {"cam0": eyes.image("cam0", t[k] + 4.0, USUAL)}, hexapod.forward(goal, design.mechanism))
+        )
         live.adjust()
         true.append(T)
         if live._adjusting is not None:
             wait([live._adjusting])
     live.close()
-    held = secret.true.cameras[0].pose * design.cameras[0].pose.inv()  # the platform's frame is held by the camera's stated pose
+    held = (
+        secret.true.cameras[0].pose * design.cameras[0].pose.inv()
+    )  # the platform's frame is held by the camera's stated pose
     last = slice(TAUGHT[0], None)
     off = np.array([pose_difference(a * held, b.T_base_platform) for a, b in zip(true[last], sights[last])])
     covariance = np.array([sight.covariance for sight in sights[last]])

@@ -21,11 +21,14 @@ def spoilt(design, spoil=None, repeated=(), read=None, frames=12):
     observations, stated, _, T = scene(design, 4, frames, spoil=spoil)
     m = measure(observations, stated, marker_map(design))
     assert len(m.frames) == frames
-    return suspects(m, marker_map(design), repeated, read), nees(pose_difference(m.T_base_platform, T), m.covariance).mean()
+    return suspects(m, marker_map(design), repeated, read), nees(
+        pose_difference(m.T_base_platform, T), m.covariance
+    ).mean()
 
 
 def relabelled(change):
     """Corners whose marker identities are changed: {identity: (new one, new corner numbers)}."""
+
     def spoil(corners):
         marker, corner = corners.marker.copy(), corners.corner.copy()
         for old, (new, order) in change.items():
@@ -53,7 +56,9 @@ def test_two_faces_exchanged_are_named_and_not_averaged_in(design):
     same = range(4)
     found, squared = spoilt(design, relabelled({a: (b, same), b: (a, same)}))
     assert {(s.marker, s.kind, s.other, s.turn) for s in found} == {(a, "exchanged", b, 0), (b, "exchanged", a, 0)}
-    assert f"marker {a}: is exchanged with marker {b}" in " ".join(map(str, found)) and all(s.like == s.of for s in found)
+    assert f"marker {a}: is exchanged with marker {b}" in " ".join(map(str, found)) and all(
+        s.like == s.of for s in found
+    )
     assert squared < 15
 
 
@@ -80,9 +85,12 @@ def test_a_wrong_identity_is_where_another_should_be(design):
 
     def spoil(corners):
         keep = corners.marker != a
-        corners = replace(corners, **{name: getattr(corners, name)[keep] for name in ("frame", "marker", "corner", "uv")},
-                          camera=[name for name, k in zip(corners.camera, keep) if k],
-                          covariance=None if corners.covariance is None else corners.covariance[keep])
+        corners = replace(
+            corners,
+            **{name: getattr(corners, name)[keep] for name in ("frame", "marker", "corner", "uv")},
+            camera=[name for name, k in zip(corners.camera, keep) if k],
+            covariance=None if corners.covariance is None else corners.covariance[keep],
+        )
         return relabelled({b: (a, range(4))})(corners)
 
     found, _ = spoilt(design, spoil)
@@ -107,7 +115,9 @@ def test_what_was_seen_twice_in_an_image_is_reported(design):
 
 
 def printed(camera, T, markers, as_another):
-    """(height, width) uint8 picture of all markers where they are expected, one printed as another: {identity: other}."""
+    """(height, width) uint8 picture of all markers where they are expected, one printed as another: {identity:
+    other}.
+    """
     image = np.full((camera.height, camera.width), 128, np.uint8)
     for row, quad in zip(*expected(camera, T, markers)):
         cells = marker_cells(markers.dictionary[row], as_another.get(int(markers.id[row]), int(markers.id[row])))
@@ -145,5 +155,9 @@ def test_why_no_marker_was_found(design, case):
     if case == "nothing":
         image = np.random.default_rng(0).integers(0, 256, image.shape, np.uint8)
     said = no_marker_reason([image], markers)
-    wanted = {"another dictionary": "DICT_6X6_1000", "mirrored": "the images are mirrored", "other identities": "other markers than rig.toml has: 6"}
+    wanted = {
+        "another dictionary": "DICT_6X6_1000",
+        "mirrored": "the images are mirrored",
+        "other identities": "other markers than rig.toml has: 6",
+    }
     assert wanted.get(case, "") in said and bool(said) == (case in wanted)

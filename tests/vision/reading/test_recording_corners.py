@@ -30,11 +30,15 @@ def measured(check):
 
 def test_poses_from_images_are_within_their_covariance(measured):
     m, _ = measured
-    truth = RigidTransform.from_matrix(np.array(json.loads((BENCH / "check-truth.json").read_text())["poses"]).reshape(-1, 4, 4))
+    truth = RigidTransform.from_matrix(
+        np.array(json.loads((BENCH / "check-truth.json").read_text())["poses"]).reshape(-1, 4, 4)
+    )
     errors = pose_difference(m.T_base_platform, truth)
     assert len(m.frames) == 6 and m.noise < 0.02
     assert np.abs(errors[:, :3]).max() < 6e-5 and np.abs(errors[:, 3:]).max() < 2e-4
-    assert np.mean(np.einsum("ni,nij,nj->n", errors, np.linalg.inv(m.covariance), errors)) < 12.6  # 6 degrees, one draw: 5 %
+    assert (
+        np.mean(np.einsum("ni,nij,nj->n", errors, np.linalg.inv(m.covariance), errors)) < 12.6
+    )  # 6 degrees, one draw: 5 %
 
 
 def test_a_second_look_adds_markers_in_their_places(check, measured):
@@ -42,7 +46,12 @@ def test_a_second_look_adds_markers_in_their_places(check, measured):
     m, second = measured
     assert len(second.corners.frame) > len(first.corners.frame)
     added = np.arange(len(second.corners.frame)) >= len(first.corners.frame)
-    key = {(f, c, k): i for i, (f, c, k) in enumerate(zip(second.corners.frame.tolist(), second.corners.camera, second.corners.marker.tolist()))}
+    key = {
+        (f, c, k): i
+        for i, (f, c, k) in enumerate(
+            zip(second.corners.frame.tolist(), second.corners.camera, second.corners.marker.tolist())
+        )
+    }
     assert len(key) * 4 == len(second.corners.frame)  # none twice
     assert added.sum() % 4 == 0
 
@@ -51,15 +60,22 @@ def test_corners_are_placed_by_the_lens_as_measured(check, measured):
     m, second = measured
     stated, true = check.design.cameras, m.design.cameras
     first = replace(second, cameras={camera.name: camera for camera in stated})
-    assert lens_difference(second.corners, second.cameras, true) < SETTLED < lens_difference(first.corners, first.cameras, true)
+    assert (
+        lens_difference(second.corners, second.cameras, true)
+        < SETTLED
+        < lens_difference(first.corners, first.cameras, true)
+    )
     assert lens_difference(first.corners, first.cameras, stated) == 0
-    bent = [[replace(camera, distortion=camera.distortion + [by, 0, 0, 0, 0]) for camera in stated] for by in (1e-3, 2e-3)]
+    bent = [
+        [replace(camera, distortion=camera.distortion + [by, 0, 0, 0, 0]) for camera in stated] for by in (1e-3, 2e-3)
+    ]
     assert lens_difference(first.corners, first.cameras, bent[1]) == pytest.approx(
         2 * lens_difference(first.corners, first.cameras, bent[0]), rel=0.02
     )
     shifted = [replace(camera, matrix=camera.matrix + [[0, 0, 1], [0, 0, 1], [0, 0, 0]]) for camera in stated]
     assert (
-        lens_difference(first.corners, first.cameras, shifted) < lens_difference(first.corners, first.cameras, bent[0]) / 2
+        lens_difference(first.corners, first.cameras, shifted)
+        < lens_difference(first.corners, first.cameras, bent[0]) / 2
     )  # it moves a marker as a whole
 
 
@@ -75,7 +91,9 @@ def test_an_image_that_cannot_be_decoded_is_named(tmp_path):
     whole = path.read_bytes()
     path.write_bytes(whole[:2000] + b"\0" * 20000 + whole[-60:])  # head and tail are sound
     with pytest.raises(FileError, match="00001.png"):
-        collect_corners(recording_folder.load(tmp_path / "rec"), marker_map(recording_folder.load(tmp_path / "rec").design))
+        collect_corners(
+            recording_folder.load(tmp_path / "rec"), marker_map(recording_folder.load(tmp_path / "rec").design)
+        )
 
 
 def test_what_cannot_be_measured_says_why(tmp_path, design, rig_text):
@@ -91,5 +109,8 @@ def test_what_cannot_be_measured_says_why(tmp_path, design, rig_text):
     shutil.copytree(BENCH / "check", tmp_path / "blind")
     text = (tmp_path / "blind/rig.toml").read_text()
     (tmp_path / "blind/rig.toml").write_text(text.replace("DICT_5X5_100", "DICT_APRILTAG_36h11"))
-    with pytest.raises(NotEnoughData, match="no marker of rig.toml was found in any of 18 images; of 8 .* identities are of DICT_5X5_1000"):
+    with pytest.raises(
+        NotEnoughData,
+        match="no marker of rig.toml was found in any of 18 images; of 8 .* identities are of DICT_5X5_1000",
+    ):
         measure_recording(recording_folder.load(tmp_path / "blind"))

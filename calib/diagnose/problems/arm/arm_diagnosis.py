@@ -1,4 +1,6 @@
-"""A recording of an arm, or of a chain of mechanisms -> its ArmDiagnosis: which effect sits at which joint, how large, how sure, what has no name."""
+"""A recording of an arm, or of a chain of mechanisms -> its ArmDiagnosis: which effect sits at which joint, how large,
+how sure, what has no name.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -19,13 +21,13 @@ from calib.diagnose.engine.term_selection import Finding, choose_terms, labelled
 from calib.diagnose.problems.arm.arm_problem import ArmProblem
 from calib.diagnose.problems.arm.excess_scatter import scatter_beyond_noise
 from calib.diagnose.problems.arm.joint_candidates import joint_candidates
-from calib.diagnose.problems.arm.unlisted_joint_effects import formula_suggestions
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.linearised_poses import FEWEST, Arms, Geometry, linearise_poses
 from calib.diagnose.problems.arm.outlier_poses import GATE, GROSS, WildPoses, outlier_poses
 from calib.diagnose.problems.arm.pose_fit import Fit, fit_poses
 from calib.diagnose.problems.arm.remainder_covariates import remainder_covariates
 from calib.diagnose.problems.arm.repeated_commands import Repeats, pose_repeatability
+from calib.diagnose.problems.arm.unlisted_joint_effects import formula_suggestions
 from calib.diagnose.problems.formula_suggestion import Suggestion
 from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
 from calib.diagnose.problems.temperature_smoothing import smooth_temperatures
@@ -47,7 +49,8 @@ FINE, COARSE = 30, 6  # stretches of time; every third is held out at once
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutPoses:
-    """Residuals (n, k), m and rad, of poses by structures chosen and fitted on other stretches: geometry alone, and with effects.
+    """Residuals (n, k), m and rad, of poses by structures chosen and fitted on other stretches: geometry alone, and
+    with effects.
 
     stretches : how many there were; names : per part, what was chosen on the others
     far : (n,) rad, how far the joint that is farthest stood from any angle that it was fitted at"""
@@ -63,13 +66,17 @@ class HeldOutPoses:
 class ArmDiagnosis:
     """recording : its name; source : of the poses; arms : Arms; geometry : Geometry that they are linear about
     arm : Arm or Chain, its geometry fitted beside the findings
-    before, fit : Fit by the geometry alone and with all findings; findings : [Finding]; cross_validations : one for each
+    before, fit : Fit by the geometry alone and with all findings; findings : [Finding]; cross_validations : one for
+        each
     regions : for each joint, [CrossValidation] of the findings with whole regions of its travel held out in turn
-    asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
+    asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first;
+        repeats : Repeats or None
     left : [LackOfFit]; covariates : [Covariate] that what is left goes with, the one that explained most before first
     origin : of the owner's clock, which moments are told by
-    given : what was said beforehand; said : the operator's words, as options; own : files of effects that were asked for besides
-    left_out : poses that were left out of all this; crowd : poses that are far off in too many to be left out, or None"""
+    given : what was said beforehand; said : the operator's words, as options; own : files of effects that were asked
+        for besides
+    left_out : poses that were left out of all this; crowd : poses that are far off in too many to be left out, or
+        None"""
 
     recording: str
     source: str
@@ -100,15 +107,26 @@ class ArmDiagnosis:
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The Effects found, in the order of the fit's terms."""
-        return tuple(one.candidate.effect(one.node, self.fit.theta[self.fit.slices[number]]) for number, one in enumerate(self.fit.terms))
+        return tuple(
+            one.candidate.effect(one.node, self.fit.theta[self.fit.slices[number]])
+            for number, one in enumerate(self.fit.terms)
+        )
 
 
 @threadpool_limits.wrap(limits=1)
-def diagnose_arm(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
-             given: Given = UNSAID, kinds: tuple[type[Effect], ...] = ALL, sampled: Sampled | None = None) -> ArmDiagnosis:
-    """ArmDiagnosis of a Recording of an arm or a chain. only, without : effects, or "effect joint 3"; progress : called with (label, done, of)
-    given : what is in from the start; kinds : the catalogue, with what a user adds to it; sampled : Sampled of the recording where it was measured
-    before, or None
+def diagnose_arm(
+    recording: Recording,
+    only: list[str] | None = None,
+    without: tuple[str, ...] = (),
+    progress: Progress | None = None,
+    given: Given = UNSAID,
+    kinds: tuple[type[Effect], ...] = ALL,
+    sampled: Sampled | None = None,
+) -> ArmDiagnosis:
+    """ArmDiagnosis of a Recording of an arm or a chain. only, without : effects, or "effect joint 3"; progress : called
+    with (label, done, of)
+    given : what is in from the start; kinds : the catalogue, with what a user adds to it; sampled : Sampled of the
+    recording where it was measured before, or None
 
     Raises NotEnoughData where too little was measured, and what calibrating raises
     """
@@ -124,7 +142,9 @@ def diagnose_arm(recording: Recording, only: list[str] | None = None, without: t
         arms, found = linearise_poses(some, design, recording.commands, sensors, fewest=0 if gone else FEWEST)
         return replace(arms, assumed=sampled.assumed, sight=sight), found
 
-    done = diagnose_linearised_poses(linear, recording.name, sampled.source, RequestedEffects.of(only, without, given, kinds), progress, given=given)
+    done = diagnose_linearised_poses(
+        linear, recording.name, sampled.source, RequestedEffects.of(only, without, given, kinds), progress, given=given
+    )
     return replace(done, origin=recording.origin, parts=recording.parts, confounds=confounds_of_recordings([recording]))
 
 
@@ -137,8 +157,9 @@ def diagnose_linearised_poses(
     coarse: bool = True,
     given: Given = UNSAID,
 ) -> ArmDiagnosis:
-    """ArmDiagnosis of what is linear: frames' numbers left out as wild -> (Arms of all others, Geometry that they are linear about), made anew
-    without them, so that all is as if they had never been measured. coarse : whether long stretches are held out as well."""
+    """ArmDiagnosis of what is linear: frames' numbers left out as wild -> (Arms of all others, Geometry that they are
+    linear about), made anew without them, so that all is as if they had never been measured. coarse : whether long
+    stretches are held out as well."""
     (arms, found), wild = linear(frozenset()), WildPoses()
     every = len(arms)
     candidates, not_asked = joint_candidates(arms, asked)
@@ -168,14 +189,35 @@ def diagnose_linearised_poses(
     left, goes_with = lack_of_fit(chosen, cluster), remainder_covariates(before, chosen, cluster)
     suggested = tuple(formula_suggestions(chosen, left))
     left += scatter_beyond_noise(chosen, again, goes_with)
-    return ArmDiagnosis(name, source, arms, found, fitted, before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
-                        again, left, regions, goes_with, given=given, suggestions=suggested,
-                        left_out=both.left_out, crowd=both.crowd)
+    return ArmDiagnosis(
+        name,
+        source,
+        arms,
+        found,
+        fitted,
+        before,
+        chosen,
+        selection.findings,
+        proofs,
+        selection.asked,
+        not_asked,
+        held,
+        again,
+        left,
+        regions,
+        goes_with,
+        given=given,
+        suggestions=suggested,
+        left_out=both.left_out,
+        crowd=both.crowd,
+    )
 
 
-def nested_held_out_poses(problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None) -> list[HeldOutPoses]:
-    """HeldOutPoses of what a problem may fit, over each number of stretches of time: effects are chosen, and all is fitted, on two thirds of them
-    at a time."""
+def nested_held_out_poses(
+    problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None
+) -> list[HeldOutPoses]:
+    """HeldOutPoses of what a problem may fit, over each number of stretches of time: effects are chosen, and all is
+    fitted, on two thirds of them at a time."""
     arms, kept = problem.arms, np.ones(len(problem.arms), bool) if problem.train is None else problem.train
     parts = [time_stretch_folds(len(arms), count) % PARTS for count in counts]
 
@@ -183,20 +225,33 @@ def nested_held_out_poses(problem: ArmProblem, counts: tuple[int, ...], progress
         part = parts[one[0]] == one[1]
         with threadpool_limits(1):
             chosen, bare = choose_terms(replace(problem, train=kept & ~part)), fit_poses(arms, (), kept & ~part)
-        return bare.left[part], chosen.left[part], tuple(f"{t.candidate.name} {t.candidate.place}" for t in chosen.terms)
+        return (
+            bare.left[part],
+            chosen.left[part],
+            tuple(f"{t.candidate.name} {t.candidate.place}" for t in chosen.terms),
+        )
 
     things = [(i, k) for i in range(len(counts)) for k in range(PARTS)]
-    found = dict(zip(things, parallel_map(predicted, things, labelled_progress(progress, "choosing anew without stretches"), few=1)))
+    found = dict(
+        zip(
+            things,
+            parallel_map(predicted, things, labelled_progress(progress, "choosing anew without stretches"), few=1),
+        )
+    )
     out = []
     for i, (count, part) in enumerate(zip(counts, parts)):
         before, after, far = np.empty(arms.left.shape), np.empty(arms.left.shape), np.empty(len(arms))
         for k in range(PARTS):
             before[part == k], after[part == k], _ = found[i, k]
             far[part == k] = _farthest(arms.q[part == k], arms.q[(part != k) & kept])
-        out.append(HeldOutPoses(before[kept], after[kept], count, tuple(found[i, k][2] for k in range(PARTS)), far[kept]))
+        out.append(
+            HeldOutPoses(before[kept], after[kept], count, tuple(found[i, k][2] for k in range(PARTS)), far[kept])
+        )
     return out
 
 
 def _farthest(q: np.ndarray, fitted: np.ndarray) -> np.ndarray:
-    """(m,) rad: over the joints, the greatest distance of angles q (m, joints) from the nearest of fitted (n, joints)."""
+    """(m,) rad: over the joints, the greatest distance of angles q (m, joints) from the nearest of fitted (n,
+    joints).
+    """
     return np.stack([cKDTree(b[:, None]).query(a[:, None])[0] for a, b in zip(q.T, fitted.T)]).max(axis=0)

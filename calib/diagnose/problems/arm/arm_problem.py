@@ -1,11 +1,20 @@
-"""Poses of an arm as the engine asks them: each term turns one joint by a few columns, everything linear about the calibrated geometry."""
+"""Poses of an arm as the engine asks them: each term turns one joint by a few columns, everything linear about the
+calibrated geometry.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.engine.cross_validation import FOLDS, STRETCHES, CrossValidation, signed_rank_gain, sizes_without_columns, time_stretch_folds
+from calib.diagnose.engine.cross_validation import (
+    FOLDS,
+    STRETCHES,
+    CrossValidation,
+    signed_rank_gain,
+    sizes_without_columns,
+    time_stretch_folds,
+)
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear_model import Column, LinearModel
 from calib.diagnose.engine.problem_interface import Wald
@@ -35,7 +44,8 @@ KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmProblem:
-    """arms : Arms; candidates : asked for; train : (n,) bool, poses that may be fitted, None for all; policy : thresholds
+    """arms : Arms; candidates : asked for; train : (n,) bool, poses that may be fitted, None for all;
+    policy : thresholds
     given : what is said beforehand"""
 
     arms: Arms
@@ -63,7 +73,8 @@ class ArmProblem:
         return fit.without_terms([number])
 
     def covered(self, fit: Fit, number: int, left: list[LackOfFit]) -> Fit | None:
-        return None  # smooth functions of an arm's other joints are no freedom of anything: a term stands on its stretches held out
+        # smooth functions of an arm's other joints are no freedom of anything: a term stands on its stretches held out
+        return None
 
     def linear(self, model: Fit) -> LinearModel:
         return model.linear
@@ -71,8 +82,13 @@ class ArmProblem:
     def open(self, fit: Fit) -> list[JointCandidate]:
         return admissible_candidates(fit, self.candidates)
 
-    def search(self, model: Fit, candidates: list[JointCandidate], least: float = 0.0,
-               progress: Callable[[int, int], None] | None = None) -> list[JointScore]:
+    def search(
+        self,
+        model: Fit,
+        candidates: list[JointCandidate],
+        least: float = 0.0,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> list[JointScore]:
         return search_candidates(model, candidates, least, self.policy.cluster, progress)
 
     def rescored(self, model: Fit, fit: Fit, number: int) -> JointScore:
@@ -84,7 +100,11 @@ class ArmProblem:
         if not candidate.step:
             return []
         c, apart, grid, name = score.curve, candidate.step / FINE, candidate.grid, candidate.sought
-        peaks = [i for i in range(1, len(c) - 1) if c[i] >= max(c[i - 1], c[i + 1]) and abs(grid[i][name] - own.node[name]) > apart]
+        peaks = [
+            i
+            for i in range(1, len(c) - 1)
+            if c[i] >= max(c[i - 1], c[i + 1]) and abs(grid[i][name] - own.node[name]) > apart
+        ]
         best = sorted(peaks, key=lambda i: -c[i])[:ALIASES]
         return [other for i in best for other in self.search(model, [candidate_with_nodes(candidate, [grid[i]])])]
 
@@ -120,7 +140,9 @@ class ArmProblem:
         one, here = fit.terms[number], fit.slices[number]
         theta, covariance = fit.theta[here], fit.covariance(number)
         known = len(theta) - np.trace(covariance / one.prior**2)
-        spread = covariance - covariance @ (covariance / one.prior[:, None] ** 2)  # scatter of the sizes, that of the priors left out
+        spread = covariance - covariance @ (
+            covariance / one.prior[:, None] ** 2
+        )  # scatter of the sizes, that of the priors left out
         statistic = theta @ np.linalg.pinv(spread, rcond=1e-9, hermitian=True) @ theta if known > KNOWN else 0.0
         return Wald(float(statistic), float(known))
 
@@ -134,14 +156,17 @@ class ArmProblem:
         return self._validations(fit, [number])[0]
 
     def by_regions(self, fit: Fit, numbers: list[int]) -> list[list[CrossValidation]]:
-        """For each joint, CrossValidation of some terms where whole regions of that joint's travel are held out in turn."""
+        """For each joint, CrossValidation of some terms where whole regions of that joint's travel are held out in
+        turn.
+        """
         angles = self.arms.q[fit.used]
         return [self._validations(fit, numbers, q) for q in angles.T]
 
     def _validations(self, now: Fit, numbers: list[int], along: np.ndarray | None = None) -> list[CrossValidation]:
         """CrossValidation of each term alone; misfit in m, RMS of a position per axis.
 
-        along : (m,) what the poses used are put in order by, stretches of which are held out whole; None for time, in many short stretches
+        along : (m,) what the poses used are put in order by, stretches of which are held out whole; None for time, in
+            many short stretches
         """
         W, target = now.W[now.used], now.target[now.used]
         order = np.arange(len(W)) if along is None else np.argsort(along, kind="stable")
@@ -150,7 +175,11 @@ class ArmProblem:
             fold[order] = time_block_folds(len(order), FOLDS)
         parts = [now.X.take(fold == f) for f in np.unique(fold)]
         rows = [fold == f for f in np.unique(fold)]
-        sizes = sizes_without_columns([p.gram() for p in parts], [p.onto(target[r][..., None])[:, 0] for p, r in zip(parts, rows)], now.information)
+        sizes = sizes_without_columns(
+            [p.gram() for p in parts],
+            [p.onto(target[r][..., None])[:, 0] for p, r in zip(parts, rows)],
+            now.information,
+        )
 
         def figures(gone: np.ndarray) -> tuple[np.ndarray, float]:
             white = target.copy()

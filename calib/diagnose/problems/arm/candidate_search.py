@@ -8,7 +8,13 @@ import numpy as np
 
 from calib.diagnose.engine.candidate_score import score_at_node
 from calib.diagnose.engine.candidates import Node
-from calib.diagnose.engine.frame_inner_products import FrameProducts, Normal, Solved, normal_of_weighted_directions, solve_with_prior
+from calib.diagnose.engine.frame_inner_products import (
+    FrameProducts,
+    Normal,
+    Solved,
+    normal_of_weighted_directions,
+    solve_with_prior,
+)
 from calib.diagnose.engine.linear_model import Column
 from calib.diagnose.engine.sinusoid_sums import sinusoid_sums
 from calib.diagnose.problems.arm.joint_candidates import Form, JointCandidate, JointScore
@@ -17,15 +23,27 @@ from calib.diagnose.problems.arm.pose_fit import Fit
 CHUNK = 96  # nodes at a time
 REFINE, FINER = 4, 2  # rounds about the best order, each with a step so many times as fine
 BETWEEN = 1.3  # times what a node explains, the most that an order between two of them does
-PROMISING, SLOW = 64, 24  # nodes of a long grid of which nuisances are taken out: those that explain most, and the first
-MANY = 1.5  # times what a term's first number has to bring, what each of a curve's has to: neighbouring poses tell of a curve nearly the same
+PROMISING, SLOW = (
+    64,
+    24,
+)  # nodes of a long grid of which nuisances are taken out: those that explain most, and the first
+# times what a term's first number has to bring, what each of a curve's has to: neighbouring poses tell of a curve
+# nearly the same
+MANY = 1.5
 SEEN = 4.0  # times what a later node explains with the nuisances in, the most that it does without
 SLOWEST = 0.05  # cycles per radian times 2 pi; a sinusoid of a lower order is a line
 
 
-def search_candidates(fit: Fit, candidates: list[JointCandidate], least: float = 0.0, cluster: int = 1,
-           progress: Callable[[int, int], None] | None = None) -> list[JointScore]:
-    """[Score] of all candidates, the greatest raw delta BIC first. least : raw delta BIC of those listed; progress : called with (done, of)"""
+def search_candidates(
+    fit: Fit,
+    candidates: list[JointCandidate],
+    least: float = 0.0,
+    cluster: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[JointScore]:
+    """[Score] of all candidates, the greatest raw delta BIC first. least : raw delta BIC of those listed;
+    progress : called with (done, of)
+    """
     known, out = {}, []
     for i, candidate in enumerate(candidates):
         if candidate.joint not in known:
@@ -56,7 +74,9 @@ def _directions(fit: Fit, joint: int | None) -> np.ndarray:
     return fit.W[fit.used] @ fit.arms.directions(joint)[fit.used]
 
 
-def _score(fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float, cluster: int) -> JointScore | None:
+def _score(
+    fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float, cluster: int
+) -> JointScore | None:
     log = np.log(fit.size)
     solved = solved_grid(fit, candidate, products, least)
     best = int(np.argmax(solved.delta_chi2 - solved.rank * log))
@@ -69,12 +89,18 @@ def _score(fit: Fit, candidate: JointCandidate, products: FrameProducts, least: 
             solved, node = solved._replace(delta_chi2=deltas, coefficients=coefficients), finer
     if solved.delta_chi2[best] - penalty <= least:
         return None
-    score = score_at_node(fit.linear, candidate, best, node, solved, products, node_weights(fit, candidate, node), cluster)
-    fewer = int(np.argmax(solved.delta_chi2 / score.dispersion - MANY * solved.rank * log)) if candidate.vector else best
+    score = score_at_node(
+        fit.linear, candidate, best, node, solved, products, node_weights(fit, candidate, node), cluster
+    )
+    fewer = (
+        int(np.argmax(solved.delta_chi2 / score.dispersion - MANY * solved.rank * log)) if candidate.vector else best
+    )
     if fewer == best:  # many numbers pay for themselves with the dispersion allowed for
         return score
     node = candidate.grid[fewer]
-    return score_at_node(fit.linear, candidate, fewer, node, solved, products, node_weights(fit, candidate, node), cluster)
+    return score_at_node(
+        fit.linear, candidate, fewer, node, solved, products, node_weights(fit, candidate, node), cluster
+    )
 
 
 def node_weights(fit: Fit, candidate: JointCandidate, node: Node) -> np.ndarray:
@@ -83,8 +109,8 @@ def node_weights(fit: Fit, candidate: JointCandidate, node: Node) -> np.ndarray:
 
 
 def solved_grid(fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float = 0.0) -> Solved:
-    """Solved of all of a candidate's nodes; sinusoids of even orders and steps in time by short cuts: of the many, those that cannot explain
-    `least` are told by a lower bound alone."""
+    """Solved of all of a candidate's nodes; sinusoids of even orders and steps in time by short cuts: of the many,
+    those that cannot explain `least` are told by a lower bound alone."""
     if candidate.step:
         long = _orders(candidate, fit.arms.q[fit.used, candidate.joint], products)
     elif candidate.form is Form.STEP:
@@ -102,7 +128,9 @@ def solved_nodes(fit: Fit, candidate: JointCandidate, products: FrameProducts, n
         part = [node_weights(fit, candidate, node) for node in chunk]
         even = len({w.shape[2] for w in part}) == 1
         groups = [(np.stack(part), chunk[0])] if even else [(w[None], node) for w, node in zip(part, chunk)]
-        parts += [solve_with_prior(normal_of_weighted_directions(products, w), candidate.prior(node)) for w, node in groups]
+        parts += [
+            solve_with_prior(normal_of_weighted_directions(products, w), candidate.prior(node)) for w, node in groups
+        ]
     return Solved.of(parts)
 
 
@@ -113,10 +141,15 @@ def _finer(fit: Fit, candidate: JointCandidate, products: FrameProducts, node: N
     for _ in range(REFINE):
         orders = np.maximum(order + reach * np.linspace(-1, 1, 2 * FINER + 1), SLOWEST)
         angles = orders[:, None] * q
-        found = solve_with_prior(normal_of_weighted_directions(products, np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, :, None]), prior)
+        found = solve_with_prior(
+            normal_of_weighted_directions(products, np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, :, None]),
+            prior,
+        )
         i = int(np.argmax(found.delta_chi2))
         order, reach = float(orders[i]), reach / FINER
-    return {candidate.sought: order}, Solved(found.delta_chi2[i : i + 1], [found.coefficients[i]], found.rank[i : i + 1], found.seen[i : i + 1])
+    return {candidate.sought: order}, Solved(
+        found.delta_chi2[i : i + 1], [found.coefficients[i]], found.rank[i : i + 1], found.seen[i : i + 1]
+    )
 
 
 class LongGrid(NamedTuple):
@@ -158,12 +191,15 @@ def _steps(candidate: JointCandidate, t: np.ndarray, products: FrameProducts) ->
         return np.concatenate([np.cumsum(part[::-1], axis=0)[::-1], np.zeros((1, *part.shape[1:]))])
 
     b, G = later(products.beta[:, 0])[at], later(products.gamma[:, 0, 0])[at]
-    return LongGrid(b[:, None], G[:, None, None], lambda chosen: products.onto(later(products.kappa[:, 0])[at[chosen]])[:, None])
+    return LongGrid(
+        b[:, None], G[:, None, None], lambda chosen: products.onto(later(products.kappa[:, 0])[at[chosen]])[:, None]
+    )
 
 
 def _promising(long: LongGrid, prior: np.ndarray, least: float) -> Solved:
-    """Solved of a LongGrid. Nuisances are taken out of the first nodes, which they may swallow nearly whole, and of those that explain most with
-    the nuisances in, as far as `least` is in sight; the others explain at least what they do with these in."""
+    """Solved of a LongGrid. Nuisances are taken out of the first nodes, which they may swallow nearly whole, and of
+    those that explain most with the nuisances in, as far as `least` is in sight; the others explain at least what they
+    do with these in."""
     b, G, onto = long
     raw = np.einsum("sqq->sq", G).copy()
     bound = solve_with_prior(Normal(b, G, raw), prior)

@@ -1,5 +1,5 @@
-"""Which moves of a machine tell two effects apart: what each does to its measured poses, less what its geometry, an arm's base and hand among it,
-can swallow."""
+"""Which moves of a machine tell two effects apart: what each does to its measured poses, less what its geometry, an
+arm's base and hand among it, can swallow."""
 
 import numpy as np
 
@@ -12,18 +12,31 @@ from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
 
-def effect_separation(text: str, design: Design, commands: Commands, t: np.ndarray, sensors: Sensors | None, effects: list[Effect],
-               sigma: tuple[float, float]) -> Separation:
+def effect_separation(
+    text: str,
+    design: Design,
+    commands: Commands,
+    t: np.ndarray,
+    sensors: Sensors | None,
+    effects: list[Effect],
+    sigma: tuple[float, float],
+) -> Separation:
     """Separation of two effects (each as large as it is expected to be) by one plan.
 
     commands : Commands; t : (n,) s exposures; sensors : Sensors; effects : two Effects that move axes or platform
-    sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what nobody commands, and what the machine raises
+    sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what nobody commands, and what
+        the machine raises
     """
     asked = geometric_freedoms(design.mechanism)
     white = 1 / np.repeat(sigma, 3)
     still = motion_simulation.run_machine(design, commands, t, (), sensors).T_base_platform
     a, b = (
-        (pose_difference(still, motion_simulation.run_machine(design, commands, t, (effect,), sensors).T_base_platform) * white).ravel()
+        (
+            pose_difference(
+                still, motion_simulation.run_machine(design, commands, t, (effect,), sensors).T_base_platform
+            )
+            * white
+        ).ravel()
         for effect in effects
     )
     rows = asked.jacobian(commands.at(t)) * white[:, None]

@@ -1,4 +1,6 @@
-"""How strong an effect is in an arm's recording: its signal-to-noise once calibration has taken what it can, all of the truth being known."""
+"""How strong an effect is in an arm's recording: its signal-to-noise once calibration has taken what it can, all of the
+truth being known.
+"""
 
 import numpy as np
 
@@ -12,10 +14,13 @@ from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
 
 
-def effect_strengths(true: Design, commands: Commands, t: np.ndarray, sigma: np.ndarray, effects: tuple[Effect, ...], sensors: Sensors) -> np.ndarray:
+def effect_strengths(
+    true: Design, commands: Commands, t: np.ndarray, sigma: np.ndarray, effects: tuple[Effect, ...], sensors: Sensors
+) -> np.ndarray:
     """(effects,) whitened length of what each effect does to all poses, the arm's parameters projected out.
 
-    true : Design as it really is; commands, t (n,) s : what was commanded, and when it was measured; sensors : as they truly were
+    true : Design as it really is; commands, t (n,) s : what was commanded, and when it was measured; sensors : as they
+        truly were
     sigma : (2,) m and rad, or (1,) m where positions alone are measured. Raises RigError for what is no arm
     """
     whole = motion_simulation.run_machine(true, commands, t, effects, sensors).T_base_platform
@@ -28,7 +33,9 @@ def effect_strengths(true: Design, commands: Commands, t: np.ndarray, sigma: np.
     Q = np.linalg.qr(J.reshape(len(t) * k, -1))[0]
     out = []
     for i in range(len(effects)):
-        bare = motion_simulation.run_machine(true, commands, t, [e for j, e in enumerate(effects) if j != i], sensors).T_base_platform
+        bare = motion_simulation.run_machine(
+            true, commands, t, [e for j, e in enumerate(effects) if j != i], sensors
+        ).T_base_platform
         moved = (pose_difference(bare, whole)[:, :k] / np.repeat(sigma, 3)).ravel()
         out.append(float(np.linalg.norm(moved - Q @ (Q.T @ moved))))
     return np.array(out)

@@ -14,10 +14,12 @@ SHARE = 0.05  # of the squares left, from which a covariate is named beside the 
 
 
 def scatter_beyond_noise(fit: Fit, again: Repeats | None, covariates: Sequence[Covariate]) -> list[LackOfFit]:
-    """[LackOfFit] of positions and of rotations that scatter beyond their noise; their sizes are lengths of three numbers.
+    """[LackOfFit] of positions and of rotations that scatter beyond their noise; their sizes are lengths of three
+    numbers.
 
-    again : Repeats, which show whether the scatter recurs with the same joint angles ("configuration"); where it does not, it depends on the
-    covariates that explain some of it, or on nothing known. Where nobody states the noise, only what recurs under one command is beyond it
+    again : Repeats, which show whether the scatter recurs with the same joint angles ("configuration"); where it does
+    not, it depends on the covariates that explain some of it, or on nothing known. Where nobody states the noise, only
+    what recurs under one command is beyond it
     """
     recurs = again is not None and again.p_value < ALPHA
     if fit.arms.assumed and not recurs:
@@ -31,7 +33,9 @@ def scatter_beyond_noise(fit: Fit, again: Repeats | None, covariates: Sequence[C
         if left.size:
             square = float(np.einsum("ni,nij,nj->", left, np.linalg.inv(own), left))
             noise = float(np.sqrt(np.einsum("nii->n", own).mean()))
-            found.append(detect_excess_scatter("rig", unit, noise, square, left.size - left.shape[1] * taken, k // 3, depends))
+            found.append(
+                detect_excess_scatter("rig", unit, noise, square, left.size - left.shape[1] * taken, k // 3, depends)
+            )
     return [u for u in found if u is not None]
 
 

@@ -1,4 +1,6 @@
-"""The catalogue at an arm's joints: for every effect, joint and node, by how much it would turn the joint in every pose."""
+"""The catalogue at an arm's joints: for every effect, joint and node, by how much it would turn the joint in every
+pose.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,8 +19,8 @@ from rig.errors import FileError, RigError
 
 
 class Form(Enum):
-    """What a candidate's turn of its joint is a function of: the joint's own angle (as a line, a sinusoid, or any curve), a moment in time,
-    or anything else."""
+    """What a candidate's turn of its joint is a function of: the joint's own angle (as a line, a sinusoid, or any
+    curve), a moment in time, or anything else."""
 
     SLOPE = "slope"
     SINUSOID = "sinusoid"
@@ -28,16 +30,23 @@ class Form(Enum):
 
 
 OWN_ANGLE = (Form.SLOPE, Form.SINUSOID, Form.PROFILE)
-SIMPLICITY = {1: Form.SLOPE, 2: Form.SINUSOID, 3: Form.PROFILE}  # of what depends on the axis alone, as effects state it
+SIMPLICITY = {
+    1: Form.SLOPE,
+    2: Form.SINUSOID,
+    3: Form.PROFILE,
+}  # of what depends on the axis alone, as effects state it
 MOST = 200  # nodes of a candidate whose weights are kept
 SPAN = "span"  # in a profile's node: (low, high) rad
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class JointCandidate(Candidate):
-    """An effect at a joint, or at the whole arm. joint : index, or None; specs : as the effect states it, one for each number of columns
-    weights : node -> (n, a, q) per unit of what a pose can be moved in: rad of the joint (a = 1), or the tangent of the whole (a = k)
-    prior : node -> (q,) sizes of the coefficients; step : between nodes that are even multiples of it, 0 for all others"""
+    """An effect at a joint, or at the whole arm. joint : index, or None; specs : as the effect states it, one for each
+    number of columns
+    weights : node -> (n, a, q) per unit of what a pose can be moved in: rad of the joint (a = 1), or the tangent of the
+        whole (a = k)
+    prior : node -> (q,) sizes of the coefficients; step : between nodes that are even multiples of it, 0 for all
+        others"""
 
     joint: int | None
     specs: tuple[EffectCandidate, ...]
@@ -59,7 +68,11 @@ class JointCandidate(Candidate):
     def effect(self, node: Node, coefficients: np.ndarray) -> Effect:
         """The effect of a node with coefficients (q,); where the size is in the node, the coefficient is it."""
         spec = _spec(self.specs, node)
-        return spec.effect(node, coefficients) if spec.linear else spec.kind(spec.place, **{next(iter(node)): float(coefficients[0])})
+        return (
+            spec.effect(node, coefficients)
+            if spec.linear
+            else spec.kind(spec.place, **{next(iter(node)): float(coefficients[0])})
+        )
 
 
 JointScore = Score[JointCandidate]
@@ -116,10 +129,20 @@ def joint_candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCand
     positive = len(first.linear) < 2 and min((low for low, _ in _bounds(first)), default=0.0) >= 0
     grid = [node for spec in specs for node in spec.grid]
     # a node that is the size itself has one linear coefficient in its place, and so nothing that is sought besides
-    return JointCandidate(name=first.kind.name, place=first.place, grid=grid, extra=first.extra if first.linear else 0, joint=joint, specs=specs,
-                          weights=_kept(lambda node: _weights(_spec(specs, node), node, joint, arms)),
-                          prior=lambda node: _prior(_spec(specs, node)), form=form, vector=len(first.linear) > 2, step=first.spacing,
-                          bounds=(np.zeros(1), np.full(1, np.inf)) if positive else None)
+    return JointCandidate(
+        name=first.kind.name,
+        place=first.place,
+        grid=grid,
+        extra=first.extra if first.linear else 0,
+        joint=joint,
+        specs=specs,
+        weights=_kept(lambda node: _weights(_spec(specs, node), node, joint, arms)),
+        prior=lambda node: _prior(_spec(specs, node)),
+        form=form,
+        vector=len(first.linear) > 2,
+        step=first.spacing,
+        bounds=(np.zeros(1), np.full(1, np.inf)) if positive else None,
+    )
 
 
 def _spec(specs: tuple[EffectCandidate, ...], node: Node) -> EffectCandidate:
@@ -130,7 +153,9 @@ def _spec(specs: tuple[EffectCandidate, ...], node: Node) -> EffectCandidate:
 def _bounds(spec: EffectCandidate) -> list[tuple[float, float]]:
     """Bounds of what the coefficients stand for."""
     by = {p.name: p for p in spec.kind.parameters_at(spec.place)}
-    return [by[column.name].bounds for column in spec.linear if column.name != QUADRATURE] or [by[name].bounds for name in spec.grid[0]]
+    return [by[column.name].bounds for column in spec.linear if column.name != QUADRATURE] or [
+        by[name].bounds for name in spec.grid[0]
+    ]
 
 
 def _prior(spec: EffectCandidate) -> np.ndarray:
@@ -149,9 +174,14 @@ def _weights(spec: EffectCandidate, node: Node, joint: int | None, arms: Arms) -
         return np.einsum("nkj,njq->nkq", arms.joints, _retimed(spec, node, arms))
     if joint is None:
         units = np.eye(len(spec.linear)) * [column.step for column in spec.linear]
-        moved = [arms.measured(spec.effect(node, unit).sway(motion)) / column.step for unit, column in zip(units, spec.linear)]
+        moved = [
+            arms.measured(spec.effect(node, unit).sway(motion)) / column.step
+            for unit, column in zip(units, spec.linear)
+        ]
         return np.stack(moved, axis=-1)
-    out = (_retimed(spec, node, arms) if spec.kind.retimes() else spec.deviation(node, motion))[:, joint].copy()  # kept without the other joints
+    out = (_retimed(spec, node, arms) if spec.kind.retimes() else spec.deviation(node, motion))[
+        :, joint
+    ].copy()  # kept without the other joints
     return (out if spec.linear else out / next(iter(node.values())))[:, None, :]
 
 
@@ -159,7 +189,9 @@ def _retimed(spec: EffectCandidate, node: Node, arms: Arms) -> np.ndarray:
     """(n, joints, q) rad by which the commands reached change, per unit of the coefficients."""
     steps = [column.step for column in spec.linear] or [1.0]
     units = np.eye(len(spec.linear)) * steps if spec.linear else [np.zeros(0)]
-    return np.stack([(arms.reached(spec.effect(node, unit)) - arms.q) / step for unit, step in zip(units, steps)], axis=-1)
+    return np.stack(
+        [(arms.reached(spec.effect(node, unit)) - arms.q) / step for unit, step in zip(units, steps)], axis=-1
+    )
 
 
 def _kept(weights: Callable[[Node], np.ndarray]) -> Callable[[Node], np.ndarray]:
@@ -175,4 +207,3 @@ def _kept(weights: Callable[[Node], np.ndarray]) -> Callable[[Node], np.ndarray]
         return known[key]
 
     return answer
-

@@ -1,4 +1,6 @@
-"""What an arm still does when the catalogue has had its say: smooth functions of pose, load, time, history and sensors, unnamed."""
+"""What an arm still does when the catalogue has had its say: smooth functions of pose, load, time, history and sensors,
+unnamed.
+"""
 
 import numpy as np
 
@@ -25,14 +27,21 @@ def lack_of_fit(fit: Fit, cluster: int = 1, place: str | None = None, alpha: flo
         for depends, basis in _bases(arms, j):
             test = Test(moved.places[j], moved.units[j], (depends,), basis[fit.used][:, None, :], information, PRIOR)
             found.append(test_lack_of_fit(fit.linear, products, test, cluster))
-    return sorted(significant_lack_of_fit([u for u in found if u is not None and place in (None, u.place)], alpha), key=lambda u: -u.delta_chi2)
+    return sorted(
+        significant_lack_of_fit([u for u in found if u is not None and place in (None, u.place)], alpha),
+        key=lambda u: -u.delta_chi2,
+    )
 
 
 def _bases(arms: Arms, j: int) -> list[tuple[str, np.ndarray]]:
     """[(depends on, (n, q) smooth functions of it)] for a joint."""
     others = np.delete(arms.q, j, axis=1)
     moves = np.sign(np.diff(arms.q[:, j], prepend=arms.q[0, j]))
-    out = [("pose", np.concatenate([np.sin(others), np.cos(others)], axis=1)), ("time", _hats(arms.t)), ("history", moves[:, None])]
+    out = [
+        ("pose", np.concatenate([np.sin(others), np.cos(others)], axis=1)),
+        ("time", _hats(arms.t)),
+        ("history", moves[:, None]),
+    ]
     links = arms.context.moved().links()[:, j]
     turning = links[:, distinct(links)]
     if turning.shape[1]:

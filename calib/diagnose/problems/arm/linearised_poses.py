@@ -1,5 +1,5 @@
-"""Poses of an arm, or of a chain of mechanisms, as measured, linear about its calibrated geometry: what that leaves, and how it changes with
-joints and freedoms."""
+"""Poses of an arm, or of a chain of mechanisms, as measured, linear about its calibrated geometry: what that leaves,
+and how it changes with joints and freedoms."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -30,11 +30,14 @@ SEEN = 1e-4  # of the best told combination of a chain's parameters; others no p
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arms:
-    """What is known of n poses of an arm or chain. frame : (n,); t : (n,) s; q : (n, joints) rad or m, commanded; left : (n, k) m and rad, what
-    the geometry left (k = 6, or 3 for positions); freedoms : (n, k, p) change with calibration's parameters; joints : (n, k, joints)
-    with the angles; own : (n, k, k) the instrument's covariance; commands : the whole path; context : what effects may look at
+    """What is known of n poses of an arm or chain. frame : (n,); t : (n,) s; q : (n, joints) rad or m, commanded;
+    left : (n, k) m and rad, what the geometry left (k = 6, or 3 for positions); freedoms : (n, k, p) change with
+    calibration's parameters; joints : (n, k, joints) with the angles; own : (n, k, k) the instrument's covariance;
+        commands : the whole path; context : what effects may
+    look at
     assumed : whether nobody states that covariance, so that a usual one stands for it
-    sight : of poses that cameras measure, T_base_platform (m,) -> Foreseen of others that they have yet to see; None of an instrument's"""
+    sight : of poses that cameras measure, T_base_platform (m,) -> Foreseen of others that they have yet to see; None of
+        an instrument's"""
 
     frame: np.ndarray
     t: np.ndarray
@@ -52,8 +55,14 @@ class Arms:
         return len(self.t)
 
     def directions(self, joint: int | None) -> np.ndarray:
-        """(n, k, a) change of what is measured with a joint's angle (index, a = 1), or with the measured tangents themselves (None, a = k)."""
-        return np.broadcast_to(np.eye(self.left.shape[1]), self.own.shape) if joint is None else self.joints[..., joint : joint + 1]
+        """(n, k, a) change of what is measured with a joint's angle (index, a = 1), or with the measured tangents
+        themselves (None, a = k).
+        """
+        return (
+            np.broadcast_to(np.eye(self.left.shape[1]), self.own.shape)
+            if joint is None
+            else self.joints[..., joint : joint + 1]
+        )
 
     def measured(self, tangents: np.ndarray) -> np.ndarray:
         """(n, k) what is measured of tangents (n, 6) by which the tool is displaced."""
@@ -61,7 +70,9 @@ class Arms:
 
     def reached(self, effect: Effect) -> np.ndarray:
         """(n, joints) rad, commands reached at the exposures under an effect of clock or path."""
-        return motion_simulation.motion_of_commands(self.context.design, self.commands, self.t, (effect,), self.context.sensors).lengths
+        return motion_simulation.motion_of_commands(
+            self.context.design, self.commands, self.t, (effect,), self.context.sensors
+        ).lengths
 
     @property
     def channels(self) -> dict[str, np.ndarray]:
@@ -72,7 +83,8 @@ class Arms:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
-    """What calibration fitted. mechanism : Arm or Chain; basis : (p, f) m and rad, what one of each freedom is of the parameters
+    """What calibration fitted. mechanism : Arm or Chain; basis : (p, f) m and rad, what one of each freedom is of the
+    parameters
     move : (p,) step -> the mechanism with its parameters moved"""
 
     mechanism: Arm | Chain
@@ -84,32 +96,47 @@ class Geometry:
         return self.move(self.basis @ sizes)
 
 
-def linearise_poses(samples: Samples, design: Design, commands: Commands | None = None, sensors: Sensors | None = None,
-            fewest: int = FEWEST) -> tuple[Arms, Geometry]:
+def linearise_poses(
+    samples: Samples,
+    design: Design,
+    commands: Commands | None = None,
+    sensors: Sensors | None = None,
+    fewest: int = FEWEST,
+) -> tuple[Arms, Geometry]:
     """(Arms, Geometry) of Samples: calibrated, and linear about it.
 
-    design : whose mechanism is the nominal Arm or Chain; commands : the whole path; the samples' own commands in their order where None
+    design : whose mechanism is the nominal Arm or Chain; commands : the whole path; the samples' own commands in their
+        order where None
     fewest : poses that it takes
     Raises NotEnoughData for too few poses, RigError for what is neither, and what calibrating raises
     """
     if len(samples) < fewest:
-        raise NotEnoughData(f"{len(samples)} poses are too few to diagnose an arm or a chain; it takes {fewest}, better 500")
+        raise NotEnoughData(
+            f"{len(samples)} poses are too few to diagnose an arm or a chain; it takes {fewest}, better 500"
+        )
     if samples.measured in ("orientation", "distance"):
         raise RigError(f"an arm is diagnosed by its poses or positions; the {samples.measured} alone was measured")
-    linear = _of_arm if isinstance(design.mechanism, Arm) else _of_chain if isinstance(design.mechanism, Chain) else None
+    linear = (
+        _of_arm if isinstance(design.mechanism, Arm) else _of_chain if isinstance(design.mechanism, Chain) else None
+    )
     if linear is None:
         raise RigError(f"this takes an arm or a chain, not a mechanism of kind {design.mechanism.kind!r}")
     geometry, left, freedoms, joints, own = linear(samples, design)
     commands = Commands(samples.t, samples.commanded) if commands is None else commands
     design = replace(design, mechanism=geometry.mechanism)
-    motion = replace(motion_simulation.motion_of_commands(design, commands, samples.t, (), sensors), T=samples.T_base_platform)
+    motion = replace(
+        motion_simulation.motion_of_commands(design, commands, samples.t, (), sensors), T=samples.T_base_platform
+    )
     context = Context(design, samples.t, sensors, motion)
     freedoms = np.concatenate([freedoms, samples.common[:, : left.shape[1]]], axis=2)
     return Arms(samples.frame, samples.t, samples.commanded, left, freedoms, joints, own, commands, context), geometry
 
 
-def linearise_planned_poses(arms: Arms, geometry: Geometry, commands: Commands, t: np.ndarray, sensors: Sensors | None) -> Arms:
-    """Arms of a recording of the same arm that is not there yet, exposed at t (n,) s, of which nothing is left; its instrument sees as before.
+def linearise_planned_poses(
+    arms: Arms, geometry: Geometry, commands: Commands, t: np.ndarray, sensors: Sensors | None
+) -> Arms:
+    """Arms of a recording of the same arm that is not there yet, exposed at t (n,) s, of which nothing is left; its
+    instrument sees as before.
 
     frame : of cameras those exposures alone that they will see, numbers among the n
     Raises RigError for a chain, where commands leave the arm's limits, or where cameras see none of it
@@ -127,7 +154,11 @@ def linearise_planned_poses(arms: Arms, geometry: Geometry, commands: Commands, 
     freedoms = rows(kind, error_model.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism) @ geometry.basis
     joints = rows(kind, error_model.joint_jacobian(q, geometry.mechanism), q, geometry.mechanism)
     context = replace(
-        arms.context, design=design, t=t, sensors=sensors, motion=motion_simulation.motion_of_commands(design, commands, t, (), sensors)
+        arms.context,
+        design=design,
+        t=t,
+        sensors=sensors,
+        motion=motion_simulation.motion_of_commands(design, commands, t, (), sensors),
     )
     if view is None:
         own = np.broadcast_to(np.median(arms.own, axis=0), (len(t), k, k))
@@ -136,19 +167,28 @@ def linearise_planned_poses(arms: Arms, geometry: Geometry, commands: Commands, 
     return Arms(frame, t, q, np.zeros((len(t), k)), freedoms, joints, own, commands, context, arms.sight)
 
 
-Linear = tuple[Geometry, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # with what is left, freedoms, joints and own of Arms
+Linear = tuple[
+    Geometry, np.ndarray, np.ndarray, np.ndarray, np.ndarray
+]  # with what is left, freedoms, joints and own of Arms
 
 
 def _of_arm(samples: Samples, design: Design) -> Linear:
     """Linear about an arm: its independent parameters are the freedoms."""
     _, found = calibrate(samples, arm_of(design.mechanism), design.instrument, profiles=False)
     observations, free = of_samples(samples), found.free
-    return (Geometry(found.arm, np.eye(len(free))[:, free], partial(error_model.moved, found.arm)), observations.residuals(found.arm),
-            observations.jacobian(found.arm)[..., free], observations.joint_jacobian(found.arm), observations.covariance)
+    return (
+        Geometry(found.arm, np.eye(len(free))[:, free], partial(error_model.moved, found.arm)),
+        observations.residuals(found.arm),
+        observations.jacobian(found.arm)[..., free],
+        observations.joint_jacobian(found.arm),
+        observations.covariance,
+    )
 
 
 def _of_chain(samples: Samples, design: Design) -> Linear:
-    """Linear about a chain: the combinations of all stages' parameters that poses tell at all are the freedoms, in plausible sizes."""
+    """Linear about a chain: the combinations of all stages' parameters that poses tell at all are the freedoms, in
+    plausible sizes.
+    """
     nominal = chain_of(design.mechanism)
     chain, sigma = identify(samples, nominal).chain, chains.prior(nominal)
     J = chains.parameter_jacobian(samples.commanded, chain) * sigma

@@ -1,4 +1,6 @@
-"""A term's nonlinear parameters between the values of its grid: at their best, and how sure they and the sizes beside them are."""
+"""A term's nonlinear parameters between the values of its grid: at their best, and how sure they and the sizes beside
+them are.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -43,7 +45,9 @@ def has_continuous_parameters(term: Term) -> bool:
 
 
 def optimise_nonlinear_parameters(rest: Fit, term: Term) -> Term:
-    """The term with its nonlinear parameters where they explain most of what a Fit without it leaves, one after the other."""
+    """The term with its nonlinear parameters where they explain most of what a Fit without it leaves, one after the
+    other.
+    """
     products = joint_products(rest, term.candidate.joint)
 
     def loss(node: Node) -> float:
@@ -70,7 +74,9 @@ def is_linear(candidate: JointCandidate) -> bool:
 
 
 def joint_parameter_covariance(fit: Fit, number: int) -> Joint:
-    """Joint of one term. Of a term whose size is in its node, both are one: the covariance is (1, 1) and that of the size."""
+    """Joint of one term. Of a term whose size is in its node, both are one: the covariance is (1, 1) and that of the
+    size.
+    """
     term, theta = fit.terms[number], fit.theta[fit.slices[number]]
     parameters = continuous_parameters(term)
     if not parameters:
@@ -83,12 +89,15 @@ def joint_parameter_covariance(fit: Fit, number: int) -> Joint:
     left, leaning = _seen(fit, term, slopes)
     own = np.linalg.inv(left.T @ left + 1e-300 * np.eye(len(parameters)))
     lean = leaning[fit.slices[number]]  # how the sizes lean with the parameters
-    return Joint(tuple(p.name for p in parameters),
-                 np.block([[fit.covariance(number) + lean @ own @ lean.T, -lean @ own], [-own @ lean.T, own]]))
+    return Joint(
+        tuple(p.name for p in parameters),
+        np.block([[fit.covariance(number) + lean @ own @ lean.T, -lean @ own], [-own @ lean.T, own]]),
+    )
 
 
 def onset_time_interval(fit: Fit, number: int, dispersion: float) -> tuple[float, float]:
-    """(earliest, latest) s of the values of its grid at which a term's moment may lie: those that explain as much as the best but for what chance
+    """(earliest, latest) s of the values of its grid at which a term's moment may lie: those that explain as much as
+    the best but for what chance
     does in one of twenty, of AROUND to either side. dispersion : that its score allows for"""
     term, rest = fit.terms[number], fit.without_terms([number])
     name = next(p.name for p in term.candidate.kind.parameters if p.role == "moment" and p.name in term.node)
@@ -102,7 +111,9 @@ def onset_time_interval(fit: Fit, number: int, dispersion: float) -> tuple[float
 
 
 def _seen(fit: Fit, term: Term, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(whitened columns (m, r) with all that the fit has free taken out, their leaning (p + c, r) on that), of columns (n, a, r) as weights are."""
+    """(whitened columns (m, r) with all that the fit has free taken out, their leaning (p + c, r) on that), of columns
+    (n, a, r) as weights are.
+    """
     u = (fit.W @ fit.arms.directions(term.candidate.joint) @ columns)[fit.used]
     leaning = cho_solve((fit.half, False), fit.X.onto(u))
     return (u - fit.X.at(leaning)).reshape(-1, columns.shape[2]), leaning
@@ -121,11 +132,16 @@ def _least(loss: Callable[[float], float], start: float, grid: list[float], p: P
     values = np.unique(grid)
     to, back = (np.log, np.exp) if p.role != "even" else (float, float)
     step = float(np.diff([to(v) for v in values]).max()) if len(values) > 1 else np.log(2.0)
-    ends = [to(b) if (np.isfinite(b) and (b > 0 or p.role == "even")) else sign * np.inf for b, sign in zip(p.bounds, (-1, 1))]
+    ends = [
+        to(b) if (np.isfinite(b) and (b > 0 or p.role == "even")) else sign * np.inf
+        for b, sign in zip(p.bounds, (-1, 1))
+    ]
     here, least = to(start), loss(start)
     for _ in range(MOVES):
         low, high = max(here - step, ends[0]), min(here + step, ends[1])
-        found = scipy.optimize.minimize_scalar(lambda x: loss(float(back(x))), bounds=(low, high), method="bounded", options={"xatol": CLOSE * step})
+        found = scipy.optimize.minimize_scalar(
+            lambda x: loss(float(back(x))), bounds=(low, high), method="bounded", options={"xatol": CLOSE * step}
+        )
         if not found.fun < least:
             break
         here, least = float(found.x), float(found.fun)

@@ -1,4 +1,6 @@
-"""Wild poses of an arm, left out before anything is searched: far off all that geometry, moves and time may do smoothly, and off their neighbours."""
+"""Wild poses of an arm, left out before anything is searched: far off all that geometry, moves and time may do
+smoothly, and off their neighbours.
+"""
 
 from dataclasses import dataclass
 
@@ -10,15 +12,23 @@ from calib.diagnose.problems.remainder_covariates import cosines, speed
 from calib.identify.robust_fit import MOST, outlier_rows, robust_fit
 from calib.models.arm.excess_scatter import MIDDLE
 
-GROSS, GATE = 20.0, 7.0  # times the scatter of the others, from which a pose may be wild before anything is admitted, and after
+GROSS, GATE = (
+    20.0,
+    7.0,
+)  # times the scatter of the others, from which a pose may be wild before anything is admitted, and after
 SLOW = 4  # cosines of time that are free at each joint
 ROWS = 4  # numbers measured for each that is free
-REASON = "what was measured and the command agree with no other pose, neither those before and after it nor those at joint angles near it"
+REASON = (
+    "what was measured and the command agree with no other pose, neither those before and after it nor those at "
+    "joint angles near it"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WildPoses:
-    """frames : numbers of poses left out; left_out : (LeftOut, ..) of them; crowd : Crowd of poses that are far off in too many, or None."""
+    """frames : numbers of poses left out; left_out : (LeftOut, ..) of them; crowd : Crowd of poses that are far off in
+    too many, or None.
+    """
 
     frames: frozenset[int] = frozenset()
     left_out: tuple[LeftOut, ...] = ()
@@ -29,7 +39,9 @@ class WildPoses:
         frames = self.frames | more.frames
         if len(frames) > MOST * count:
             return WildPoses(self.frames, self.left_out, Crowd("poses", len(frames), count))
-        return WildPoses(frames, tuple(sorted(self.left_out + more.left_out, key=lambda one: one.frame)), more.crowd or self.crowd)
+        return WildPoses(
+            frames, tuple(sorted(self.left_out + more.left_out, key=lambda one: one.frame)), more.crowd or self.crowd
+        )
 
 
 def outlier_poses(arms: Arms, left: np.ndarray, gate: float) -> WildPoses:
@@ -51,12 +63,14 @@ def outlier_poses(arms: Arms, left: np.ndarray, gate: float) -> WildPoses:
 
 
 def _relative(residual: np.ndarray) -> np.ndarray:
-    """(n, k) whitened residuals over one scatter of positions and one of rotations, by their middle length: what a joint does shows along
-    other axes in every pose."""
+    """(n, k) whitened residuals over one scatter of positions and one of rotations, by their middle length: what a
+    joint does shows along other axes in every pose."""
     out = np.empty_like(residual)
     for part in (slice(0, 3), slice(3, 6)):
         if residual[:, part].size:
-            out[:, part] = residual[:, part] / max(float(np.median(np.linalg.norm(residual[:, part], axis=1))) / np.sqrt(MIDDLE), 1e-300)
+            out[:, part] = residual[:, part] / max(
+                float(np.median(np.linalg.norm(residual[:, part], axis=1))) / np.sqrt(MIDDLE), 1e-300
+            )
     return out
 
 

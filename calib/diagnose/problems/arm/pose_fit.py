@@ -1,7 +1,9 @@
-"""An arm's poses -> whitened residuals with calibration's freedoms and admitted terms taken out, ready to be searched joint by joint.
+"""An arm's poses -> whitened residuals with calibration's freedoms and admitted terms taken out, ready to be searched
+joint by joint.
 
-A term moves one joint's angle (or, for what moves the whole arm, the target's pose) by a few columns, each of unknown size; sizes
-have loose normal priors, so that what the data cannot see stays near nothing. Scatter beyond the instrument's own is estimated.
+A term moves one joint's angle (or, for what moves the whole arm, the target's pose) by a few columns, each of unknown
+size; sizes have loose normal priors, so that what the data cannot see stays near nothing. Scatter beyond the
+instrument's own is estimated.
 """
 
 from collections.abc import Sequence
@@ -28,23 +30,31 @@ LOOSE = 1e-12  # share of a freedom's information that stands for no prior at al
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighing:
-    """scatter : (k,) m and rad beyond the instrument's own; tail : (n,) weight of each pose, below 1 where it is far off."""
+    """scatter : (k,) m and rad beyond the instrument's own; tail : (n,) weight of each pose, below 1 where it is far
+    off.
+    """
 
     scatter: np.ndarray
     tail: np.ndarray
 
     def whitening(self, own: np.ndarray) -> np.ndarray:
-        """(n, k, k) that makes residuals of the instrument's covariance (n, k, k) and the scatter white, and wild ones small."""
+        """(n, k, k) that makes residuals of the instrument's covariance (n, k, k) and the scatter white, and wild ones
+        small.
+        """
         return np.linalg.inv(np.linalg.cholesky(own + np.diag(self.scatter**2))) * np.sqrt(self.tail)[:, None, None]
 
     def like(self, other: "Weighing") -> bool:
         """Whether nothing has changed to speak of."""
-        return np.allclose(self.scatter, other.scatter, rtol=SETTLED, atol=1e-9) and np.abs(self.tail - other.tail).max() < SETTLED_TAIL
+        return (
+            np.allclose(self.scatter, other.scatter, rtol=SETTLED, atol=1e-9)
+            and np.abs(self.tail - other.tail).max() < SETTLED_TAIL
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Term:
-    """An admitted hypothesis. candidate; node : of its grid; weights : (n, a, q) per unit, see JointCandidate; prior : (q,) sizes
+    """An admitted hypothesis. candidate; node : of its grid; weights : (n, a, q) per unit, see JointCandidate;
+    prior : (q,) sizes
     level : m, scatter of positions when its node was last chosen, None for never"""
 
     candidate: JointCandidate
@@ -83,7 +93,8 @@ class Term:
 class Fit:
     """Freedoms and terms at their best on the poses `used` (n,) bool, weighted by W (n, k, k).
 
-    X : Columns (p + c) of the poses used, whitened; right : (p + c,) their products with what the geometry left; half : (p + c, p + c) upper
+    X : Columns (p + c) of the poses used, whitened; right : (p + c,) their products with what the geometry left;
+        half : (p + c, p + c) upper
     triangular, half.T half = information with priors; theta : the sizes
     left : (n, k) residual, m and rad, of all poses; y : (n, k) the same whitened; weighing : Weighing
     terms : the admitted; slices : where each one's sizes are in theta
@@ -119,7 +130,9 @@ class Fit:
 
     @cached_property
     def linear(self) -> LinearModel:
-        """LinearModel of the poses used: one block, freedoms and terms as the nuisances' columns, priors in their half."""
+        """LinearModel of the poses used: one block, freedoms and terms as the nuisances' columns, priors in their
+        half.
+        """
         m, k = int(self.used.sum()), self.y.shape[1]
         block = Block("poses", "m", self.y[self.used].ravel(), np.arange(m + 1) * k)
         return LinearModel((block,), Column((self.X.operator(),)), self.inverse, self.size)
@@ -142,7 +155,7 @@ class Fit:
     def known(self) -> float:
         """How many numbers of the terms the data determine, priors aside."""
         prior = self.prior()
-        return float((prior > 0).sum() - prior @ (self.inverse ** 2).sum(axis=1))
+        return float((prior > 0).sum() - prior @ (self.inverse**2).sum(axis=1))
 
     def prior(self) -> np.ndarray:
         """(p + c,) inverse squares of the sizes that priors expect, 0 for the freedoms."""
@@ -153,7 +166,9 @@ class Fit:
         return float((self.y[self.used] ** 2).sum() + self.prior() @ self.theta**2)
 
     def without_terms(self, numbers: Sequence[int]) -> "Fit":
-        """The Fit of the other terms with weights and poses as they are: rows and columns of the information struck out."""
+        """The Fit of the other terms with weights and poses as they are: rows and columns of the information struck
+        out.
+        """
         keep = np.ones(self.X.count, bool)
         for number in numbers:
             keep[self.slices[number]] = False
@@ -166,7 +181,9 @@ class Fit:
         raw = Columns(self.arms.joints, tuple(term.part for term in terms))
         more = raw.take(self.used).whitened(self.W[self.used])
         cross, own = self.X.cross(more), more.gram()
-        own[np.diag_indices_from(own)] += np.concatenate([1 / term.prior**2 for term in terms]) + LOOSE * np.diag(own) + 1e-300
+        own[np.diag_indices_from(own)] += (
+            np.concatenate([1 / term.prior**2 for term in terms]) + LOOSE * np.diag(own) + 1e-300
+        )
         H = np.block([[self.information, cross], [cross.T, own]])
         right = np.concatenate([self.right, more.onto(self.target[self.used][..., None])[:, 0]])
         return self._solved((*self.terms, *terms), self.X.with_parts(more.parts), H, right)
@@ -181,20 +198,40 @@ class Fit:
         theta = cho_solve(factor, right)
         left = self.arms.left - term_columns(self.arms, terms).at(theta[:, None])[..., 0]
         y = (self.W @ left[..., None])[..., 0]
-        return replace(self, terms=terms, X=X, right=right, half=np.triu(factor[0]), theta=theta, left=left, y=y, slices=_slices(self.arms, terms))
+        return replace(
+            self,
+            terms=terms,
+            X=X,
+            right=right,
+            half=np.triu(factor[0]),
+            theta=theta,
+            left=left,
+            y=y,
+            slices=_slices(self.arms, terms),
+        )
 
     def criterion(self) -> float:
         """Bayesian information criterion with its weights as they are."""
         return self.cost() + (self.known() + sum(one.candidate.extra for one in self.terms)) * np.log(self.size)
 
     def part(self, number: int) -> np.ndarray:
-        """(n,) rad by which a term turns its joint in every pose, or m by which it moves the tool where it acts on the whole arm."""
+        """(n,) rad by which a term turns its joint in every pose, or m by which it moves the tool where it acts on the
+        whole arm.
+        """
         moved = self.terms[number].weights @ self.theta[self.slices[number]]
         return moved[:, 0] if self.terms[number].candidate.joint is not None else np.linalg.norm(moved[:, :3], axis=1)
 
 
-def fit_poses(arms: Arms, terms: Sequence[Term] = (), train: np.ndarray | None = None, start: Weighing | None = None, rounds: int = ROUNDS) -> Fit:
-    """Fit of terms on the poses of a mask train (n,), all by default; start : Weighing to begin with; rounds : of weighing anew."""
+def fit_poses(
+    arms: Arms,
+    terms: Sequence[Term] = (),
+    train: np.ndarray | None = None,
+    start: Weighing | None = None,
+    rounds: int = ROUNDS,
+) -> Fit:
+    """Fit of terms on the poses of a mask train (n,), all by default; start : Weighing to begin with; rounds : of
+    weighing anew.
+    """
     used = np.ones(len(arms), bool) if train is None else train
     raw, k = term_columns(arms, terms), arms.left.shape[1]
     prior = np.concatenate([np.zeros(arms.freedoms.shape[2])] + [1 / term.prior**2 for term in terms])
@@ -217,7 +254,9 @@ def fit_poses(arms: Arms, terms: Sequence[Term] = (), train: np.ndarray | None =
             break
         weighing = new
     y = (W @ left[..., None])[..., 0]
-    return Fit(arms, tuple(terms), used, W, X, right, np.triu(factor[0]), theta, left, y, weighing, _slices(arms, terms))
+    return Fit(
+        arms, tuple(terms), used, W, X, right, np.triu(factor[0]), theta, left, y, weighing, _slices(arms, terms)
+    )
 
 
 def _weighed(arms: Arms, left: np.ndarray, used: np.ndarray, share: float) -> Weighing:

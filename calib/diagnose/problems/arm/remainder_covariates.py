@@ -1,4 +1,6 @@
-"""What an arm's remainder goes with: every channel of its log, known or not, time, order, step, direction, speed, dwell and way travelled."""
+"""What an arm's remainder goes with: every channel of its log, known or not, time, order, step, direction, speed, dwell
+and way travelled.
+"""
 
 import numpy as np
 
@@ -22,9 +24,14 @@ def _shares(fit: Fit, cluster: int) -> dict[str, dict[str, Share]]:
     arms, used = fit.arms, fit.used
     count = arms.q.shape[1]
     products = [joint_products(fit, j) for j in range(count)]
-    asked = {**time_and_sensor_functions(arms.t, arms.context.sensors), **motion_functions(arms.context.moved().path, arms.commands, arms.t)}
+    asked = {
+        **time_and_sensor_functions(arms.t, arms.context.sensors),
+        **motion_functions(arms.context.moved().path, arms.commands, arms.t),
+    }
     out = {}
     for name, functions in asked.items():
         wide = np.broadcast_to(functions, (len(arms), count, functions.shape[2]))[used]
-        out[name] = {JOINTS: explained_share(fit.linear, 0, [(products[j], wide[:, [j]]) for j in range(count)], cluster)}
+        out[name] = {
+            JOINTS: explained_share(fit.linear, 0, [(products[j], wide[:, [j]]) for j in range(count)], cluster)
+        }
     return out

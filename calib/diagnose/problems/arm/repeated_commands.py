@@ -14,8 +14,10 @@ FEWEST = 12  # pairs
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Repeats:
-    """pairs : how many; mean, rms : m, of one position's length about what it repeats; mean_rad : of a rotation, None where not measured
-    recurring_share : share of what is left that comes again under the same command, 0..1; p_value : of that share by chance"""
+    """pairs : how many; mean, rms : m, of one position's length about what it repeats; mean_rad : of a rotation, None
+    where not measured
+    recurring_share : share of what is left that comes again under the same command, 0..1; p_value : of that share by
+        chance"""
 
     pairs: int
     mean: float
@@ -28,8 +30,8 @@ class Repeats:
 def pose_repeatability(fit: Fit) -> Repeats | None:
     """Repeats of the poses that a Fit used, or None where too few commands were given twice.
 
-    The difference of two residuals under one command holds no model error, so its scatter is pure error; of a residual's square, the
-    part that both share is repeatable and not explained.
+    The difference of two residuals under one command holds no model error, so its scatter is pure error; of a
+    residual's square, the part that both share is repeatable and not explained.
     """
     used = np.flatnonzero(fit.used & ~fit.aside)
     apart_by = np.array([SAME[unit] for unit in fit.arms.context.moved().units])
@@ -42,4 +44,11 @@ def pose_repeatability(fit: Fit) -> Repeats | None:
     product = (one[:, :3] * two[:, :3]).sum(axis=1)
     again = float(product.sum() / max(((one[:, :3] ** 2).sum() + (two[:, :3] ** 2).sum()) / 2, 1e-300))
     z = float(product.sum() / max(np.sqrt((product**2).sum()), 1e-300))
-    return Repeats(len(pairs), float(apart.mean()), float(np.sqrt((apart**2).mean())), turned, max(again, 0.0), float(scipy.special.ndtr(-z)))
+    return Repeats(
+        len(pairs),
+        float(apart.mean()),
+        float(np.sqrt((apart**2).mean())),
+        turned,
+        max(again, 0.0),
+        float(scipy.special.ndtr(-z)),
+    )

@@ -1,4 +1,6 @@
-"""Special cases and general ones of what depends on a joint's own angle: which are still open, and which of them stands for the others."""
+"""Special cases and general ones of what depends on a joint's own angle: which are still open, and which of them stands
+for the others.
+"""
 
 from dataclasses import replace
 
@@ -19,8 +21,8 @@ NEIGHBOURS = 2  # steps to either side of a sinusoid's order at which it is look
 
 
 def admissible_candidates(now: Fit, candidates: list[JointCandidate]) -> list[JointCandidate]:
-    """The candidates that may still be admitted: where a joint has its profile, only sinusoids finer than knots can follow, and none
-    that the joint's travel cannot tell from one that it has."""
+    """The candidates that may still be admitted: where a joint has its profile, only sinusoids finer than knots can
+    follow, and none that the joint's travel cannot tell from one that it has."""
     has = {(t.candidate.name, t.candidate.joint) for t in now.terms if t.candidate.kind.once}
     profiles = {c.joint: c for c in candidates if c.form is Form.PROFILE}
     profiled = {t.candidate.joint for t in now.terms if t.candidate.form is Form.PROFILE}
@@ -35,7 +37,9 @@ def admissible_candidates(now: Fit, candidates: list[JointCandidate]) -> list[Jo
         for one in cycles:
             if candidate.step and one.candidate.joint == candidate.joint:
                 name, order = candidate.sought, one.node[one.candidate.sought]
-                candidate = replace(candidate, grid=[node for node in candidate.grid if abs(node[name] - order) > candidate.step / FINE])
+                candidate = replace(
+                    candidate, grid=[node for node in candidate.grid if abs(node[name] - order) > candidate.step / FINE]
+                )
         if candidate.grid:
             out.append(candidate)
     return out
@@ -52,15 +56,21 @@ def resolved_order(profile: JointCandidate, now: Fit) -> float:
 def merge_sinusoids_into_profiles(
     now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID
 ) -> Fit:
-    """More sinusoids at a joint than a simple case has, made one profile, where that does about as well; what is given as assumed stays.
+    """More sinusoids at a joint than a simple case has, made one profile, where that does about as well; what is given
+    as assumed stays.
 
     train : (n,) bool, or None for all
     """
     for candidate in [c for c in candidates if c.form is Form.PROFILE]:
         reach = resolved_order(candidate, now)
-        cycles = [i for i, t in enumerate(now.terms) if not given.holds(t.candidate) and t.candidate.joint == candidate.joint
-                  and t.candidate.form in OWN_ANGLE
-                  and (t.candidate.form is not Form.SINUSOID or t.node[t.candidate.sought] < reach)]
+        cycles = [
+            i
+            for i, t in enumerate(now.terms)
+            if not given.holds(t.candidate)
+            and t.candidate.joint == candidate.joint
+            and t.candidate.form in OWN_ANGLE
+            and (t.candidate.form is not Form.SINUSOID or t.node[t.candidate.sought] < reach)
+        ]
         if len(cycles) <= CYCLES:
             continue
         rest = now.without_terms(cycles)
@@ -72,8 +82,8 @@ def merge_sinusoids_into_profiles(
 
 
 def refine_profiles(now: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
-    """Profiles with as many knots, sinusoids of just the order and all else with just the nonlinear parameters that pay now that others are
-    admitted; all is weighed anew.
+    """Profiles with as many knots, sinusoids of just the order and all else with just the nonlinear parameters that pay
+    now that others are admitted; all is weighed anew.
 
     A term is looked at again once the scatter has changed to speak of. train : (n,) bool, or None for all poses
     """
@@ -82,7 +92,9 @@ def refine_profiles(now: Fit, train: np.ndarray | None, policy: SelectionPolicy)
         rest = now.without_terms(_numbers(now, one))
         best = search_candidates(rest, [_about(one)], cluster=policy.cluster)
         better = best and best[0].node != one.node
-        trial = rest.with_terms([replace(Term.at(one.candidate, best[0].node) if better else one, level=float(now.scatter[0]))])
+        trial = rest.with_terms(
+            [replace(Term.at(one.candidate, best[0].node) if better else one, level=float(now.scatter[0]))]
+        )
         now = trial if not better or one.candidate.form is Form.PROFILE or trial.criterion() < now.criterion() else now
     return fit_poses(now.arms, now.terms, train, now.weighing, rounds=QUICK)
 
@@ -104,12 +116,17 @@ def _about(one: Term) -> JointCandidate:
         near = candidate.grid[max(here - 1, 0) : here + 2]
     elif candidate.step:
         whole = round(one.node[candidate.sought] / candidate.step)
-        near = [{candidate.sought: k * candidate.step} for k in range(max(whole - NEIGHBOURS, 1), whole + NEIGHBOURS + 1)]
+        near = [
+            {candidate.sought: k * candidate.step} for k in range(max(whole - NEIGHBOURS, 1), whole + NEIGHBOURS + 1)
+        ]
     return replace(candidate, grid=near)
 
 
-def simplify_profiles(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID) -> Fit:
-    """Profiles in place of which one scale or a few sinusoids do as well, replaced by these; those given as assumed stay.
+def simplify_profiles(
+    now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID
+) -> Fit:
+    """Profiles in place of which one scale or a few sinusoids do as well, replaced by these; those given as assumed
+    stay.
 
     train : (n,) bool, or None for all poses
     """

@@ -16,10 +16,18 @@ from calib.diagnose.problems.arm.joint_candidates import joint_candidate
 from calib.diagnose.problems.arm.nonlinear_parameters import has_continuous_parameters, joint_parameter_covariance
 from calib.diagnose.problems.arm.pose_fit import Fit, Term, fit_poses
 from calib.diagnose.problems.arm.term_simplification import optimise_terms
-from calib.diagnose.problems.formula_suggestion import AGREE, NAME, Suggestion, formula_library, formula_quantities, written
+from calib.diagnose.problems.formula_suggestion import (
+    AGREE,
+    NAME,
+    Suggestion,
+    formula_library,
+    formula_quantities,
+    written,
+)
 from rig.effects.texts.formula_effect_file import Written
 
-SHOWN = 2  # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look
+# joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look
+SHOWN = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +40,8 @@ class Found:
 
 
 def formula_suggestions(now: Fit, left: list[LackOfFit]) -> list[Suggestion]:
-    """[Suggestion] for the joints that something is left of, the largest first, each beside those before it: axes that stand alike shadow each
-    other. At most SHOWN."""
+    """[Suggestion] for the joints that something is left of, the largest first, each beside those before it: axes that
+    stand alike shadow each other. At most SHOWN."""
     motion, places = now.arms.context.moved(), {u.place for u in left if u.depends_on}
     open_, out = [j for j, place in enumerate(motion.places) if place in places], []
     for _ in range(SHOWN):
@@ -101,4 +109,6 @@ def _suggested(now: Fit, found: Found) -> tuple[Suggestion, Fit] | None:
     intervals = {name: (v, v - s, v + s) for name, v, s in zip(names, values, sigma.tolist())}
     parts = tuple(formula_quantities(one, found.library) for one in chosen)
     form, effect = _written(now, found, found.formula), term.candidate.effect(term.node, theta)
-    return Suggestion(place, form, effect, intervals, lengths[0], lengths[1], noise, "m", gain, parts, found.formula.length), last
+    return Suggestion(
+        place, form, effect, intervals, lengths[0], lengths[1], noise, "m", gain, parts, found.formula.length
+    ), last

@@ -1,7 +1,8 @@
-"""Whitened columns of an arm's freedoms and terms, kept as what they are made of: a joint's direction in each pose times a weight.
+"""Whitened columns of an arm's freedoms and terms, kept as what they are made of: a joint's direction in each pose
+times a weight.
 
-A term of hundreds of numbers at one joint moves each pose along one direction, so that products of two such terms are sums over poses of
-their weights times one number; no column is ever written out.
+A term of hundreds of numbers at one joint moves each pose along one direction, so that products of two such terms are
+sums over poses of their weights times one number; no column is ever written out.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,9 @@ from scipy.sparse.linalg import LinearOperator
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Columns (q) side by side. joint : whose direction they follow, values (n, q); None where values (n, k, q) are the columns themselves."""
+    """Columns (q) side by side. joint : whose direction they follow, values (n, q); None where values (n, k, q) are the
+    columns themselves.
+    """
 
     joint: int | None
     values: np.ndarray
@@ -42,7 +45,9 @@ class Columns:
 
     def whitened(self, W: np.ndarray) -> "Columns":
         """The same with every pose's numbers weighed by W (n, k, k)."""
-        return Columns(W @ self.directions, tuple(replace(p, values=W @ p.values) if p.joint is None else p for p in self.parts))
+        return Columns(
+            W @ self.directions, tuple(replace(p, values=W @ p.values) if p.joint is None else p for p in self.parts)
+        )
 
     def with_parts(self, parts: Sequence[Part]) -> "Columns":
         """With more columns at the end."""
@@ -83,8 +88,14 @@ class Columns:
         """(p, r) products of the columns with what moves (n, k, r), summed over poses."""
         turns = np.swapaxes(self.directions, 1, 2) @ moved
         flat = moved.reshape(-1, moved.shape[2])
-        return np.concatenate([part.values.reshape(-1, part.count).T @ flat if part.joint is None else part.values.T @ turns[:, part.joint]
-                               for part in self.parts])
+        return np.concatenate(
+            [
+                part.values.reshape(-1, part.count).T @ flat
+                if part.joint is None
+                else part.values.T @ turns[:, part.joint]
+                for part in self.parts
+            ]
+        )
 
     def cross(self, other: "Columns") -> np.ndarray:
         """(p, p') products with other columns along the same directions, summed over poses."""
@@ -95,7 +106,11 @@ class Columns:
         """(p, p) products with each other, summed over poses."""
         gram = np.swapaxes(self.directions, 1, 2) @ self.directions
         count = len(self.parts)
-        blocks = {(i, j): _product(self.parts[i], self.parts[j], self.directions, gram) for i in range(count) for j in range(i, count)}
+        blocks = {
+            (i, j): _product(self.parts[i], self.parts[j], self.directions, gram)
+            for i in range(count)
+            for j in range(i, count)
+        }
         return np.block([[blocks[i, j] if i <= j else blocks[j, i].T for j in range(count)] for i in range(count)])
 
     def operator(self) -> LinearOperator:
@@ -108,8 +123,14 @@ class Columns:
         def rmatmat(moved: np.ndarray) -> np.ndarray:
             return self.onto(moved.reshape(n, k, -1))
 
-        return LinearOperator((n * k, self.count), matvec=lambda x: matmat(x.reshape(-1, 1))[:, 0], rmatvec=lambda y: rmatmat(y.reshape(-1, 1))[:, 0],
-                              matmat=matmat, rmatmat=rmatmat, dtype=np.dtype(float))
+        return LinearOperator(
+            (n * k, self.count),
+            matvec=lambda x: matmat(x.reshape(-1, 1))[:, 0],
+            rmatvec=lambda y: rmatmat(y.reshape(-1, 1))[:, 0],
+            matmat=matmat,
+            rmatmat=rmatmat,
+            dtype=np.dtype(float),
+        )
 
 
 def _product(a: Part, b: Part, directions: np.ndarray, gram: np.ndarray) -> np.ndarray:

@@ -23,8 +23,13 @@ CHUNK = 64  # nodes at a time
 FEW = 8  # columns, above which rows are gathered for a product of matrices
 
 
-def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitivities: Sensitivities,
-           least: float = -np.inf, progress: Progress | None = None) -> list[PlatformScore]:
+def search(
+    model: LinearisedModel,
+    candidates: list[PlatformCandidate],
+    sensitivities: Sensitivities,
+    least: float = -np.inf,
+    progress: Progress | None = None,
+) -> list[PlatformScore]:
     """[Score] of all candidates, the greatest raw delta BIC first.
 
     sensitivities : at the model's OperatingPoint; progress : called with (done, of), or None
@@ -40,8 +45,11 @@ def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitiv
         if candidate.reach in (Reach.SPECTRUM, Reach.AXES):
             if axes is None or motion is None:
                 raise ValueError(f"{candidate.name}: what moves struts is asked of a recording without commands")
-            score = vibration_frequency.best_frequency(model, candidate, axes) if candidate.reach is Reach.SPECTRUM else \
-                _along_axes(model, candidate, sensitivities, axes, motion, least)
+            score = (
+                vibration_frequency.best_frequency(model, candidate, axes)
+                if candidate.reach is Reach.SPECTRUM
+                else _along_axes(model, candidate, sensitivities, axes, motion, least)
+            )
         elif candidate.reach is Reach.MOUNT:
             if candidate.place not in mounts:
                 mounts[candidate.place] = corner_products(model, mount_pixels(model, candidate.place))
@@ -60,8 +68,13 @@ def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitiv
     return sorted(out, key=lambda s: -s.raw_delta_bic(model.size))
 
 
-def column_of(model: LinearisedModel, candidate: PlatformCandidate, node: Node, sensitivities: Sensitivities,
-              motion: Motion | None = None) -> Column:
+def column_of(
+    model: LinearisedModel,
+    candidate: PlatformCandidate,
+    node: Node,
+    sensitivities: Sensitivities,
+    motion: Motion | None = None,
+) -> Column:
     """Column (k = linear parameters, or 1) of one node of a candidate: what it does to corners and closures."""
     k = model.point
     if candidate.reach is Reach.SPECTRUM:
@@ -69,7 +82,10 @@ def column_of(model: LinearisedModel, candidate: PlatformCandidate, node: Node, 
     if candidate.reach is Reach.AXES:
         return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
     if candidate.reach is Reach.MOUNT:
-        pixels = mount_pixels(model, candidate.place) * _share(model, candidate, node)[k.observed.observations.frame][:, None, None]
+        pixels = (
+            mount_pixels(model, candidate.place)
+            * _share(model, candidate, node)[k.observed.observations.frame][:, None, None]
+        )
         return model.fold(pixels)
     return model.fold(sensitivities.corners(*sensitivities.seen(candidate, node)))
 
@@ -86,7 +102,8 @@ def axis_products(model: LinearisedModel) -> FrameProducts:
 def corner_products(model: LinearisedModel, pixels: np.ndarray) -> FrameProducts:
     """FrameProducts of corner displacements (n, 2, a) px, in the observations' order, frame by frame.
 
-    The residual and the basis stand square to each frame's own poses, so the displacements need not be freed of them first.
+    The residual and the basis stand square to each frame's own poses, so the displacements need not be freed of them
+    first.
     """
     k, axes, c = model.point, model.point.axes, model.corners
     basis, closures = model.linear.columns.whole, model.closure_residual
@@ -113,8 +130,8 @@ def corner_products(model: LinearisedModel, pixels: np.ndarray) -> FrameProducts
 
 
 def lasting(model: LinearisedModel, hit: np.ndarray, pixels: np.ndarray) -> inner.Normal:
-    """Normal of one candidate that moves observed corners hit (h,) by pixels (h, 2, q) px per unit of each of its parameters, the same in every
-    frame: what `stepwise` makes of `corner_products` with weights of one."""
+    """Normal of one candidate that moves observed corners hit (h,) by pixels (h, 2, q) px per unit of each of its
+    parameters, the same in every frame: what `stepwise` makes of `corner_products` with weights of one."""
     k, c = model.point, model.corners
     at = np.empty(len(c.order), int)
     at[c.order] = np.arange(len(c.order))
@@ -131,7 +148,11 @@ def lasting(model: LinearisedModel, hit: np.ndarray, pixels: np.ndarray) -> inne
     G = raw - np.tensordot(own, own, ((0, 1), (0, 1)))
     if k.axes:
         moved = (model.closures.to_rows @ own).reshape(-1, q)
-        b, G, K = b + moved.T @ model.closure_residual[: len(moved)], G + moved.T @ moved, K + moved.T @ basis[CLOSURES][: len(moved)]
+        b, G, K = (
+            b + moved.T @ model.closure_residual[: len(moved)],
+            G + moved.T @ moved,
+            K + moved.T @ basis[CLOSURES][: len(moved)],
+        )
     K = model.linear.onto(K).T
     return inner.Normal(b[None], (G - K.T @ K)[None], np.diag(G)[None].copy())
 
@@ -147,24 +168,44 @@ def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     return out
 
 
-def _along_axes(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, products: FrameProducts,
-                motion: Motion, least: float) -> PlatformScore:
-    solver: Callable[[inner.Normal], Solved] = inner.solve_normal_equations if candidate.spec.linear else inner.solve_fixed_size
+def _along_axes(
+    model: LinearisedModel,
+    candidate: PlatformCandidate,
+    sensitivities: Sensitivities,
+    products: FrameProducts,
+    motion: Motion,
+    least: float,
+) -> PlatformScore:
+    solver: Callable[[inner.Normal], Solved] = (
+        inner.solve_normal_equations if candidate.spec.linear else inner.solve_fixed_size
+    )
     normals = []
     for start in range(0, len(candidate.grid), CHUNK):
-        weights = np.stack([sensitivities.deviation(candidate, node, motion) for node in candidate.grid[start : start + CHUNK]])
+        weights = np.stack(
+            [sensitivities.deviation(candidate, node, motion) for node in candidate.grid[start : start + CHUNK]]
+        )
         moved = np.atleast_1d(weights.any(axis=(0, 1, 3)))
         moved |= not moved.any()
         normals.append(inner.normal_of_weighted_directions(products.confined(moved), weights[:, :, moved]))
     solved = solver(inner.Normal(*(np.concatenate(part) for part in zip(*normals))))
-    return best_node_score(model.linear, candidate, solved, products, lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
-                   least)
+    return best_node_score(
+        model.linear,
+        candidate,
+        solved,
+        products,
+        lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
+        least,
+    )
 
 
-def _mounted(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts, least: float) -> PlatformScore:
+def _mounted(
+    model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts, least: float
+) -> PlatformScore:
     w = np.stack([_share(model, candidate, node) for node in candidate.grid])
     solved = inner.solve_normal_equations(inner.normal_of_common_weights(products, w))
-    return best_node_score(model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6), least)
+    return best_node_score(
+        model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6), least
+    )
 
 
 def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> np.ndarray:
@@ -173,9 +214,13 @@ def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> 
     return candidate.effect(node, np.r_[1.0, np.zeros(5)]).mount(camera, model.point.t, model.point.logged)[:, 0]
 
 
-def _viewed(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, least: float) -> PlatformScore:
+def _viewed(
+    model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, least: float
+) -> PlatformScore:
     seen = [sensitivities.seen(candidate, node) for node in candidate.grid]
-    solved = Solved.of([inner.solve_normal_equations(lasting(model, *sensitivities.touched(rows, quads))) for rows, quads in seen])
+    solved = Solved.of(
+        [inner.solve_normal_equations(lasting(model, *sensitivities.touched(rows, quads))) for rows, quads in seen]
+    )
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
     if solved.delta_chi2[best] < least:
         return insignificant_score(candidate, solved, best)

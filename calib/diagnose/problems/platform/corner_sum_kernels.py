@@ -1,4 +1,6 @@
-"""Sums over observed corners, compiled: of rows that lie scattered in what all corners have, without gathering them first."""
+"""Sums over observed corners, compiled: of rows that lie scattered in what all corners have, without gathering them
+first.
+"""
 
 import numpy as np
 

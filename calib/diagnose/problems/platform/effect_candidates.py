@@ -20,7 +20,9 @@ SEARCHED = ("log", "even", "moment", "choice")  # roles of parameters that mean 
 
 
 class Reach(Enum):
-    """What an effect changes, and so how its columns are made: axes' lengths, a camera's mount, what is seen, a spectrum of frequencies."""
+    """What an effect changes, and so how its columns are made: axes' lengths, a camera's mount, what is seen, a
+    spectrum of frequencies.
+    """
 
     AXES = "axes"
     MOUNT = "mount"
@@ -80,7 +82,9 @@ def seen_alone(kind: type[Effect] | Effect) -> bool:
     return kind.stage in ("targets", "view")
 
 
-def platform_candidates(point: OperatingPoint, asked: RequestedEffects) -> tuple[list[PlatformCandidate], list[NotAsked]]:
+def platform_candidates(
+    point: OperatingPoint, asked: RequestedEffects
+) -> tuple[list[PlatformCandidate], list[NotAsked]]:
     """(candidates, what cannot be asked) of an OperatingPoint, of the catalogue as far as it is asked for."""
     out, skipped, sites, context = [], [], {}, context_of(point)
     for kind in asked.kinds:
@@ -108,10 +112,19 @@ def context_of(point: OperatingPoint) -> Context:
     if k.seen is not None:
         rows, markers = np.unique(k.observed.observations.marker), k.observed.markers
         targets = {markers.target[m] for m in rows}
-        seen = {"cameras": tuple(k.design.cameras[i].name for i in np.unique(k.observed.observations.camera)),
-                "markers": tuple(dict.fromkeys(markers.id[rows].tolist())),
-                "targets": tuple(t.name for t in k.stated.targets if t.name in targets and t.turned is None)}
-    return Context(k.stated, k.t, k.sensors, k.motion(()) if k.axes else None, moving=tuple(k.design.cameras[i].name for i in k.moving), **seen)
+        seen = {
+            "cameras": tuple(k.design.cameras[i].name for i in np.unique(k.observed.observations.camera)),
+            "markers": tuple(dict.fromkeys(markers.id[rows].tolist())),
+            "targets": tuple(t.name for t in k.stated.targets if t.name in targets and t.turned is None),
+        }
+    return Context(
+        k.stated,
+        k.t,
+        k.sensors,
+        k.motion(()) if k.axes else None,
+        moving=tuple(k.design.cameras[i].name for i in k.moving),
+        **seen,
+    )
 
 
 def lacking(point: OperatingPoint, followed: tuple[tuple[str, ...], ...]) -> bool:
@@ -124,14 +137,30 @@ def candidate_of(spec: EffectCandidate) -> PlatformCandidate:
     """PlatformCandidate of what an effect states, with what rigs show of its parameters."""
     node, parameters = spec.grid[0], spec.kind.parameters_at(spec.place)
     named = {column.name for column in spec.linear} | set(node)
-    usual = tuple(UsualRange(p.name, *p.usual, p.signed, Role(p.role)) for p in parameters if p.size == 1 and p.name in named and p.role in SIZED)
-    return PlatformCandidate(name=spec.kind.name, place=spec.place, grid=spec.grid, label=spec.label, extra=spec.extra, tied=spec.tied, usual=usual,
-                             searched=any(p.role in SEARCHED and p.name in node for p in parameters), bounds=bounds_of(spec),
-                             vector=any(column.entry is not None for column in spec.linear), spec=spec)
+    usual = tuple(
+        UsualRange(p.name, *p.usual, p.signed, Role(p.role))
+        for p in parameters
+        if p.size == 1 and p.name in named and p.role in SIZED
+    )
+    return PlatformCandidate(
+        name=spec.kind.name,
+        place=spec.place,
+        grid=spec.grid,
+        label=spec.label,
+        extra=spec.extra,
+        tied=spec.tied,
+        usual=usual,
+        searched=any(p.role in SEARCHED and p.name in node for p in parameters),
+        bounds=bounds_of(spec),
+        vector=any(column.entry is not None for column in spec.linear),
+        spec=spec,
+    )
 
 
 def bounds_of(spec: EffectCandidate) -> tuple[np.ndarray, np.ndarray]:
-    """(low (q,), high (q,)) of the coefficients of linear parameters, where the parameters' bounds end; none for a sinusoid's."""
+    """(low (q,), high (q,)) of the coefficients of linear parameters, where the parameters' bounds end; none for a
+    sinusoid's.
+    """
     by, ends = {p.name: p for p in spec.kind.parameters_at(spec.place)}, []
     for column in spec.linear:
         if any(c.name == QUADRATURE for c in spec.linear):

@@ -12,7 +12,9 @@ from rig.effects.framework.effect import COUNT, Effect, Linear, Motion
 
 @dataclass(slots=True, eq=False)
 class Sensitivities:
-    """What effects do, at one OperatingPoint; derivatives in pixels are kept, since they cost most and hardly change."""
+    """What effects do, at one OperatingPoint; derivatives in pixels are kept, since they cost most and hardly
+    change.
+    """
 
     point: OperatingPoint
     pixels: dict[tuple, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -47,7 +49,9 @@ class Sensitivities:
         return k.effective((*k.effects, effect)) - k.effective()
 
     def seen(self, candidate: PlatformCandidate, node: Node) -> tuple[np.ndarray, np.ndarray]:
-        """(sighting rows (s,), (s, 4, 2, q) px per unit of each linear parameter) of what is seen at a node; rows that cannot change are left out."""
+        """(sighting rows (s,), (s, 4, 2, q) px per unit of each linear parameter) of what is seen at a node; rows that
+        cannot change are left out.
+        """
         direct = self._bending(candidate)
         if direct is not None:
             return direct
@@ -80,7 +84,10 @@ class Sensitivities:
                 effects.append(kind(place, **{**others, name: value}))
             if kind.print_ is not Effect.print_ and name != "terms":  # what happens to pixels alone needs no camera
                 quads, camera = self._quads(rows)
-                both = [np.concatenate([e.print_(k.design.cameras[i], quads[camera == i]) for i in np.unique(camera)]) for e in effects]
+                both = [
+                    np.concatenate([e.print_(k.design.cameras[i], quads[camera == i]) for i in np.unique(camera)])
+                    for e in effects
+                ]
                 back = np.argsort(np.argsort(camera, kind="stable"), kind="stable")
                 both = [b[back] for b in both]
             else:
@@ -114,7 +121,9 @@ class Sensitivities:
         return out
 
     def touched(self, rows: np.ndarray, quads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(observed corners (h,), (h, 2, q) px of them) of some sightings rows (s,), whose four are quads (s, 4, 2, q) px."""
+        """(observed corners (h,), (h, 2, q) px of them) of some sightings rows (s,), whose four are quads (s, 4, 2, q)
+        px.
+        """
         seen = self.point.observed
         at = np.full(len(seen.sightings.frame), -1)
         at[rows] = np.arange(len(rows))

@@ -1,4 +1,6 @@
-"""Which moves tell two effects apart: what each does to the struts in each part of a plan, less what the geometry can swallow."""
+"""Which moves tell two effects apart: what each does to the struts in each part of a plan, less what the geometry can
+swallow.
+"""
 
 import numpy as np
 
@@ -12,12 +14,20 @@ from rig.model.mechanisms import hexapod
 from rig.recording.recording_folder import Commands, Sensors
 
 
-def effect_separation(text: str, design: Design, commands: Commands, t: np.ndarray, sensors: Sensors | None, effects: list[Effect],
-               sigma: tuple[float, float]) -> Separation:
+def effect_separation(
+    text: str,
+    design: Design,
+    commands: Commands,
+    t: np.ndarray,
+    sensors: Sensors | None,
+    effects: list[Effect],
+    sigma: tuple[float, float],
+) -> Separation:
     """Separation of two effects (each as large as it is expected to be) by one plan.
 
     commands : Commands; t : (n,) s exposures; sensors : Sensors; effects : two Effects that move the platform
-    sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what is no hexapod, and what the machine raises
+    sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what is no hexapod, and what
+        the machine raises
     """
     still = motion_simulation.run_machine(design, commands, t, (), sensors)
     m = design.mechanism

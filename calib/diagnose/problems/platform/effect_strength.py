@@ -1,4 +1,6 @@
-"""How strong an effect is in a recording: its signal-to-noise once calibration has taken what it can, all of the truth being known."""
+"""How strong an effect is in a recording: its signal-to-noise once calibration has taken what it can, all of the truth
+being known.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -16,8 +18,11 @@ from vision.corner_observations import observations_from_corners
 from vision.targets import marker_map
 
 
-def effect_strengths(recording: Recording, true: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors) -> np.ndarray:
-    """(effects,) whitened length of what each effect does to all corners, the freedoms of cameras and geometry projected out.
+def effect_strengths(
+    recording: Recording, true: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors
+) -> np.ndarray:
+    """(effects,) whitened length of what each effect does to all corners, the freedoms of cameras and geometry
+    projected out.
 
     recording : Recording with corners; true : Design as it really is; noise : px, standard deviation of a corner
     effects : all that are at work, of the catalogue or not; sensors : Sensors as they truly were
@@ -32,13 +37,17 @@ def effect_strengths(recording: Recording, true: Design, noise: float, effects: 
     observations = replace(observations, covariance=np.broadcast_to(noise**2 * np.eye(2), (len(observations), 2, 2)))
 
     def world(acting: Iterable[Effect]) -> OperatingPoint:
-        T = motion_simulation.run_machine(true, commands, t, [e for e in acting if e.stage != "view"], sensors).T_base_platform
+        T = motion_simulation.run_machine(
+            true, commands, t, [e for e in acting if e.stage != "view"], sensors
+        ).T_base_platform
         point = OperatingPoint(true, stated, frames, t, T, {}, None, commands, sensors, None, tuple(acting))
         return replace(point, seen=group_sightings(observations, marker_map(stated)))
 
     out = []
     for effect in effects:
-        acting = [e for e in effects if e is effect or not e.discrete]  # faces exchanged are put right before anything else is looked at
+        acting = [
+            e for e in effects if e is effect or not e.discrete
+        ]  # faces exchanged are put right before anything else is looked at
         whole, bare = world(acting), world([e for e in acting if e is not effect])
         model = linearise(whole)
         square = model.linear.project(model.fold((whole.pixels() - bare.pixels())[..., None])).gram

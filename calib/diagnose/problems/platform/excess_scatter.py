@@ -1,4 +1,6 @@
-"""A platform's scatter beyond its noise: struts against what the measured poses' noise allows, corners against what is stated of them."""
+"""A platform's scatter beyond its noise: struts against what the measured poses' noise allows, corners against what is
+stated of them.
+"""
 
 import numpy as np
 
@@ -12,11 +14,16 @@ MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean squ
 
 
 def scatter_beyond_noise(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOfFit]:
-    """[LackOfFit] of struts and corners that scatter beyond the noise, of places at which nothing else is left and no admitted effect sits: what a
-    name leaves at its own place in few frames is the name's. left : what functions explain"""
+    """[LackOfFit] of struts and corners that scatter beyond the noise, of places at which nothing else is left and no
+    admitted effect sits: what a name leaves at its own place in few frames is the name's. left : what functions
+    explain"""
     known = {u.place for u in left}
     found = [*(_struts(model) if model.point.axes else []), _corners(model)]
-    return [u for u in found if u is not None and u.place not in known and not any(within(u, effect.place) for effect in model.point.effects)]
+    return [
+        u
+        for u in found
+        if u is not None and u.place not in known and not any(within(u, effect.place) for effect in model.point.effects)
+    ]
 
 
 def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
@@ -27,7 +34,10 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
     own = model.strut_noise() - model.closures.scatter**2
     squares, freedom = (residual**2 / own).sum(axis=0), F - len(parameters(k.platform)) / k.axes
     noise = np.sqrt(own.mean(axis=0))
-    return [detect_excess_scatter(f"strut {i + 1}", "m", float(noise[i]), float(squares[i]), freedom, k.axes) for i in range(k.axes)]
+    return [
+        detect_excess_scatter(f"strut {i + 1}", "m", float(noise[i]), float(squares[i]), freedom, k.axes)
+        for i in range(k.axes)
+    ]
 
 
 def _corners(model: LinearisedModel) -> LackOfFit | None:

@@ -14,7 +14,9 @@ SHARE = 0.7  # of a marker's sightings that must be misplaced
 
 
 def swaps(point: OperatingPoint) -> list[MarkerSwap]:
-    """[MarkerSwap] that bring a marker's corners from whole sides away to where they are seen. point : OperatingPoint with all corners in"""
+    """[MarkerSwap] that bring a marker's corners from whole sides away to where they are seen. point : OperatingPoint
+    with all corners in
+    """
     seen = point.seen
     if seen is None:
         return []
@@ -27,8 +29,13 @@ def swaps(point: OperatingPoint) -> list[MarkerSwap]:
         if m in done:
             continue
         trials = [MarkerSwap(f"marker {ids[m]}", -1.0, float(turn)) for turn in (1, 2, 3)]
-        trials += [MarkerSwap(f"marker {ids[a]}", float(ids[b]), float(turn)) for n in (*misplaced, *unseen) if n != m for a, b in ((m, n), (n, m))
-                   for turn in range(4)]
+        trials += [
+            MarkerSwap(f"marker {ids[a]}", float(ids[b]), float(turn))
+            for n in (*misplaced, *unseen)
+            if n != m
+            for a, b in ((m, n), (n, m))
+            for turn in range(4)
+        ]
         worst = []
         for trial in trials:
             moved = _distance(point, (trial,))

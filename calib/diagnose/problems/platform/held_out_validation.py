@@ -1,10 +1,18 @@
-"""What a platform's effects are worth on stretches that they were not fitted to, in pixels of corners or metres of closures."""
+"""What a platform's effects are worth on stretches that they were not fitted to, in pixels of corners or metres of
+closures.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from calib.diagnose.engine.cross_validation import CrossValidation, HeldOut, frame_folds, held_out_residuals, summed_gain
+from calib.diagnose.engine.cross_validation import (
+    CrossValidation,
+    HeldOut,
+    frame_folds,
+    held_out_residuals,
+    summed_gain,
+)
 from calib.diagnose.engine.linear_model import Column
 from calib.diagnose.problems.platform.effect_candidates import seen_alone
 from calib.diagnose.problems.platform.linearised_corners import edge_bias_freedoms
@@ -14,7 +22,9 @@ from rig.effects.framework.effect import Effect
 
 
 def cross_validate(refined: Refined, numbers: set[int], block: int) -> CrossValidation:
-    """CrossValidation of some admitted effects (their numbers) together, in a block: CORNERS or CLOSURES, all else fitted on the same stretches."""
+    """CrossValidation of some admitted effects (their numbers) together, in a block: CORNERS or CLOSURES, all else
+    fitted on the same stretches.
+    """
     before, after, _ = _both(refined, numbers)
     return _compared(refined.model, before, after, (block,))[0]
 
@@ -35,43 +45,62 @@ def _both(refined: Refined, numbers: set[int]) -> tuple[HeldOut, HeldOut, np.nda
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]
     bare = model.marginalise(refined.column.take(others)) if others and refined.column is not None else model
     done = change(model, [e for i, e in enumerate(k.effects) if i not in numbers])
-    grown = tuple(b.residual if part is None else b.residual + part[:, 0] for b, part in zip(model.linear.blocks, done.parts))
+    grown = tuple(
+        b.residual if part is None else b.residual + part[:, 0] for b, part in zip(model.linear.blocks, done.parts)
+    )
     return held_out_residuals(bare.linear, grown, fold), after, fold
 
 
 def sides(effects: Sequence[Effect], t: np.ndarray) -> list[np.ndarray]:
-    """[(F,) bool], which of the times t (F,) s lie after each moment at which what is seen changes, and which before; not of what axes do: within
-    one stretch they may do that for where they stand in it."""
-    moments = [getattr(e, p.name) for e in effects if e.sudden and seen_alone(e) for p in e.parameters if p.role == "moment"]
+    """[(F,) bool], which of the times t (F,) s lie after each moment at which what is seen changes, and which before;
+    not of what axes do: within one stretch they may do that for where they stand in it."""
+    moments = [
+        getattr(e, p.name) for e in effects if e.sudden and seen_alone(e) for p in e.parameters if p.role == "moment"
+    ]
     return [side for moment in moments for side in (t >= moment, t < moment)]
 
 
 def change(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
     """Column (1) of what residuals grow by where only these effects are left."""
     k, left = model.point, tuple(effects)
-    out = model.lengthened((k.effective() - k.effective(left))[..., None]) if k.axes else Column((None, model.nothing(1)))
+    out = (
+        model.lengthened((k.effective() - k.effective(left))[..., None]) if k.axes else Column((None, model.nothing(1)))
+    )
     return out if k.seen is None else out + model.fold((k.pixels() - k.pixels(left))[..., None])
 
 
-def _compared(model: LinearisedModel, before: HeldOut, after: HeldOut, blocks: tuple[int, ...]) -> tuple[CrossValidation, ...]:
+def _compared(
+    model: LinearisedModel, before: HeldOut, after: HeldOut, blocks: tuple[int, ...]
+) -> tuple[CrossValidation, ...]:
     F, axes = model.frames, model.point.axes
     finder = [j for _, j in edge_bias_freedoms(model.nuisances.names, model.point.design)]
     squares = []
     for held in (before, after):
         corners, closures = held.frames
         edges = model.linear.blocks[CORNERS].edges
-        per_frame = np.add.reduceat(np.r_[corners**2, 0.0], edges[:-1]) * (np.diff(edges) > 0) if len(corners) else np.zeros(F)
+        per_frame = (
+            np.add.reduceat(np.r_[corners**2, 0.0], edges[:-1]) * (np.diff(edges) > 0) if len(corners) else np.zeros(F)
+        )
         squares.append(per_frame + (closures.reshape(F, axes) ** 2).sum(axis=1))
     known = [held.beforehand[CLOSURES][finder] for held in (before, after)]  # priors' rows stand behind the closures
     gain = summed_gain(squares[0] - squares[1], known[0] @ known[0] - known[1] @ known[1])
-    return tuple(_corners(model, before, after, gain) if block == CORNERS else _closures(model, before, after, gain) for block in blocks)
+    return tuple(
+        _corners(model, before, after, gain) if block == CORNERS else _closures(model, before, after, gain)
+        for block in blocks
+    )
 
 
 def _closures(model: LinearisedModel, before: HeldOut, after: HeldOut, gain: float) -> CrossValidation:
     inverse = np.linalg.inv(model.closures.W)
     F, axes = model.frames, model.point.axes
     figures = [np.sqrt(np.mean((inverse @ held.frames[CLOSURES].reshape(F, axes, 1)) ** 2)) for held in (before, after)]
-    return CrossValidation(float(figures[0]), float(figures[1]), float(np.sqrt(np.mean(model.strut_noise() - model.closures.scatter**2))), "m", gain)
+    return CrossValidation(
+        float(figures[0]),
+        float(figures[1]),
+        float(np.sqrt(np.mean(model.strut_noise() - model.closures.scatter**2))),
+        "m",
+        gain,
+    )
 
 
 def _corners(model: LinearisedModel, before: HeldOut, after: HeldOut, gain: float) -> CrossValidation:

@@ -1,4 +1,6 @@
-"""What thermometers and tolerances leave open of effects that a fit took to be free of them: by how much intervals are wider for it."""
+"""What thermometers and tolerances leave open of effects that a fit took to be free of them: by how much intervals are
+wider for it.
+"""
 
 from dataclasses import replace
 
@@ -24,13 +26,17 @@ def widened(refined: Refined, sensitivities: Sensitivities) -> Refined:
 
 
 def of_logs(refined: Refined) -> np.ndarray | None:
-    """(c, k) by which the coordinates are off for each standard deviation of temperatures' own errors, see `temperature_smoothing.smoothed`; None
-    where nothing follows a temperature that has any."""
+    """(c, k) by which the coordinates are off for each standard deviation of temperatures' own errors, see
+    `temperature_smoothing.smoothed`; None where nothing follows a temperature that has any."""
     k, sensors, parts = refined.point, refined.point.sensors, []
     if sensors is None or refined.column is None:
         return None
-    channels = {next(name for name in names if name in sensors.channels)
-                for e in k.effects if type(e) in WARM for names in type(e).follows(e.place, context_of(k))}
+    channels = {
+        next(name for name in names if name in sensors.channels)
+        for e in k.effects
+        if type(e) in WARM
+        for names in type(e).follows(e.place, context_of(k))
+    }
     for channel in sorted(channels & k.log_errors.keys()):
         for error in k.log_errors[channel].T:
             course = {**sensors.channels, channel: sensors.channels[channel] + error}
@@ -43,13 +49,16 @@ def of_logs(refined: Refined) -> np.ndarray | None:
 
 
 def of_tolerances(refined: Refined, sensitivities: Sensitivities) -> np.ndarray | None:
-    """(c, q) by which the coordinates are off for each standard deviation of what tolerances do, as large as the recording shows them; None where
-    nothing of the kind could be seen. What an effect is the size of is nothing that it is off by."""
+    """(c, q) by which the coordinates are off for each standard deviation of what tolerances do, as large as the
+    recording shows them; None where nothing of the kind could be seen. What an effect is the size of is nothing that it
+    is off by."""
     found = tolerance_model(refined.marginalised, sensitivities)
     if found is None or refined.column is None:
         return None
     linear = refined.model.linear
-    across = found.with_column(refined.column) - linear.project(refined.column).onto.T @ found.projected(refined.model).onto
+    across = (
+        found.with_column(refined.column) - linear.project(refined.column).onto.T @ found.projected(refined.model).onto
+    )
     off = refined.covariance @ across * told(found.projected(refined.marginalised), found)
     for i, c in enumerate(refined.coordinates):
         effect = refined.point.effects[c.effect]
@@ -60,8 +69,8 @@ def of_tolerances(refined: Refined, sensitivities: Sensitivities) -> np.ndarray 
 
 
 def told(seen: Projection, found: ToleranceModel) -> np.ndarray:
-    """(q,) standard deviations of what tolerances do, each kind's as the residuals `seen` tell it, at the most MOST times what is tolerated; of
-    the side of all markers, a single number, what is tolerated.
+    """(q,) standard deviations of what tolerances do, each kind's as the residuals `seen` tell it, at the most MOST
+    times what is tolerated; of the side of all markers, a single number, what is tolerated.
 
     Source: MacKay, Bayesian interpolation, Neural Computation 4, 1992, sec. 4
     """

@@ -1,4 +1,6 @@
-"""What a platform still does when the catalogue has had its say: smooth functions and scatter at struts, cameras and markers."""
+"""What a platform still does when the catalogue has had its say: smooth functions and scatter at struts, cameras and
+markers.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -29,9 +31,16 @@ from rig.effects.catalogue.effect_list import ALL
 from rig.effects.catalogue.lens_distortion import LensDistortion
 from rig.effects.framework.effect import Effect
 
-MEDIAN_SPREAD = 5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
+MEDIAN_SPREAD = (
+    5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
+)
 FAR = 5.0  # standard deviations; a residual counts for no more where neighbours are compared
-PARTS = {"rig": ("strut ", "rig"), "clock": ("strut ", "rig"), "cameras": ("camera ",), "markers": ("marker ",)}  # of places that take in others
+PARTS = {
+    "rig": ("strut ", "rig"),
+    "clock": ("strut ", "rig"),
+    "cameras": ("camera ",),
+    "markers": ("marker ",),
+}  # of places that take in others
 
 
 def within(left: LackOfFit, place: str) -> bool:
@@ -40,7 +49,8 @@ def within(left: LackOfFit, place: str) -> bool:
 
 
 def lack_of_fit(model: LinearisedModel, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
-    """[LackOfFit] that the residuals still hold, the most convincing first; admitted effects belong among the nuisances.
+    """[LackOfFit] that the residuals still hold, the most convincing first; admitted effects belong among the
+    nuisances.
 
     place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
     """
@@ -59,23 +69,40 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
     k = model.point
     products = axis_products(model)
     each = np.einsum("fii->i", products.gamma)
-    out = [test_lack_of_fit(model.linear, products, Test(place, "m", (depends,), weights, each[weights.any(axis=(0, 2))].sum()))
-           for depends, strutwise in strut_weights(k) for place, weights in strutwise]
+    out = [
+        test_lack_of_fit(
+            model.linear, products, Test(place, "m", (depends,), weights, each[weights.any(axis=(0, 2))].sum())
+        )
+        for depends, strutwise in strut_weights(k)
+        for place, weights in strutwise
+    ]
     inverse, own = np.linalg.inv(model.closures.W), model.strut_noise()
     left = (inverse @ model.closure_residual[: len(k.t) * k.axes].reshape(len(k.t), k.axes, 1))[..., 0]
     following = np.clip(left / np.sqrt(own), -FAR, FAR)[np.argsort(k.t)]
     for i in range(k.axes):
         alike = float(following[1:, i] @ following[:-1, i])
         size = np.sqrt(max(alike, 0) / len(k.t) * own[:, i].mean())
-        out.append(LackOfFit(f"strut {i + 1}", float(size), "m", ("order",), float(scipy.special.ndtr(-(alike / np.sqrt(len(k.t) - 1)))),
-                               max(alike, 0.0)))
+        out.append(
+            LackOfFit(
+                f"strut {i + 1}",
+                float(size),
+                "m",
+                ("order",),
+                float(scipy.special.ndtr(-(alike / np.sqrt(len(k.t) - 1)))),
+                max(alike, 0.0),
+            )
+        )
     scatter = model.closures.scatter
     for i in np.flatnonzero(scatter > 0).tolist():
         noise = own[:, i].mean() - scatter[i] ** 2
         middle = np.median(left[:, i] ** 2) / MEDIAN / noise - 1  # a few wild frames are no scatter
         ratio = middle * np.sqrt(len(k.t) / MEDIAN_SPREAD)
         if ratio > 0:
-            out.append(LackOfFit(f"strut {i + 1}", float(scatter[i]), "m", (), float(scipy.special.ndtr(-ratio)), float(ratio**2)))
+            out.append(
+                LackOfFit(
+                    f"strut {i + 1}", float(scatter[i]), "m", (), float(scipy.special.ndtr(-ratio)), float(ratio**2)
+                )
+            )
     return out
 
 
@@ -89,22 +116,26 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
     if i not in k.moving:
         products = corner_products(model, view_pixels(model, place))
         out += [
-            test_lack_of_fit(model.linear, products, Test(place, "px", ("time",), time_functions(k, count)[:, :, part], information))
+            test_lack_of_fit(
+                model.linear, products, Test(place, "px", ("time",), time_functions(k, count)[:, :, part], information)
+            )
             for count in (SLOW, FAST)
             for part in _apart(k, place, count)
         ]
         out.append(_following(products, np.argsort(k.t), place, information))
-    if not any(type(e) is LensDistortion and e.place == place for e in k.effects):  # else what its image still bends by belongs to that lens
+    if not any(
+        type(e) is LensDistortion and e.place == place for e in k.effects
+    ):  # else what its image still bends by belongs to that lens
         seen = np.flatnonzero(k.observed.observations.camera == i)
         out.append(_still(model, seen, warp_pixels(k, i)[seen], place, "image position", information))
     return out
 
 
 def _apart(k: OperatingPoint, place: str, count: int) -> list[slice]:
-    """Which of the functions of `time_functions` at a camera are tested together: a mount's motion and the focal length each for itself, but all
-    together
-    where an admitted effect moves the focal length, or one would by a temperature that was not logged: by what a log does not tell it comes and goes
-    in time."""
+    """Which of the functions of `time_functions` at a camera are tested together: a mount's motion and the focal length
+    each for itself, but all together
+    where an admitted effect moves the focal length, or one would by a temperature that was not logged: by what a log
+    does not tell it comes and goes in time."""
     known = any(type(e).focal is not Effect.focal and e.at(place) for e in k.effects)
     if known or any(kind.focal is not Effect.focal and lacking(k, kind.follows(place, context_of(k))) for kind in ALL):
         return [slice(None)]
@@ -117,14 +148,18 @@ def _marker(model: LinearisedModel, edges: np.ndarray, number: int, count: int) 
     return [_still(model, hit, moved, f"marker {number}", "place on the marker", 4 * count / model.corner_noise() ** 2)]
 
 
-def _still(model: LinearisedModel, hit: np.ndarray, moved: np.ndarray, place: str, depends: str, information: float) -> LackOfFit | None:
-    """LackOfFit of displacements (h, 2, q) px of observed corners (h,) that are the same in every frame; where they are likely by chance, as without
-    dispersion."""
+def _still(
+    model: LinearisedModel, hit: np.ndarray, moved: np.ndarray, place: str, depends: str, information: float
+) -> LackOfFit | None:
+    """LackOfFit of displacements (h, 2, q) px of observed corners (h,) that are the same in every frame; where they are
+    likely by chance, as without dispersion."""
     solved = solve_normal_equations(lasting(model, hit, moved))
     delta, rank = float(solved.delta_chi2[0]), int(solved.rank[0])
     chance = scan_p_value(solved.delta_chi2, rank, np.inf)
     if rank and chance > LIKELY:
-        return LackOfFit(place, float(np.sqrt(max(delta - rank, 0.0) / information)), "px", (depends,), chance, delta, rank, 1.0)
+        return LackOfFit(
+            place, float(np.sqrt(max(delta - rank, 0.0) / information)), "px", (depends,), chance, delta, rank, 1.0
+        )
     pixels = np.zeros((len(model.point.observed.row), *moved.shape[1:]))
     pixels[hit] = moved
     products = corner_products(model, pixels)

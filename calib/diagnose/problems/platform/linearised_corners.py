@@ -1,4 +1,6 @@
-"""Corners at an operating point: whitened residuals and derivatives frame by frame, and what standing corners repeat."""
+"""Corners at an operating point: whitened residuals and derivatives frame by frame, and what standing corners
+repeat.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +18,9 @@ from vision.bundle.repeated_corners import find_repeats, group_sums
 from vision.corner_observations import Observations
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
-SEAT_LABELS = tuple(f"seat {part}" for part in ("x", "y", "z", "rx", "ry", "rz"))  # of where a cube sits that was put back
+SEAT_LABELS = tuple(
+    f"seat {part}" for part in ("x", "y", "z", "rx", "ry", "rz")
+)  # of where a cube sits that was put back
 MEDIAN = 0.4549364  # of chi-square with one degree of freedom
 REPEATS = 5  # of a standing corner from which its mean counts
 STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
@@ -24,10 +28,13 @@ STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard erro
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CornerRows:
-    """n corners frame by frame. order : (n,) of the observations; edges : (F + 1,) where frames begin in it; whiten : (n, 2, 2) 1/px
-    rows : (2n, 1 + p) whitened residuals, then derivatives with the nuisances; own : (2n,) bool, whether a corner's covariance stands as stated
+    """n corners frame by frame. order : (n,) of the observations; edges : (F + 1,) where frames begin in it;
+    whiten : (n, 2, 2) 1/px
+    rows : (2n, 1 + p) whitened residuals, then derivatives with the nuisances; own : (2n,) bool, whether a corner's
+        covariance stands as stated
     local : (2n, L) orthonormal basis of each frame's own poses; to_local : (F, L, L) from its coordinates to tangents
-    names : (camera, what) of the nuisances; priors : (p,) 1 / standard deviation; camera_columns : {camera's index: its nuisances}"""
+    names : (camera, what) of the nuisances; priors : (p,) 1 / standard deviation; camera_columns : {camera's index: its
+        nuisances}"""
 
     order: np.ndarray
     edges: np.ndarray
@@ -42,7 +49,9 @@ class CornerRows:
 
 
 class _Nuisances:
-    """What cameras, lenses and the corner finder may do to corners, gathered camera by camera: rows of corners, and their derivatives there."""
+    """What cameras, lenses and the corner finder may do to corners, gathered camera by camera: rows of corners, and
+    their derivatives there.
+    """
 
     def __init__(self) -> None:
         self.shared: list[tuple[np.ndarray, np.ndarray]] = []
@@ -50,8 +59,12 @@ class _Nuisances:
         self.priors: list[float] = []
         self.camera_columns: dict[int, list[int]] = {}
 
-    def add(self, rows: np.ndarray, block: np.ndarray, camera: str, labels: tuple[str, ...], priors: list[float]) -> None:
-        """Derivatives (m, 2, p) of corners (m,) rows with nuisances of a camera; priors : (p,) 1 / standard deviation"""
+    def add(
+        self, rows: np.ndarray, block: np.ndarray, camera: str, labels: tuple[str, ...], priors: list[float]
+    ) -> None:
+        """Derivatives (m, 2, p) of corners (m,) rows with nuisances of a camera; priors : (p,) 1 / standard
+        deviation
+        """
         self.shared.append((rows, block))
         self.names += [(camera, label) for label in labels]
         self.priors += priors
@@ -89,12 +102,24 @@ def corner_rows(k: OperatingPoint) -> CornerRows:
         start += block.shape[2]
     local, to_local = _own_basis(J_local.reshape(2 * n, L), edges)
     stated = np.repeat((weights[order] == o.covariance[order]).all(axis=(1, 2)), 2)
-    return CornerRows(order, edges, whitener[order], table.reshape(2 * n, -1), stated, local, to_local, found.names, found.priors,
-                      found.camera_columns)
+    return CornerRows(
+        order,
+        edges,
+        whitener[order],
+        table.reshape(2 * n, -1),
+        stated,
+        local,
+        to_local,
+        found.names,
+        found.priors,
+        found.camera_columns,
+    )
 
 
 def _add_finder(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: np.ndarray) -> None:
-    """Add each camera's bias of edges that small that it is the corner finder's own. at : (n,) rows of corners; whitener : (n, 2, 2)"""
+    """Add each camera's bias of edges that small that it is the corner finder's own. at : (n,) rows of corners;
+    whitener : (n, 2, 2)
+    """
     seen = k.observed
     o, quads = seen.observations, k.pixels(rows=np.arange(len(seen.sightings.frame)))
     for i in sorted(found.camera_columns):
@@ -102,11 +127,19 @@ def _add_finder(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: 
         moved = np.zeros_like(quads)
         moved[seen_by] = EdgeBias(f"camera {camera.name}", 1.0).print_(camera, quads[seen_by]) - quads[seen_by]
         rows = np.flatnonzero(o.camera == i)
-        found.add(at[rows], whitener[rows] @ moved[seen.row[rows], o.corner[rows]][..., None], camera.name, (EDGES,), [1 / FINDER.sigma])
+        found.add(
+            at[rows],
+            whitener[rows] @ moved[seen.row[rows], o.corner[rows]][..., None],
+            camera.name,
+            (EDGES,),
+            [1 / FINDER.sigma],
+        )
 
 
 def _add_seats(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: np.ndarray) -> None:
-    """Add where each cube sits that was put back, as far as remounting may move it. at : (n,) rows of corners; whitener : (n, 2, 2)"""
+    """Add where each cube sits that was put back, as far as remounting may move it. at : (n,) rows of corners;
+    whitener : (n, 2, 2)
+    """
     o, markers = k.observed.observations, k.observed.markers
     R = k.T.rotation.as_matrix()
     for seat in k.seats:
@@ -117,12 +150,16 @@ def _add_seats(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: n
         part, block = o.take(rows), np.empty((len(rows), 2, 6))
         middle = markers.T_body_marker.translation[own].mean(axis=0)
         for _, some, _, J_base, _, _ in camera_jacobians(part, k.state):
-            block[some] = motion_jacobian(rotate_jacobian(J_base, R, part.frame[some], part.on_platform[some]), part.points[some] - middle)
+            block[some] = motion_jacobian(
+                rotate_jacobian(J_base, R, part.frame[some], part.on_platform[some]), part.points[some] - middle
+            )
         found.add(at[rows], whitener[rows] @ block, seat.place, SEAT_LABELS, np.repeat(1 / np.array(SEAT), 3).tolist())
 
 
 def _own_basis(J_local: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """((2n, L) orthonormal basis of each frame's own poses, (F, L, L) from its coordinates to tangents) of derivatives (2n, L)."""
+    """((2n, L) orthonormal basis of each frame's own poses, (F, L, L) from its coordinates to tangents) of derivatives
+    (2n, L).
+    """
     frames, L = len(edges) - 1, J_local.shape[1]
     local, to_local = np.zeros(J_local.shape), np.zeros((frames, L, L))
     scale = np.sqrt((J_local**2).sum(axis=0) / frames) + 1e-300
@@ -150,7 +187,9 @@ def seat_freedoms(names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]
 
 
 def _weights(o: Observations, k: OperatingPoint) -> np.ndarray:
-    """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner that stands still."""
+    """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner
+    that stands still.
+    """
     if not k.standing:
         return o.covariance
     rows, index, _ = find_repeats(o, k.moving)
@@ -162,8 +201,8 @@ def _weights(o: Observations, k: OperatingPoint) -> np.ndarray:
 def repeated_corner_error(point: OperatingPoint) -> float:
     """px by which standing corners are off in the same way in every frame, 0 where noise suffices.
 
-    The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does not pass for
-    it. See vision.bundle.robust_adjustment.repeated_corner_error, which asks the same of their mean square
+    The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does
+    not pass for it. See vision.bundle.robust_adjustment.repeated_corner_error, which asks the same of their mean square
     """
     k = point
     if k.seen is None:

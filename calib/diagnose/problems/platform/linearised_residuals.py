@@ -1,8 +1,9 @@
-"""An operating point -> whitened residuals of corners and of loop closures, with calibration's own freedoms projected out of both.
+"""An operating point -> whitened residuals of corners and of loop closures, with calibration's own freedoms projected
+out of both.
 
-Corners say what is left when every frame's pose is free; closures say what the poses so found ask of the struts against the
-commands. Corners' noise splits into the two without correlation, so together they are the whole likelihood, and a search over
-thousands of hypotheses runs on inner products alone.
+Corners say what is left when every frame's pose is free; closures say what the poses so found ask of the struts against
+the commands. Corners' noise splits into the two without correlation, so together they are the whole likelihood, and a
+search over thousands of hypotheses runs on inner products alone.
 """
 
 from dataclasses import dataclass, replace
@@ -10,14 +11,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnose.engine.linear_model import Block, Column, LinearModel, orthonormal_combinations
-from calib.diagnose.problems.platform.linearised_corners import MEDIAN, CornerRows, corner_rows, edge_bias_freedoms, seat_freedoms
+from calib.diagnose.problems.platform.linearised_corners import (
+    MEDIAN,
+    CornerRows,
+    corner_rows,
+    edge_bias_freedoms,
+    seat_freedoms,
+)
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.models.platform.identification import PRIOR, loop_jacobian, parameters, strut_jacobian
 from rig.compute.parallel_map import thread_map
 from rig.model.manufacturing_tolerances import FINDER, SEAT
 
 CORNERS, CLOSURES = 0, 1  # the blocks
-CLIP = 5.0  # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
+# standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
+CLIP = 5.0
 EXCESS = 3.0  # standard errors by which struts must scatter beyond the poses' noise before it counts as theirs
 PARTS = 4  # of a long table, multiplied side by side; as many on any number of cores, so that sums are rounded alike
 ROUNDS = 3  # of weighing the struts anew by their scatter
@@ -31,7 +39,8 @@ class CornerFrames:
     order : (n,) of the observations; edges : (F + 1,) where frames begin in it; whiten : (n, 2, 2) 1/px
     local : (2n, L) orthonormal basis of each frame's own poses; to_local : (F, L, L) from its coordinates to tangents
     inner : (F, L, 1 + camera nuisances) the residual's and those nuisances' coordinates in it
-    sigma : px, noise of a corner over what its covariance said; excess : what Huber's loss of the clipped corners is above their squares
+    sigma : px, noise of a corner over what its covariance said; excess : what Huber's loss of the clipped corners is
+        above their squares
     """
 
     order: np.ndarray
@@ -46,7 +55,8 @@ class CornerFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosureFrames:
-    """W : (F, axes, axes) whitening of closures; to_rows : (F, axes, L) from frames' own coordinates to whitened closures
+    """W : (F, axes, axes) whitening of closures; to_rows : (F, axes, L) from frames' own coordinates to whitened
+    closures
     scatter : (axes,) m of struts beyond the poses' noise"""
 
     W: np.ndarray
@@ -57,7 +67,8 @@ class ClosureFrames:
 @dataclass(frozen=True, slots=True, eq=False)
 class Nuisances:
     """Cameras, lenses, finder and geometry. names : (p,) of them; camera_columns : {camera's index: its nuisances}
-    solve : (p, r) from projections on the basis to nuisances' values; at_rest : (r,) the residual's projections before they were taken out"""
+    solve : (p, r) from projections on the basis to nuisances' values; at_rest : (r,) the residual's projections before
+        they were taken out"""
 
     names: tuple[tuple[str, str | int], ...]
     camera_columns: dict[int, list[int]]
@@ -67,7 +78,8 @@ class Nuisances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearisedModel:
-    """All that an OperatingPoint leaves, linear about it. linear : LinearModel of the blocks corners (px) and closures (m); point : OperatingPoint
+    """All that an OperatingPoint leaves, linear about it. linear : LinearModel of the blocks corners (px) and closures
+    (m); point : OperatingPoint
     corners : CornerFrames; closures : ClosureFrames; nuisances : Nuisances"""
 
     linear: LinearModel
@@ -97,11 +109,17 @@ class LinearisedModel:
         return self.linear.blocks[CLOSURES].residual
 
     def fold(self, pixels: np.ndarray) -> Column:
-        """Column of corner displacements (n, 2, k) px in the observations' order: what poses swallow goes to the closures."""
+        """Column of corner displacements (n, 2, k) px in the observations' order: what poses swallow goes to the
+        closures.
+        """
         c = self.corners
         V = np.einsum("nij,njk->nik", c.whiten, pixels[c.order]).reshape(2 * len(c.order), -1) / c.sigma
         inner, out = _split(V, c.local, c.edges)
-        closures = self.on_closures(np.einsum("fij,fjk->fik", self.closures.to_rows, inner)) if self.point.axes else self.nothing(V.shape[1])
+        closures = (
+            self.on_closures(np.einsum("fij,fjk->fik", self.closures.to_rows, inner))
+            if self.point.axes
+            else self.nothing(V.shape[1])
+        )
         return Column((out, closures), inner)
 
     def lengthened(self, deviation: np.ndarray) -> Column:
@@ -131,11 +149,16 @@ class LinearisedModel:
         """px, standard deviation of a corner per axis, in the middle of all; 0 without corners."""
         if not len(self.corner_residual):
             return 0.0
-        return float(self.corners.sigma * np.sqrt(np.median(np.einsum("nii->n", self.point.observed.observations.covariance)) / 2))
+        return float(
+            self.corners.sigma
+            * np.sqrt(np.median(np.einsum("nii->n", self.point.observed.observations.covariance)) / 2)
+        )
 
 
 def linearise(point: OperatingPoint) -> LinearisedModel:
-    """LinearisedModel of an OperatingPoint: cameras, lenses and geometry are the nuisances, each frame's pose is free in the image."""
+    """LinearisedModel of an OperatingPoint: cameras, lenses and geometry are the nuisances, each frame's pose is free
+    in the image.
+    """
     k = point
     if k.seen is not None:
         rows = corner_rows(k)
@@ -144,8 +167,14 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         priors, camera_columns = list(rows.priors), rows.camera_columns
     else:
         F = len(k.t)
-        frames = CornerFrames(np.zeros(0, int), np.zeros(F + 1, int), np.zeros((0, 2, 2)), np.zeros((0, 6)), np.tile(np.eye(6), (F, 1, 1)),
-                              np.zeros((F, 6, 1)))
+        frames = CornerFrames(
+            np.zeros(0, int),
+            np.zeros(F + 1, int),
+            np.zeros((0, 2, 2)),
+            np.zeros((0, 6)),
+            np.tile(np.eye(6), (F, 1, 1)),
+            np.zeros((F, 6, 1)),
+        )
         table, names, priors, camera_columns = np.zeros((0, 1)), [], [], {}
     closures = _closures(k, frames) if k.axes else _no_closures(k, frames, table)
     if k.axes:
@@ -167,8 +196,8 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Closures:
-    """Of F frames: covariance (F, axes, axes) m^2 by the poses' noise; rows (F, axes, 1 + p) m, the residual and the change with the
-    nuisances; to_length (F, axes, L) from frames' own coordinates to lengths, m"""
+    """Of F frames: covariance (F, axes, axes) m^2 by the poses' noise; rows (F, axes, 1 + p) m, the residual and the
+    change with the nuisances; to_length (F, axes, L) from frames' own coordinates to lengths, m"""
 
     covariance: np.ndarray
     rows: np.ndarray
@@ -176,7 +205,9 @@ class _Closures:
 
 
 def _without_poses(k: OperatingPoint, rows: CornerRows) -> tuple[CornerFrames, np.ndarray]:
-    """(CornerFrames, (2n, 1 + p) residual and nuisances with each frame's own poses taken out, in units of the corners' noise)."""
+    """(CornerFrames, (2n, 1 + p) residual and nuisances with each frame's own poses taken out, in units of the corners'
+    noise).
+    """
     table, local, edges = rows.rows, rows.local, rows.edges
     rho = table[:, 0].copy()
     inner, table = _split(table, local, edges)
@@ -195,7 +226,10 @@ def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
     to_length = A @ frames.to_local[:, :6]  # (F, axes, L): local coordinates to struts' lengths
     covariance = to_length @ np.swapaxes(to_length, 1, 2) if k.own is None else A @ k.own @ np.swapaxes(A, 1, 2)
     inner = frames.inner
-    rows = np.concatenate([(k.closures()[..., None] + to_length @ inner[..., :1]), to_length @ inner[..., 1:], loop_jacobian(k.T, m)], axis=2)
+    rows = np.concatenate(
+        [(k.closures()[..., None] + to_length @ inner[..., :1]), to_length @ inner[..., 1:], loop_jacobian(k.T, m)],
+        axis=2,
+    )
     return _Closures(covariance, rows, to_length)
 
 
@@ -205,7 +239,9 @@ def _no_closures(k: OperatingPoint, frames: CornerFrames, table: np.ndarray) -> 
 
 
 def _split(rows: np.ndarray, local: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(coordinates in each frame's own basis (F, L, k), what is orthogonal to it (2n, k)) of rows (2n, k), which are overwritten."""
+    """(coordinates in each frame's own basis (F, L, k), what is orthogonal to it (2n, k)) of rows (2n, k), which are
+    overwritten.
+    """
     inner = np.empty((len(edges) - 1, local.shape[1], rows.shape[1]))
     for f, (a, b) in enumerate(zip(2 * edges[:-1], 2 * edges[1:])):
         inner[f] = local[a:b].T @ rows[a:b]
@@ -214,15 +250,28 @@ def _split(rows: np.ndarray, local: np.ndarray, edges: np.ndarray) -> tuple[np.n
 
 
 def _noise(left: np.ndarray, V: np.ndarray, priors: list[float], own: np.ndarray, lost: int) -> float:
-    """What standard deviations must be multiplied by, from the middle of the corners' residuals where covariances are corners' own."""
+    """What standard deviations must be multiplied by, from the middle of the corners' residuals where covariances are
+    corners' own.
+    """
     left = np.clip(left, -WILD, WILD)
     half = orthonormal_combinations(V.T @ V + np.diag(np.square(priors)))
     left = left - V @ (half @ (half.T @ (V.T @ left)))
-    return float(np.sqrt(np.median(left[own if own.any() else slice(None)] ** 2) / MEDIAN / (1 - (lost + half.shape[1]) / len(left))))
+    return float(
+        np.sqrt(
+            np.median(left[own if own.any() else slice(None)] ** 2) / MEDIAN / (1 - (lost + half.shape[1]) / len(left))
+        )
+    )
 
 
-def _weighed(k: OperatingPoint, frames: CornerFrames, table: np.ndarray, closures: _Closures, beforehand: np.ndarray, names: tuple,
-             camera_columns: dict[int, list[int]]) -> LinearisedModel:
+def _weighed(
+    k: OperatingPoint,
+    frames: CornerFrames,
+    table: np.ndarray,
+    closures: _Closures,
+    beforehand: np.ndarray,
+    names: tuple,
+    camera_columns: dict[int, list[int]],
+) -> LinearisedModel:
     """LinearisedModel with the struts weighed by the poses' noise and by what they scatter beyond.
 
     table : (2n, 1 + p) corners' residual and nuisances; beforehand : (q, 1 + p) rows of what was known before
@@ -232,7 +281,11 @@ def _weighed(k: OperatingPoint, frames: CornerFrames, table: np.ndarray, closure
     parts = np.array_split(table, PARTS)
     inner = sum(thread_map(lambda part: part.T @ part, parts))
     for turn in range(ROUNDS):
-        W = np.linalg.inv(np.linalg.cholesky(closures.covariance + np.diag(scatter**2))) if axes else np.zeros((F, 0, 0))
+        W = (
+            np.linalg.inv(np.linalg.cholesky(closures.covariance + np.diag(scatter**2)))
+            if axes
+            else np.zeros((F, 0, 0))
+        )
         rows = np.concatenate([(W @ closures.rows).reshape(F * axes, closures.rows.shape[2]), beforehand])
         gram = rows.T @ rows
         gram[: seen + 1, : seen + 1] += inner
@@ -247,16 +300,25 @@ def _weighed(k: OperatingPoint, frames: CornerFrames, table: np.ndarray, closure
             break
         scatter = new
     Q = Column((np.concatenate(thread_map(lambda part: part[:, 1:] @ half[:seen], parts)), basis))
-    blocks = (Block("corners", "px", table[:, 0] - Q.parts[CORNERS] @ z, 2 * frames.edges),
-              Block("closures", "m", rows[:, 0] - Q.parts[CLOSURES] @ z, np.arange(F + 1) * axes))
+    blocks = (
+        Block("corners", "px", table[:, 0] - Q.parts[CORNERS] @ z, 2 * frames.edges),
+        Block("closures", "m", rows[:, 0] - Q.parts[CLOSURES] @ z, np.arange(F + 1) * axes),
+    )
     size = len(table) - (frames.local.shape[1] * F if len(table) else 0) + F * axes - basis.shape[1]
     to_rows = W @ closures.to_length if axes else closures.to_length
-    return LinearisedModel(LinearModel(blocks, Q, None, size), k, frames, ClosureFrames(W, to_rows, scatter),
-                           Nuisances(names, camera_columns, half, z))
+    return LinearisedModel(
+        LinearModel(blocks, Q, None, size),
+        k,
+        frames,
+        ClosureFrames(W, to_rows, scatter),
+        Nuisances(names, camera_columns, half, z),
+    )
 
 
 def _scatter(left: np.ndarray, S: np.ndarray) -> np.ndarray:
-    """(axes,) m: what each strut scatters beyond the poses' own noise, 0 where that suffices; by the middle, not the extremes."""
+    """(axes,) m: what each strut scatters beyond the poses' own noise, 0 where that suffices; by the middle, not the
+    extremes.
+    """
     own = np.einsum("nii->ni", S)
     seen = (left**2).mean(axis=0)
     own = own.mean(axis=0) * max(1 - 7 / len(left), 0.1)

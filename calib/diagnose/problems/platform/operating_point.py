@@ -36,8 +36,8 @@ class SeenCorners:
     """The corners of a recording and which sightings they belong to.
 
     observations : Observations of solved frames, frame an index into OperatingPoint.frames; markers : MarkerMap
-    sightings : Sightings (k,); row : (n,) sighting of each corner; stated : px, noise of a corner in the middle of all, as stated; None where
-    nobody states any and the residuals alone determine it
+    sightings : Sightings (k,); row : (n,) sighting of each corner; stated : px, noise of a corner in the middle of all,
+    as stated; None where nobody states any and the residuals alone determine it
     """
 
     observations: Observations
@@ -58,13 +58,15 @@ class OperatingPoint:
     design : Design, cameras and mechanism as estimated; stated : Design of the owner; frames, t : (F,)
     T : T_base_platform (F,); moving : {camera index: T_base_camera (F,)}
     own : (F, 6, 6) covariance of poses that an outside instrument measured, or None
-    commands : Commands or None; sensors : Sensors, temperatures smoothed, or None; seen : SeenCorners or None; effects : those admitted
-    finder : (cameras,) px by which the corner finder is taken to shift all edges of a camera's images, or () for nothing
+    commands : Commands or None; sensors : Sensors, temperatures smoothed, or None; seen : SeenCorners or None;
+        effects : those admitted
+    finder : (cameras,) px by which the corner finder is taken to shift all edges of a camera's images, or () for
+        nothing
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
     log_errors : {channel: (n, q)} of the sensors' temperatures, see temperature_smoothing.smoothed
-    seats : by which cubes that were put back sit off where they are stated; assumed : whether nobody states the noise of poses that an
-    instrument measured, so that a usual figure stands for it
+    seats : by which cubes that were put back sit off where they are stated; assumed : whether nobody states the noise
+    of poses that an instrument measured, so that a usual figure stands for it
     """
 
     design: Design
@@ -124,10 +126,14 @@ class OperatingPoint:
 
     def motion(self, effects: Iterable[Effect]) -> Motion:
         """Motion at the exposures under effects, at the measured poses."""
-        return replace(motion_simulation.motion_of_commands(self.design, self.commanded, self.t, effects, self.sensors), T=self.T)
+        return replace(
+            motion_simulation.motion_of_commands(self.design, self.commanded, self.t, effects, self.sensors), T=self.T
+        )
 
     def effective(self, effects: tuple[Effect, ...] | None = None) -> np.ndarray:
-        """(F, axes) m that commands become under effects (those admitted, by default), sway counted as struts' length."""
+        """(F, axes) m that commands become under effects (those admitted, by default), sway counted as struts'
+        length.
+        """
         effects = self.effects if effects is None else effects
         return motion_simulation.effective_commands(self.design, self.commanded, self.t, self.T, effects, self.sensors)
 
@@ -144,13 +150,18 @@ class OperatingPoint:
         """machine.Run with rates where some camera exposes row by row, else None."""
         rolls = any(c.shutter == "rolling" for c in self.design.cameras) or any(e.rolls for e in effects)
         return (
-            motion_simulation.run_machine(self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True)
+            motion_simulation.run_machine(
+                self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True
+            )
             if rolls and self.commands is not None
             else None
         )
 
     def pixels(
-        self, effects: tuple[Effect, ...] | None = None, rows: np.ndarray | None = None, run: motion_simulation.Run | None = None
+        self,
+        effects: tuple[Effect, ...] | None = None,
+        rows: np.ndarray | None = None,
+        run: motion_simulation.Run | None = None,
     ) -> np.ndarray:
         """(n, 2) px where the observed corners should be under effects (those admitted, by default).
 
@@ -161,7 +172,9 @@ class OperatingPoint:
         run = self.run(effects) if run is None else run
         sightings = seen.sightings if rows is None else seen.sightings.take(rows)
         shifted = [EdgeBias(f"camera {c.name}", b) for c, b in zip(self.design.cameras, self.finder) if b]
-        quads = predict_sightings(sightings, self.state, seen.markers, self.t, [*effects, *shifted, *self.seats], self.sensors, run)
+        quads = predict_sightings(
+            sightings, self.state, seen.markers, self.t, [*effects, *shifted, *self.seats], self.sensors, run
+        )
         return quads if rows is not None else quads[seen.row, seen.observations.corner]
 
     def with_effects(self, effects: Iterable[Effect]) -> "OperatingPoint":
@@ -169,38 +182,84 @@ class OperatingPoint:
         return replace(self, effects=tuple(effects))
 
 
-def operating_point_of_recording(recording: Recording, progress: Progress | None = None, calibration: Calibration | None = None,
-                 places: str = "auto", sampled: Sampled | None = None) -> tuple[OperatingPoint, str, Measurement | None]:
-    """(OperatingPoint, source in words, Measurement or None) of a recording with nothing admitted: calibrated, and all corners back in.
+def operating_point_of_recording(
+    recording: Recording,
+    progress: Progress | None = None,
+    calibration: Calibration | None = None,
+    places: str = "auto",
+    sampled: Sampled | None = None,
+) -> tuple[OperatingPoint, str, Measurement | None]:
+    """(OperatingPoint, source in words, Measurement or None) of a recording with nothing admitted: calibrated, and all
+    corners back in.
 
     calibration : of another recording of the same hexapod, whose joints are then known beforehand, or None
-    places : whether a free body's markers are taken as adjusted, see vision.recording_measurement; where something was commanded they are as stated
+    places : whether a free body's markers are taken as adjusted, see vision.recording_measurement; where something was
+        commanded they are as stated
     sampled : Sampled of this commanded recording where it was measured before, or None
-    Raises NotEnoughData where nothing was measured, RigError for a mechanism that is no platform, and what measuring raises
+    Raises NotEnoughData where nothing was measured, RigError for a mechanism that is no platform, and what measuring
+        raises
     """
     design, (sensors, log_errors) = recording.design, smooth_temperatures(recording.sensors)
     kind = design.mechanism.kind
     if kind not in KINDS:
-        raise RigError(f"{recording.folder}: diagnosing takes a {' or '.join(KINDS)}, not a mechanism of kind {kind!r}; "
-                       "rig calibrate says what its geometry leaves")
+        raise RigError(
+            f"{recording.folder}: diagnosing takes a {' or '.join(KINDS)}, not a mechanism of kind {kind!r}; "
+            "rig calibrate says what its geometry leaves"
+        )
     known = None if calibration is None else _known(recording, calibration)
     if kind == "free" or recording.commands is None:
         measured: Measurement | None
-        measured, collected = measure_recording(recording, progress=progress, places=places if kind == "free" else "stated")
+        measured, collected = measure_recording(
+            recording, progress=progress, places=places if kind == "free" else "stated"
+        )
         source = "images" if collected is not None else "corners.csv"
     else:
         sampled = sample_recording(recording, progress=progress) if sampled is None else sampled
         measured, source = sampled.measurement, sampled.source
-        if measured is None or has_hand_cameras(design):  # whose corners are seen from the platform: its poses stand for them
+        if measured is None or has_hand_cameras(
+            design
+        ):  # whose corners are seen from the platform: its poses stand for them
             s = sampled.samples
-            return OperatingPoint(design, design, s.frame, s.t, s.T_base_platform, {}, s.total_covariance(), recording.commands, sensors, None,
-                                  known=known, log_errors=log_errors, assumed=sampled.assumed), source, None
+            return (
+                OperatingPoint(
+                    design,
+                    design,
+                    s.frame,
+                    s.t,
+                    s.T_base_platform,
+                    {},
+                    s.total_covariance(),
+                    recording.commands,
+                    sensors,
+                    None,
+                    known=known,
+                    log_errors=log_errors,
+                    assumed=sampled.assumed,
+                ),
+                source,
+                None,
+            )
     if len(measured.frames) < FEWEST:
-        raise NotEnoughData(f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; it takes {FEWEST}, better 100")
+        raise NotEnoughData(
+            f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; it takes "
+            f"{FEWEST}, better 100"
+        )
     frames, times = recording.exposures.times()
     state = measured.adjustment.state
-    point = OperatingPoint(measured.design, design, measured.frames, times[np.searchsorted(frames, measured.frames)], state.platform,
-                           state.moving, None, recording.commands if kind != "free" else None, sensors, None, known=known, log_errors=log_errors)
+    point = OperatingPoint(
+        measured.design,
+        design,
+        measured.frames,
+        times[np.searchsorted(frames, measured.frames)],
+        state.platform,
+        state.moving,
+        None,
+        recording.commands if kind != "free" else None,
+        sensors,
+        None,
+        known=known,
+        log_errors=log_errors,
+    )
     seen = _seen(measured, point)
     if source != "images" and measured.observations.stated:
         seen = replace(seen, stated=measured.noise / np.sqrt(measured.factor))
@@ -215,7 +274,9 @@ def cube_seats(design: Design, known: Sequence[CubeMisplacement] = ()) -> tuple[
 
 
 def _known(recording: Recording, calibration: Calibration) -> tuple[Hexapod, np.ndarray]:
-    """(mechanism, root of the information) that a calibration says of a hexapod's joints. Raises RigError for another kind."""
+    """(mechanism, root of the information) that a calibration says of a hexapod's joints. Raises RigError for another
+    kind.
+    """
     fitted = calibration.correction.fitted
     if recording.design.mechanism.kind != "hexapod" or fitted.kind != "hexapod":
         raise RigError(f"{recording.folder}: a calibration can be taken as known of a hexapod alone")
@@ -241,14 +302,19 @@ def without_distant_corners(point: OperatingPoint) -> OperatingPoint:
 
 def group_sightings(observations: Observations, markers: MarkerMap) -> SeenCorners:
     """SeenCorners of observations (n,), grouped into sightings."""
-    key = (observations.camera * (len(observations.frames) + 1) + observations.frame) * (len(markers.id) + 1) + observations.marker
+    key = (observations.camera * (len(observations.frames) + 1) + observations.frame) * (
+        len(markers.id) + 1
+    ) + observations.marker
     _, first, row = np.unique(key, return_index=True, return_inverse=True)
     sightings = Sightings(observations.frame[first], observations.camera[first], observations.marker[first])
     return SeenCorners(observations, markers, sightings, row)
 
 
 def move_operating_point(point: OperatingPoint, cameras: list[Camera], local: np.ndarray) -> OperatingPoint:
-    """OperatingPoint with cameras replaced and each frame's poses moved by local (F, 6 + 6 per moving camera) tangents."""
+    """OperatingPoint with cameras replaced and each frame's poses moved by local (F, 6 + 6 per moving camera)
+    tangents.
+    """
     moving = {i: T * exp(local[:, 6 + 6 * k : 12 + 6 * k]) for k, (i, T) in enumerate(sorted(point.moving.items()))}
-    return replace(point, design=replace(point.design, cameras=tuple(cameras)),
-                   T=point.T * exp(local[:, :6]), moving=moving)
+    return replace(
+        point, design=replace(point.design, cameras=tuple(cameras)), T=point.T * exp(local[:, :6]), moving=moving
+    )

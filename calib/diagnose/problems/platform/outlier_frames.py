@@ -1,5 +1,5 @@
-"""Wild frames and wild corners of a platform's recording, left out before anything is searched: a pose that is far off what all others allow, a
-marker that was misread."""
+"""Wild frames and wild corners of a platform's recording, left out before anything is searched: a pose that is far off
+what all others allow, a marker that was misread."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,7 +11,16 @@ from scipy.spatial import cKDTree
 from calib.diagnose.engine.excluded_outliers import Crowd, LeftOut
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, group_sightings
 from calib.diagnose.problems.remainder_covariates import cosines, scaled_to_unit_interval, speed
-from calib.identify.robust_fit import ALIKE, CONSISTENT, IN_PLACE, IN_TIME, MOST, many_deviations, outlier_rows, robust_fit
+from calib.identify.robust_fit import (
+    ALIKE,
+    CONSISTENT,
+    IN_PLACE,
+    IN_TIME,
+    MOST,
+    many_deviations,
+    outlier_rows,
+    robust_fit,
+)
 from calib.models.platform.identification import loop_jacobian, strut_jacobian
 from rig.model import mechanisms
 from rig.recording.recording_folder import PAYLOAD
@@ -23,7 +32,10 @@ ROWS = 4  # frames for each number that is free in one strut
 LEAST = 0.5  # px; corners nearer than this to where they should be are no other marker's
 HELD = 2  # sightings that a frame must keep
 ROUNDS = 3  # of explaining anew without what turned out to be wild
-ALONE = "its measured pose and its command agree with no other frame, neither those before and after it nor those at configurations near it"
+ALONE = (
+    "its measured pose and its command agree with no other frame, neither those before and after it nor those at "
+    "configurations near it"
+)
 MISREAD = "its corners are off as those of this marker before and after are not, nor any near them: it was misread"
 
 E = TypeVar("E")
@@ -31,7 +43,8 @@ E = TypeVar("E")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outliers:
-    """frames : numbers of those left out whole; sightings : {(frame's number, camera's index, marker's row)} of those whose corners are
+    """frames : numbers of those left out whole; sightings : {(frame's number, camera's index, marker's row)} of those
+    whose corners are
     left_out : (LeftOut, ..) of both; crowd : Crowd of what is far off in too many, or None"""
 
     frames: frozenset[int] = frozenset()
@@ -40,7 +53,9 @@ class Outliers:
     crowd: Crowd | None = None
 
     def with_more(self, more: "Outliers", frames: int) -> "Outliers":
-        """Both together, of so many frames; where these are too many, the crowd that they are beside the first alone."""
+        """Both together, of so many frames; where these are too many, the crowd that they are beside the first
+        alone.
+        """
         crowd = more.crowd or self.crowd
         if len(self.frames) + len(more.frames) > MOST * frames:
             return replace(self, crowd=Crowd("frames", len(self.frames) + len(more.frames), frames))
@@ -53,8 +68,8 @@ def fit_without_outliers(
 ) -> tuple[E, Outliers]:
     """(what explains an OperatingPoint without its wild rows, Outliers). covariance : (F, 6, 6) of its poses
 
-    explained : OperatingPoint -> (what explains it, OperatingPoint with that admitted), at which rows show as wild that a large effect hid; then all
-    is explained anew without them
+    explained : OperatingPoint -> (what explains it, OperatingPoint with that admitted), at which rows show as wild that
+    a large effect hid; then all is explained anew without them
     """
     first = point.frames
     wild = find_outliers(point, covariance)
@@ -87,14 +102,23 @@ def without_outliers(point: OperatingPoint, wild: Outliers) -> OperatingPoint:
     if len(rows) == len(point.frames):
         return replace(point, seen=seen)
     if seen is not None:
-        seen = replace(group_sightings(observations_of_frames(seen.observations, rows), seen.markers), stated=seen.stated)
-    return replace(point, frames=point.frames[rows], t=point.t[rows], T=point.T[rows], moving={i: T[rows] for i, T in point.moving.items()},
-                   own=None if point.own is None else point.own[rows], seen=seen)
+        seen = replace(
+            group_sightings(observations_of_frames(seen.observations, rows), seen.markers), stated=seen.stated
+        )
+    return replace(
+        point,
+        frames=point.frames[rows],
+        t=point.t[rows],
+        T=point.T[rows],
+        moving={i: T[rows] for i, T in point.moving.items()},
+        own=None if point.own is None else point.own[rows],
+        seen=seen,
+    )
 
 
 def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Outliers:
-    """Outliers of frames whose struts' closures are far off what geometry, moves, load and time may do smoothly, in more than one strut. What
-    geometry
+    """Outliers of frames whose struts' closures are far off what geometry, moves, load and time may do smoothly, in
+    more than one strut. What geometry
     may do is asked at the poses that commands give: at a pose that is wild it may do anything."""
     m, closures = k.platform, k.closures()
     T = mechanisms.kinematics_of(m).forward(k.commanded.at(k.t), m)
@@ -114,8 +138,7 @@ def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Outliers:
     for f in np.flatnonzero(far).tolist():
         i = int(np.abs(found.relative[f]).argmax())
         off, times = float(abs(found.residual[f, i]) * sigma[f, i]), float(abs(found.relative[f, i]))
-        told.append(LeftOut(int(k.frames[f]), "pose", f"strut {i + 1}", off, "m", times,
-                            ALONE))
+        told.append(LeftOut(int(k.frames[f]), "pose", f"strut {i + 1}", off, "m", times, ALONE))
     return Outliers(frozenset(k.frames[far].tolist()), left_out=tuple(told))
 
 
@@ -139,8 +162,9 @@ def _smooth(k: OperatingPoint) -> np.ndarray:
 
 
 def _wild_corners(k: OperatingPoint) -> Outliers:
-    """Outliers of sightings some corner of which is far from where the cameras and poses have it, where no sighting near it is: neither of
-    the same marker in the same camera before and after, nor of another in the same image, nor at the same place in the image."""
+    """Outliers of sightings some corner of which is far from where the cameras and poses have it, where no sighting
+    near it is: neither of the same marker in the same camera before and after, nor of another in the same image, nor at
+    the same place in the image."""
     seen = k.observed
     o, s = seen.observations, seen.sightings
     off = np.zeros((len(s.frame), 4, 2))
@@ -149,8 +173,12 @@ def _wild_corners(k: OperatingPoint) -> Outliers:
     middle = np.zeros((len(s.frame), 2))
     np.add.at(middle, seen.row, o.uv)
     middle /= np.bincount(seen.row)[:, None]
-    scale = np.array([CONSISTENT * np.median(np.abs(off[seen.row, o.corner][o.camera == i])) if (o.camera == i).any() else np.inf
-                      for i in range(len(k.design.cameras))])[s.camera]
+    scale = np.array(
+        [
+            CONSISTENT * np.median(np.abs(off[seen.row, o.corner][o.camera == i])) if (o.camera == i).any() else np.inf
+            for i in range(len(k.design.cameras))
+        ]
+    )[s.camera]
     far = (size > GATE * scale) & (size > LEAST)
     wild = far.copy()
     for i in np.flatnonzero(far).tolist():
@@ -162,14 +190,26 @@ def _wild_corners(k: OperatingPoint) -> Outliers:
     kept = np.bincount(s.frame[~wild], minlength=len(k.frames))[s.frame]
     wild &= kept >= HELD
     rows, names = np.flatnonzero(wild).tolist(), [camera.name for camera in k.design.cameras]
-    told = tuple(LeftOut(int(k.frames[s.frame[i]]), "corners", f"marker {seen.markers.id[s.marker[i]]} in camera {names[s.camera[i]]}",
-                         float(size[i]), "px", float(size[i] / scale[i]), MISREAD) for i in rows)
+    told = tuple(
+        LeftOut(
+            int(k.frames[s.frame[i]]),
+            "corners",
+            f"marker {seen.markers.id[s.marker[i]]} in camera {names[s.camera[i]]}",
+            float(size[i]),
+            "px",
+            float(size[i] / scale[i]),
+            MISREAD,
+        )
+        for i in rows
+    )
     keys = frozenset((int(k.frames[s.frame[i]]), int(s.camera[i]), int(s.marker[i])) for i in rows)
     return Outliers(sightings=keys, left_out=told)
 
 
 def _near(k: OperatingPoint, middle: np.ndarray, i: int) -> np.ndarray:
-    """Indices of the sightings that would show what sighting i does, were it no mistake of its own. middle : (s, 2) px"""
+    """Indices of the sightings that would show what sighting i does, were it no mistake of its own. middle : (s, 2)
+    px
+    """
     s = k.observed.sightings
     same = s.camera == s.camera[i]
     again = np.flatnonzero(same & (s.marker == s.marker[i]))

@@ -10,7 +10,9 @@ from rig.effects.framework.effect import COUNT, Effect, Linear
 from rig.effects.framework.fit_coordinates import Coordinate, coordinates_of
 
 
-def parameter_directions(model: LinearisedModel, sensitivities: Sensitivities) -> tuple[list[Coordinate], Column | None]:
+def parameter_directions(
+    model: LinearisedModel, sensitivities: Sensitivities
+) -> tuple[list[Coordinate], Column | None]:
     """(coordinates, Column of their directions) of the admitted effects at a linearisation."""
     k, parts = model.point, []
     sensitivities, coordinates = sensitivities.at(k), coordinates_of(k.effects)

@@ -1,4 +1,6 @@
-"""A platform's recording, or a hand-moved body's, -> its Diagnosis: which effect sits where, how large, how sure, what nobody can name."""
+"""A platform's recording, or a hand-moved body's, -> its Diagnosis: which effect sits where, how large, how sure, what
+nobody can name.
+"""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -21,13 +23,17 @@ from calib.diagnose.problems.platform.exchanged_markers import exchanged, swaps
 from calib.diagnose.problems.platform.held_out_validation import cross_validate_blocks
 from calib.diagnose.problems.platform.interval_widening import widened
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, operating_point_of_recording, without_distant_corners
+from calib.diagnose.problems.platform.operating_point import (
+    OperatingPoint,
+    operating_point_of_recording,
+    without_distant_corners,
+)
 from calib.diagnose.problems.platform.outlier_frames import Outliers, fit_without_outliers
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.remainder_covariates import remainder_covariates
-from calib.diagnose.problems.platform.unlisted_strut_effects import formula_suggestions
 from calib.diagnose.problems.platform.temperature_alternatives import add_temperature_alternatives
 from calib.diagnose.problems.platform.tolerable_findings import Remarks, separate_tolerable_findings
+from calib.diagnose.problems.platform.unlisted_strut_effects import formula_suggestions
 from calib.diagnose.problems.requested_effects import RequestedEffects, require_answerable
 from calib.samples.confounded_conditions import Confounds, confounds_of_recordings
 from calib.samples.recording_samples import Sampled
@@ -43,7 +49,9 @@ from vision.bundle.marker_displacements import Move, marker_displacements
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations of what was measured, cameras known: px of a corner, m and rad of a pose, m of a strut; None where there is none."""
+    """Standard deviations of what was measured, cameras known: px of a corner, m and rad of a pose, m of a strut; None
+    where there is none.
+    """
 
     corner_px: float | None
     pose_m: float
@@ -52,7 +60,9 @@ class Noise:
 
 
 class Explained(NamedTuple):
-    """problem : PlatformProblem; selection : of what explains it; left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]."""
+    """problem : PlatformProblem; selection : of what explains it; left : [LackOfFit]; remarks : Remarks;
+    not_asked : [NotAsked].
+    """
 
     problem: PlatformProblem
     selection: PlatformSelection
@@ -64,9 +74,12 @@ class Explained(NamedTuple):
 @dataclass(frozen=True, slots=True, eq=False)
 class PlatformDiagnosis:
     """recording : its name; source : of the poses, in words; swapped : [MarkerSwap] found before all else
-    moved : [Move] of the faces of a free body's rig that are not where it is stated, measured before all else and taken as measured
-    selection : Selection; cross_validations : one for each finding; fits : of all together, for each block that there is ("corners", "closures")
-    left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which moments are told by
+    moved : [Move] of the faces of a free body's rig that are not where it is stated, measured before all else and taken
+        as measured
+    selection : Selection; cross_validations : one for each finding; fits : of all together, for each block that there
+        is ("corners", "closures")
+    left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which
+        moments are told by
     covariates : [Covariate] that what is left goes with, the one that explained most before first
     given : what was said beforehand; said : the operator's words, as options
     parts : (Part, ..) of several recordings together; own : files of effects that were asked for besides
@@ -107,34 +120,53 @@ class PlatformDiagnosis:
 
 
 @threadpool_limits.wrap(limits=1)
-def diagnose_platform(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
-             calibration: Calibration | None = None, given: Given = UNSAID, sampled: Sampled | None = None,
-             kinds: tuple[type[Effect], ...] = ALL) -> PlatformDiagnosis:
+def diagnose_platform(
+    recording: Recording,
+    only: list[str] | None = None,
+    without: tuple[str, ...] = (),
+    progress: Progress | None = None,
+    calibration: Calibration | None = None,
+    given: Given = UNSAID,
+    sampled: Sampled | None = None,
+    kinds: tuple[type[Effect], ...] = ALL,
+) -> PlatformDiagnosis:
     """PlatformDiagnosis of a Recording.
 
     only, without : names of effects, or "effect place", to which the catalogue is confined or which are left out
     progress : called with (label, done, of), or None
     calibration : of another recording, whose joints are taken as known to its covariance: what it has not swallowed
     shows, and what has changed since; given : what is in from the start
-    sampled : Sampled of the recording where it was measured before, or None; kinds : the catalogue, with what a user adds to it
-    Raises NotEnoughData where too little was measured, RigError where what is assumed cannot be asked, and what measuring raises
+    sampled : Sampled of the recording where it was measured before, or None; kinds : the catalogue, with what a user
+        adds to it
+    Raises NotEnoughData where too little was measured, RigError where what is assumed cannot be asked, and what
+        measuring raises
     """
     asked = RequestedEffects.of(only, without, given, kinds)
     point, source, measured = operating_point_of_recording(
         recording, progress, calibration, "auto" if asked.name(FaceMisplacement.name) else "stated", sampled
     )
-    moved = [m for m in marker_displacements(measured.adjustment) if m.moved] if measured is not None and measured.places_free else []
+    moved = (
+        [m for m in marker_displacements(measured.adjustment) if m.moved]
+        if measured is not None and measured.places_free
+        else []
+    )
     swapped = [s for s in swaps(point) if _exchange_asked(s, asked)] if asked.name(MarkerSwap.name) else []
-    covariance = measured.covariance if measured is not None else np.zeros((0, 6, 6)) if point.own is None else point.own
+    covariance = (
+        measured.covariance if measured is not None else np.zeros((0, 6, 6)) if point.own is None else point.own
+    )
 
     def explained(at: OperatingPoint) -> tuple[Explained, OperatingPoint]:
         found = _explained(without_distant_corners(at), asked, given, progress)
         return found, found.selection.fit.refined.point
 
-    (problem, selection, left, remarks, not_asked), wild = fit_without_outliers(exchanged(point, swapped), covariance, explained)
+    (problem, selection, left, remarks, not_asked), wild = fit_without_outliers(
+        exchanged(point, swapped), covariance, explained
+    )
     selection = add_temperature_alternatives(problem, selection)
     suggested = tuple(formula_suggestions(problem, selection.fit, left, progress))
-    selection = replace(selection, fit=replace(selection.fit, refined=widened(selection.fit.refined, problem.sensitivities)))
+    selection = replace(
+        selection, fit=replace(selection.fit, refined=widened(selection.fit.refined, problem.sensitivities))
+    )
     refined = selection.fit.refined
     left += scatter_beyond_noise(problem.residual(selection.fit), left)
     proofs = [problem.cross_validation(selection.fit, f.number) for f in selection.findings]
@@ -180,14 +212,20 @@ def _explained(point: OperatingPoint, asked: RequestedEffects, given: Given, pro
 def _exchange_asked(effect: MarkerSwap, asked: RequestedEffects) -> bool:
     """Whether an exchange is asked for at one of its two markers, and left out at neither."""
     places = [effect.place, *([f"marker {int(effect.other)}"] if effect.other >= 0 else [])]
-    return any(asked.place(effect.name, p) for p in places) and not any(f"{effect.name} {p}" in asked.without for p in places)
+    return any(asked.place(effect.name, p) for p in places) and not any(
+        f"{effect.name} {p}" in asked.without for p in places
+    )
 
 
 def _noise(model: LinearisedModel) -> Noise:
     k, to_local = model.point, model.corners.to_local[:, :6]
     covariance = k.own if k.own is not None else to_local @ np.swapaxes(to_local, 1, 2)
-    return Noise(model.corner_noise() or None, _length(covariance[:, :3, :3]), _length(covariance[:, 3:, 3:]),
-                 float(np.sqrt(np.mean(model.strut_noise() - model.closures.scatter**2))) if k.axes else None)
+    return Noise(
+        model.corner_noise() or None,
+        _length(covariance[:, :3, :3]),
+        _length(covariance[:, 3:, 3:]),
+        float(np.sqrt(np.mean(model.strut_noise() - model.closures.scatter**2))) if k.axes else None,
+    )
 
 
 def _length(covariance: np.ndarray) -> float:

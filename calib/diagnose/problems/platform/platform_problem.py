@@ -1,4 +1,6 @@
-"""A platform seen by cameras, commanded by struts' lengths, or both, as the engine asks it: effects are fitted with cameras, geometry, poses."""
+"""A platform seen by cameras, commanded by struts' lengths, or both, as the engine asks it: effects are fitted with
+cameras, geometry, poses.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -21,7 +23,13 @@ from calib.diagnose.problems.platform.held_out_validation import cross_validate
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.parameter_directions import parameter_directions
-from calib.diagnose.problems.platform.simultaneous_refinement import Refined, add_term, refine, refine_standing, remove_term
+from calib.diagnose.problems.platform.simultaneous_refinement import (
+    Refined,
+    add_term,
+    refine,
+    refine_standing,
+    remove_term,
+)
 from calib.diagnose.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
 
 
@@ -38,9 +46,11 @@ PlatformSelection = Selection[PlatformFit, PlatformCandidate]
 
 @dataclass(slots=True, eq=False)
 class PlatformProblem:
-    """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; given : what is said beforehand
+    """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; given : what is said
+    beforehand
     sensitivities : kept from search to search
-    tolerance_model : whether what tolerances may do on their own is among the nuisances: from where they are seen to be at work on"""
+    tolerance_model : whether what tolerances may do on their own is among the nuisances: from where they are seen to be
+        at work on"""
 
     point: OperatingPoint
     candidates: list[PlatformCandidate]
@@ -64,9 +74,9 @@ class PlatformProblem:
             return False
         seen = found.projected(model)
         if tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
-            self.tolerance_model = best is None or tolerance_columns.tolerance_log_likelihood_ratio(seen, found.sigma) > float(
-                best.raw_delta_bic(model.size)
-            )
+            self.tolerance_model = best is None or tolerance_columns.tolerance_log_likelihood_ratio(
+                seen, found.sigma
+            ) > float(best.raw_delta_bic(model.size))
         return self.tolerance_model
 
     def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:
@@ -82,8 +92,9 @@ class PlatformProblem:
         return self.marginalised(self.beside(fit, number))
 
     def beside(self, fit: PlatformFit, number: int) -> LinearisedModel:
-        """LinearisedModel without an admitted effect, the others' parameters not among the nuisances yet. What moves corners is first taken up by
-        cameras and poses as far as they can: corners that it moved far would be clipped, and what it does would no longer be linear."""
+        """LinearisedModel without an admitted effect, the others' parameters not among the nuisances yet. What moves
+        corners is first taken up by cameras and poses as far as they can: corners that it moved far would be clipped,
+        and what it does would no longer be linear."""
         k = fit.refined.point
         if fit.terms[number].seen_alone:
             return refine_standing(remove_term(fit.refined, number), self.sensitivities).model
@@ -109,8 +120,13 @@ class PlatformProblem:
     def open(self, fit: PlatformFit) -> list[PlatformCandidate]:
         return self.candidates
 
-    def search(self, model: LinearisedModel, candidates: list[PlatformCandidate], least: float = -np.inf,
-               progress: Callable[[int, int], None] | None = None) -> list[PlatformScore]:
+    def search(
+        self,
+        model: LinearisedModel,
+        candidates: list[PlatformCandidate],
+        least: float = -np.inf,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> list[PlatformScore]:
         self.sensitivities = self.sensitivities.at(model.point)
         return search(model, candidates, self.sensitivities, least, progress)
 
@@ -133,7 +149,9 @@ class PlatformProblem:
         return self.search(self.residual(fit), [score.candidate])[0]
 
     def remove_term(self, fit: PlatformFit, number: int) -> PlatformFit:
-        return PlatformFit(refine(remove_term(fit.refined, number), self.sensitivities), fit.terms[:number] + fit.terms[number + 1 :])
+        return PlatformFit(
+            refine(remove_term(fit.refined, number), self.sensitivities), fit.terms[:number] + fit.terms[number + 1 :]
+        )
 
     def in_place(self, fit: PlatformFit, number: int) -> PlatformFit:
         k = fit.refined.point
@@ -161,7 +179,9 @@ class PlatformProblem:
         return cross_validate(fit.refined, {number}, self.block(fit.terms[number]))
 
     def block(self, candidate: PlatformCandidate) -> int:
-        """Where a candidate shows: CORNERS where it changes only what is seen or nothing was commanded, else CLOSURES."""
+        """Where a candidate shows: CORNERS where it changes only what is seen or nothing was commanded, else
+        CLOSURES.
+        """
         return CORNERS if candidate.seen_alone or not self.point.axes else CLOSURES
 
     def lack_of_fit(self, model: LinearisedModel, place: str | None = None) -> list[LackOfFit]:

@@ -1,4 +1,6 @@
-"""What a platform's remainder goes with: every channel of its log, known or not, time, order, step, direction, speed and dwell."""
+"""What a platform's remainder goes with: every channel of its log, known or not, time, order, step, direction, speed
+and dwell.
+"""
 
 import numpy as np
 
@@ -22,11 +24,20 @@ def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:
     out: dict[str, dict[str, Share]] = {}
     if k.axes:
         products = axis_products(model)
-        for name, functions in {**time_and_sensor_functions(k.t, k.sensors), **motion_functions(k.motion(()).path, k.commanded, k.t)}.items():
-            out.setdefault(name, {})[STRUTS] = explained_share(model.linear, CLOSURES, [(products, separate_weights(functions, k.axes))])
+        for name, functions in {
+            **time_and_sensor_functions(k.t, k.sensors),
+            **motion_functions(k.motion(()).path, k.commanded, k.t),
+        }.items():
+            out.setdefault(name, {})[STRUTS] = explained_share(
+                model.linear, CLOSURES, [(products, separate_weights(functions, k.axes))]
+            )
     if k.seen is not None and len(k.moving) < len(k.design.cameras):
         seen = np.unique(k.seen.observations.camera)
-        views = [corner_products(model, view_pixels(model, f"camera {k.design.cameras[i].name}")) for i in seen if i not in k.moving]
+        views = [
+            corner_products(model, view_pixels(model, f"camera {k.design.cameras[i].name}"))
+            for i in seen
+            if i not in k.moving
+        ]
         for name, functions in time_and_sensor_functions(k.t, k.sensors).items():
             parts = [(products, separate_weights(functions, products.beta.shape[1])) for products in views]
             out.setdefault(name, {})[IMAGES] = explained_share(model.linear, CORNERS, parts)

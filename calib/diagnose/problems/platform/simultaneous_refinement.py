@@ -1,6 +1,8 @@
-"""All that is admitted fitted together: cameras, geometry, poses and effects' parameters, by Gauss-Newton on corners and closures.
+"""All that is admitted fitted together: cameras, geometry, poses and effects' parameters, by Gauss-Newton on corners
+and closures.
 
-Parameters stay within their bounds: one that the data pull beyond stands at its bound, and the others make the best of it there.
+Parameters stay within their bounds: one that the data pull beyond stands at its bound, and the others make the best of
+it there.
 """
 
 from dataclasses import dataclass, replace
@@ -34,8 +36,8 @@ SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """point, model : at the optimum; coordinates : of the effects' parameters; values : (c,); covariance : (c, c) of them
-    given nothing else; column : Column of their directions"""
+    """point, model : at the optimum; coordinates : of the effects' parameters; values : (c,); covariance : (c, c) of
+    them given nothing else; column : Column of their directions"""
 
     point: OperatingPoint
     model: LinearisedModel
@@ -50,13 +52,16 @@ class Refined:
         return self.model if self.column is None else self.model.marginalise(self.column)
 
     def likelihood(self, standing: float | None = None) -> float:
-        """Minus twice the log likelihood at the optimum, but for a constant; to compare with another, where standing corners repeat as many px."""
+        """Minus twice the log likelihood at the optimum, but for a constant; to compare with another, where standing
+        corners repeat as many px.
+        """
         if standing is None or standing == self.point.standing:
             return _comparable(self.model)
         return _comparable(linearise(replace(self.point, standing=standing)))
 
     def wald(self, effect: int) -> tuple[float, int]:
-        """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations, its shape held:
+        """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations,
+        its shape held:
         a shape that its size leaves open says nothing against it."""
         own = [i for i, c in enumerate(self.coordinates) if c.effect == effect]
         size = np.array([self.coordinates[i].role in SIZED for i in own])
@@ -66,13 +71,17 @@ class Refined:
         return float(theta @ precision[np.ix_(size, size)] @ theta), int(size.sum())
 
     def intervals(self, effect: int) -> dict[str, tuple]:
-        """{parameter: (value, low, high)} at 95 % of effect number `effect`, within the parameter's bounds; vectors as lists."""
+        """{parameter: (value, low, high)} at 95 % of effect number `effect`, within the parameter's bounds; vectors as
+        lists.
+        """
         out: dict[str, tuple] = {}
         for i, c in enumerate(self.coordinates):
             if c.effect != effect:
                 continue
             half = Z95 * np.sqrt(self.covariance[i, i])
-            ends = [float(np.clip(c.parameter(np.clip(self.values[i] + s * half, *c.ends)), *c.bounds)) for s in (0, -1, 1)]
+            ends = [
+                float(np.clip(c.parameter(np.clip(self.values[i] + s * half, *c.ends)), *c.bounds)) for s in (0, -1, 1)
+            ]
             ends[1:] = sorted(ends[1:])
             if c.index is None:
                 out[c.name] = tuple(ends)
@@ -83,13 +92,18 @@ class Refined:
 
     def at_bounds(self, effect: int) -> dict[str, float]:
         """{parameter: bound} of the numbers of effect number `effect` that stand at a bound."""
-        found = {c.name: c.at_bound(self.point.effects[effect]) for c in self.coordinates if c.effect == effect and c.index is None}
+        found = {
+            c.name: c.at_bound(self.point.effects[effect])
+            for c in self.coordinates
+            if c.effect == effect and c.index is None
+        }
         return {name: bound for name, bound in found.items() if bound is not None}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Freedom:
-    """c coordinates to be stepped along. column : Column of them; values : (c,) now; loose : (c,) 1 / standard deviation beforehand
+    """c coordinates to be stepped along. column : Column of them; values : (c,) now; loose : (c,) 1 / standard
+    deviation beforehand
     low, high : (c,) bounds; kept : (k, c) sums of them that stay"""
 
     column: Column
@@ -103,17 +117,29 @@ class _Freedom:
     def of(coordinates: list[Coordinate], effects: tuple[Effect, ...], column: Column) -> "_Freedom":
         values = np.array([c.read(effects[c.effect]) for c in coordinates])
         ends = np.array([c.ends for c in coordinates], float).reshape(-1, 2)
-        return _Freedom(column, values, np.array([c.loose for c in coordinates]), ends[:, 0], ends[:, 1],
-                        constrained_sums(coordinates, effects))
+        return _Freedom(
+            column,
+            values,
+            np.array([c.loose for c in coordinates]),
+            ends[:, 0],
+            ends[:, 1],
+            constrained_sums(coordinates, effects),
+        )
 
     def beside(self, other: "_Freedom") -> "_Freedom":
         """Both together."""
-        values, worth, low, high = (np.r_[getattr(self, name), getattr(other, name)] for name in ("values", "loose", "low", "high"))
-        return _Freedom(join_columns([self.column, other.column]), values, worth, low, high, block_diag(self.kept, other.kept))
+        values, worth, low, high = (
+            np.r_[getattr(self, name), getattr(other, name)] for name in ("values", "loose", "low", "high")
+        )
+        return _Freedom(
+            join_columns([self.column, other.column]), values, worth, low, high, block_diag(self.kept, other.kept)
+        )
 
 
 def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivities) -> Refined:
-    """Refined with a Score's effect besides: all that is free moves with it from the start, so that even a large one fits in."""
+    """Refined with a Score's effect besides: all that is free moves with it from the start, so that even a large one
+    fits in.
+    """
     model, k = refined.model, refined.point
     column, theta = column_of(model, score.candidate, score.node, sensitivities), score.coefficients
     own = None if refined.column is None else _Freedom.of(refined.coordinates, k.effects, refined.column)
@@ -122,7 +148,9 @@ def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivitie
         step = np.r_[np.zeros(len(refined.coordinates)), 1.0]
     else:
         by = {p.name: p for p in score.candidate.kind.parameters_at(score.candidate.place)}
-        priors = np.array([prior_precision(by[name], index) if name in by else 0.0 for name, index, _ in score.candidate.spec.linear])
+        priors = np.array(
+            [prior_precision(by[name], index) if name in by else 0.0 for name, index, _ in score.candidate.spec.linear]
+        )
         low, high = bounds_of(score.candidate.spec)
         new = _Freedom(column, np.zeros(len(theta)), priors, low, high, np.zeros((0, len(theta))))
         free = new if own is None else own.beside(new)
@@ -138,19 +166,26 @@ def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivitie
 
 
 def remove_term(refined: Refined, number: int) -> OperatingPoint:
-    """OperatingPoint without an admitted effect, all that is free moved to where it makes up for it: the reverse of `add_term`."""
+    """OperatingPoint without an admitted effect, all that is free moved to where it makes up for it: the reverse of
+    `add_term`.
+    """
     model, effects = refined.model, refined.point.effects
     if refined.column is None:
         return refined.point.with_effects(e for i, e in enumerate(effects) if i != number)
-    step = np.array([-v if c.effect == number and c.role in SIZED else 0.0 for c, v in zip(refined.coordinates, refined.values)])
+    step = np.array(
+        [-v if c.effect == number and c.role in SIZED else 0.0 for c, v in zip(refined.coordinates, refined.values)]
+    )
     z = model.nuisances.at_rest - model.linear.project(refined.column).onto @ step
-    return _apply(model, model.nuisances.solve @ z, step, refined.column, [e for i, e in enumerate(effects) if i != number])
+    return _apply(
+        model, model.nuisances.solve @ z, step, refined.column, [e for i, e in enumerate(effects) if i != number]
+    )
 
 
 def refine(point: OperatingPoint, sensitivities: Sensitivities) -> Refined:
     """Refined of the admitted effects from where their parameters stand. What cannot improve any more stays.
 
-    Standing corners are first taken at their covariance; only what they then still miss together, in every frame, loosens them.
+    Standing corners are first taken at their covariance; only what they then still miss together, in every frame,
+    loosens them.
     """
     refined = refine_standing(replace(point, standing=0.0), sensitivities)
     left = repeated_corner_error(refined.point)
@@ -163,7 +198,9 @@ def refine_standing(point: OperatingPoint, sensitivities: Sensitivities) -> Refi
     coordinates, column = parameter_directions(model, sensitivities)
     freedom = partial(_Freedom.of, coordinates)
     for _ in range(MAX_ITERATIONS):
-        step, covariance = (np.zeros(0), np.zeros((0, 0))) if column is None else _step(model, freedom(point.effects, column))
+        step, covariance = (
+            (np.zeros(0), np.zeros((0, 0))) if column is None else _step(model, freedom(point.effects, column))
+        )
         new = _try(model, coordinates, step, column)
         if new is None:
             break
@@ -186,7 +223,9 @@ def _step(model: LinearisedModel, free: _Freedom) -> tuple[np.ndarray, np.ndarra
     return bounded_step(b, G, free.values, np.stack([free.low, free.high], axis=1), free.kept)
 
 
-def _try(model: LinearisedModel, coordinates: list[Coordinate], step: np.ndarray, column: Column | None) -> LinearisedModel | None:
+def _try(
+    model: LinearisedModel, coordinates: list[Coordinate], step: np.ndarray, column: Column | None
+) -> LinearisedModel | None:
     """LinearisedModel after as much of the step as lowers the cost, or None."""
     k = model.point
     for halving in range(HALVINGS):
@@ -195,20 +234,32 @@ def _try(model: LinearisedModel, coordinates: list[Coordinate], step: np.ndarray
         for c, s in zip(coordinates, step):
             effects[c.effect] = c.written(effects[c.effect], c.read(k.effects[c.effect]) + share * s)
         z = model.nuisances.at_rest - (model.linear.project(column).onto @ (share * step) if column is not None else 0)
-        after = linearise(_apply(model, model.nuisances.solve @ z, share * step, column, [check_effect(effect.written()) for effect in effects]))
+        after = linearise(
+            _apply(
+                model,
+                model.nuisances.solve @ z,
+                share * step,
+                column,
+                [check_effect(effect.written()) for effect in effects],
+            )
+        )
         if _comparable(after) <= _comparable(model) + SLACK:
             return after
     return None
 
 
 def _comparable(model: LinearisedModel) -> float:
-    """Minus twice the log likelihood, Huber's for corners, but for a constant: what noise and scatter make of it included."""
+    """Minus twice the log likelihood, Huber's for corners, but for a constant: what noise and scatter make of it
+    included.
+    """
     cost = model.linear.cost() + model.corners.excess + 2 * len(model.corner_residual) * np.log(model.corners.sigma)
     cost += priors_cost(model.point.effects)
     return cost - 2 * np.linalg.slogdet(model.closures.W)[1].sum() if model.point.axes else cost
 
 
-def _apply(model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, column: Column | None, effects: list[Effect]) -> OperatingPoint:
+def _apply(
+    model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, column: Column | None, effects: list[Effect]
+) -> OperatingPoint:
     """OperatingPoint with nuisances (p,) and each frame's own poses moved to where the fit puts them."""
     k, whole = model.point, model.corners.inner
     inner = whole[..., 0] - whole[..., 1:] @ freedoms[: whole.shape[2] - 1]
@@ -228,10 +279,16 @@ def _apply(model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, colum
     for i, j in edge_bias_freedoms(model.nuisances.names, k.design):
         finder[i] += float(freedoms[j])
     own = seat_freedoms(model.nuisances.names)
-    seats = tuple(replace(s, motion=tuple((np.array(s.motion) + freedoms[own[s.place]]).tolist())) if s.place in own else s for s in k.seats)
+    seats = tuple(
+        replace(s, motion=tuple((np.array(s.motion) + freedoms[own[s.place]]).tolist())) if s.place in own else s
+        for s in k.seats
+    )
     if k.axes:
         m, p = k.platform, parameters(k.platform)
-        k = replace(k, design=replace(k.design, mechanism=with_parameters(m, p + freedoms[len(model.nuisances.names) - len(p) :])))
+        k = replace(
+            k,
+            design=replace(k.design, mechanism=with_parameters(m, p + freedoms[len(model.nuisances.names) - len(p) :])),
+        )
     if k.seen is None:
         local = np.zeros((model.frames, 6))
     return replace(move_operating_point(k, cameras, local), effects=tuple(effects), finder=tuple(finder), seats=seats)

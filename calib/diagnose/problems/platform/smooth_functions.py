@@ -1,4 +1,6 @@
-"""Smooth functions that nobody named: of pose, time, history, speed, sensors at the struts; of time and place at cameras and markers."""
+"""Smooth functions that nobody named: of pose, time, history, speed, sensors at the struts; of time and place at
+cameras and markers.
+"""
 
 from dataclasses import replace
 
@@ -20,10 +22,18 @@ SEEN = 1e-3  # share of a function's square that the nuisances must leave for it
 
 
 def strut_weights(k: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarray]]]]:
-    """[(depends on, [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut, or for all alike])] of a OperatingPoint."""
+    """[(depends on, [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut, or for all
+    alike])] of a OperatingPoint.
+    """
     F, ones = len(k.t), np.ones(k.axes)
-    bases = [("pose", _alike(_pose(k), ones)), ("time", _alike(cosines(k.t, SLOW), ones)), ("time", _alike(cosines(k.t, FAST), ones))]
-    for name, values, times in ((n, v, k.sensors.t) for n, v in k.sensors.channels.items()) if k.sensors is not None else ():
+    bases = [
+        ("pose", _alike(_pose(k), ones)),
+        ("time", _alike(cosines(k.t, SLOW), ones)),
+        ("time", _alike(cosines(k.t, FAST), ones)),
+    ]
+    for name, values, times in (
+        ((n, v, k.sensors.t) for n, v in k.sensors.channels.items()) if k.sensors is not None else ()
+    ):
         series = np.interp(k.t, times, values)
         if np.ptp(series) > 0:
             bases.append((name, _alike(powers(series, 2), ones)))
@@ -70,7 +80,9 @@ def time_functions(k: OperatingPoint, count: int) -> np.ndarray:
 
 
 def warp_pixels(k: OperatingPoint, i: int) -> np.ndarray:
-    """(n, 2, q) px of corners under smooth warps of camera i's image; where corners should be, since where they are seen holds their noise."""
+    """(n, 2, q) px of corners under smooth warps of camera i's image; where corners should be, since where they are
+    seen holds their noise.
+    """
     rows = k.observed.observations.camera == i
     basis = products(k.design.cameras[i], k.pixels()[rows], WARP)
     pixels = np.zeros((len(rows), 2, 2 * basis.shape[1]))
@@ -93,12 +105,16 @@ def edge_pixels(k: OperatingPoint) -> np.ndarray:
     """(n, 2, 2) px of corners moved along the two edges of their marker, per side."""
     seen, quads = k.observed, k.pixels(rows=np.arange(len(k.observed.sightings.frame)))
     depth = _depths(quads)
-    edges = np.stack([(np.roll(depth, s, axis=1) / depth)[..., None] * (np.roll(quads, s, axis=1) - quads) for s in (-1, 1)], axis=-1)  # (s, 4, 2, 2)
+    edges = np.stack(
+        [(np.roll(depth, s, axis=1) / depth)[..., None] * (np.roll(quads, s, axis=1) - quads) for s in (-1, 1)], axis=-1
+    )  # (s, 4, 2, 2)
     return edges[seen.row, seen.observations.corner]
 
 
 def one_marker(k: OperatingPoint, edges: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """(observed corners (h,), (h, 2, 8) px of them) of one marker: each of its corners moved along its edges, as `edge_pixels` has them."""
+    """(observed corners (h,), (h, 2, 8) px of them) of one marker: each of its corners moved along its edges, as
+    `edge_pixels` has them.
+    """
     seen = k.observed
     rows = np.flatnonzero((seen.markers.id == number)[seen.sightings.marker][seen.row])
     corner, out = seen.observations.corner[rows], np.zeros((len(rows), 2, 8))
@@ -108,7 +124,9 @@ def one_marker(k: OperatingPoint, edges: np.ndarray, number: int) -> tuple[np.nd
 
 
 def _distortions() -> np.ndarray:
-    """(8, 5) of what `marker_pixels` moves a marker's corners by: what no shift nor turn of the marker in its plane does, which is no printing."""
+    """(8, 5) of what `marker_pixels` moves a marker's corners by: what no shift nor turn of the marker in its plane
+    does, which is no printing.
+    """
     corners = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
     edges = np.stack([np.roll(corners, s, axis=0) - corners for s in (-1, 1)], axis=1)
     rigid = np.stack([np.tile([1.0, 0.0], (4, 1)), np.tile([0.0, 1.0], (4, 1)), corners[:, ::-1] * [-1, 1]], axis=-1)
@@ -116,8 +134,8 @@ def _distortions() -> np.ndarray:
 
 
 def _depths(quads: np.ndarray) -> np.ndarray:
-    """(s, 4) depths of the corners of squares seen as quads (s, 4, 2), the first one's 1. Source: Heckbert, Fundamentals of texture mapping and
-    image warping, 1989, 2.2.3"""
+    """(s, 4) depths of the corners of squares seen as quads (s, 4, 2), the first one's 1. Source: Heckbert,
+    Fundamentals of texture mapping and image warping, 1989, 2.2.3"""
     a, b = quads[:, 1] - quads[:, 2], quads[:, 3] - quads[:, 2]
     skew = quads[:, 0] - quads[:, 1] + quads[:, 2] - quads[:, 3]
     area = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
@@ -125,17 +143,28 @@ def _depths(quads: np.ndarray) -> np.ndarray:
     return np.stack([np.ones(len(g)), 1 + g, 1 + g + h, 1 + h], axis=1)
 
 
-def smooth_function_columns(model: LinearisedModel, left: list[LackOfFit]) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """(pixels (n, 2, q) or None, weights (F, axes, r) or None) of all smooth functions of what is left depends on: at all struts where it is struts,
-    at all markers where it is one, else at the cameras themselves."""
+def smooth_function_columns(
+    model: LinearisedModel, left: list[LackOfFit]
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """(pixels (n, 2, q) or None, weights (F, axes, r) or None) of all smooth functions of what is left depends on: at
+    all struts where it is struts, at all markers where it is one, else at the cameras themselves."""
     k = model.point
-    weights = {depends: strutwise for depends, strutwise in strut_weights(k) if len(strutwise) == k.axes} if k.axes else {}  # the finest of each
-    named = {"pose" if d.endswith("position") else d for u in left if u.place.startswith(("strut", "rig")) for d in u.depends_on}
+    weights = (
+        {depends: strutwise for depends, strutwise in strut_weights(k) if len(strutwise) == k.axes} if k.axes else {}
+    )  # the finest of each
+    named = {
+        "pose" if d.endswith("position") else d
+        for u in left
+        if u.place.startswith(("strut", "rig"))
+        for d in u.depends_on
+    }
     parts = [w for d in sorted(named & weights.keys()) for _, w in weights[d]]
     pixels = []
     for u in left:
         if u.place.startswith("camera") and u.depends_on == ("time",):
-            moved = np.einsum("nca,nak->nck", view_pixels(model, u.place), time_functions(k, FAST)[k.observed.observations.frame])
+            moved = np.einsum(
+                "nca,nak->nck", view_pixels(model, u.place), time_functions(k, FAST)[k.observed.observations.frame]
+            )
             pixels.append(moved)
         elif u.place.startswith("camera") and u.depends_on == ("image position",):
             pixels.append(warp_pixels(k, [f"camera {c.name}" for c in k.design.cameras].index(u.place)))
@@ -145,10 +174,14 @@ def smooth_function_columns(model: LinearisedModel, left: list[LackOfFit]) -> tu
     return np.concatenate(pixels, axis=2) if pixels else None, np.concatenate(parts, axis=2) if parts else None
 
 
-def model_with_smooth_functions(model: LinearisedModel, pixels: np.ndarray | None, weights: np.ndarray | None) -> LinearisedModel:
-    """LinearisedModel with smooth functions, pixels (n, 2, q) and weights (F, axes, r) as `smooth_function_columns` gives them, among the nuisances.
+def model_with_smooth_functions(
+    model: LinearisedModel, pixels: np.ndarray | None, weights: np.ndarray | None
+) -> LinearisedModel:
+    """LinearisedModel with smooth functions, pixels (n, 2, q) and weights (F, axes, r) as `smooth_function_columns`
+    gives them, among the nuisances.
 
-    What the functions explain is first taken off the pictures, so that corners far off, which count for less, do not keep their misfit.
+    What the functions explain is first taken off the pictures, so that corners far off, which count for less, do not
+    keep their misfit.
     """
     if pixels is not None:
         for _ in range(ROUNDS):

@@ -1,5 +1,5 @@
-"""Effects that follow a temperature: whatever they would explain as well has them for alternatives: where none was logged, under a smooth course
-of it; where one was, under any course that its log's own errors leave open."""
+"""Effects that follow a temperature: whatever they would explain as well has them for alternatives: where none was
+logged, under a smooth course of it; where one was, under any course that its log's own errors leave open."""
 
 import inspect
 from dataclasses import replace
@@ -9,7 +9,13 @@ import numpy as np
 from calib.diagnose.engine.candidate_score import Alternative, Score
 from calib.diagnose.engine.linear_model import Column, Projection, column_cosine, join_columns
 from calib.diagnose.engine.term_selection import Finding, is_finding_significant
-from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore, candidate_of, context_of, lacking
+from calib.diagnose.problems.platform.effect_candidates import (
+    PlatformCandidate,
+    PlatformScore,
+    candidate_of,
+    context_of,
+    lacking,
+)
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.platform_problem import PlatformProblem, PlatformSelection
@@ -20,33 +26,44 @@ from rig.effects.framework.effect import AXES, REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.search_candidate import Candidate as EffectCandidate
 from rig.recording.recording_folder import Sensors
 
-WARM = tuple(kind for kind in ALL  # those that follow a temperature
-             if inspect.getattr_static(kind, "follows") is not inspect.getattr_static(Effect, "follows"))
+WARM = tuple(
+    kind
+    for kind in ALL  # those that follow a temperature
+    if inspect.getattr_static(kind, "follows") is not inspect.getattr_static(Effect, "follows")
+)
 STEP = 1e-5  # 1/K
 SIZES = 200  # of a coefficient that are tried, over DECADES about what rigs show
 DECADES = 1.0  # beyond
 
 
 def add_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
-    """Selection in which every finding has those effects of a temperature among its alternatives that would explain as much."""
+    """Selection in which every finding has those effects of a temperature among its alternatives that would explain as
+    much.
+    """
     return noisy_log_temperature_alternatives(problem, unlogged_temperature_alternatives(problem, selection))
 
 
 def unlogged_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
-    """Selection in which every finding that could as well be an effect of a temperature, had it run as some smooth function of time, has that
-    effect among its alternatives, at its own place or at the whole machine; effects whose temperature was logged are not asked for."""
+    """Selection in which every finding that could as well be an effect of a temperature, had it run as some smooth
+    function of time, has that effect among its alternatives, at its own place or at the whole machine; effects whose
+    temperature was logged are not asked for."""
     k = selection.fit.refined.point
     kinds = [kind for kind in WARM if (k.axes if kind.stage != "view" else k.seen is not None)]
     findings = []
     for f in selection.findings:
-        asked = [(kind, place) for kind in kinds for place in _places(kind, f.score.candidate.place)
-                 if lacking(k, kind.follows(place, context_of(k)))]
+        asked = [
+            (kind, place)
+            for kind in kinds
+            for place in _places(kind, f.score.candidate.place)
+            if lacking(k, kind.follows(place, context_of(k)))
+        ]
         findings.append(_beside_temperatures(problem, selection, f, asked) if asked else f)
     return replace(selection, findings=findings)
 
 
-def _beside_temperatures(problem: PlatformProblem, selection: PlatformSelection, finding: Finding,
-                         asked: list[tuple[type[Effect], str]]) -> Finding:
+def _beside_temperatures(
+    problem: PlatformProblem, selection: PlatformSelection, finding: Finding, asked: list[tuple[type[Effect], str]]
+) -> Finding:
     model, alternatives = problem.beside(selection.fit, finding.number), list(finding.alternatives)
     alone = problem.marginalised(model)
     own = finding.score.delta_chi2 * finding.score.dispersion
@@ -55,14 +72,26 @@ def _beside_temperatures(problem: PlatformProblem, selection: PlatformSelection,
         if is_finding_significant(problem, finding, warm, selection.fit, selection.asked):
             continue
         delta = alone.linear.cost() - warm.linear.cost()
-        score = Score(candidate_of(EffectCandidate(kind, place, [{}], [])), {}, np.zeros(0), delta, 1.0, SLOW, 1.0, 1.0, np.zeros(1))
+        score = Score(
+            candidate_of(EffectCandidate(kind, place, [{}], [])),
+            {},
+            np.zeros(0),
+            delta,
+            1.0,
+            SLOW,
+            1.0,
+            1.0,
+            np.zeros(1),
+        )
         behind = own - delta - (finding.score.freedom - SLOW) * np.log(model.size)
         alternatives.append(Alternative(score, behind, float(np.sqrt(np.clip(delta / own, 0, 1)))))
     return replace(finding, alternatives=alternatives)
 
 
 def noisy_log_temperature_alternatives(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
-    """The same of effects whose temperature was logged, had it run as its log's own errors allow; not those listed by what the log says."""
+    """The same of effects whose temperature was logged, had it run as its log's own errors allow; not those listed by
+    what the log says.
+    """
     k, findings = selection.fit.refined.point, []
     warm = [c for c in problem.candidates if c.kind in WARM and _channels(k, c) & k.log_errors.keys()]
     for f in selection.findings:
@@ -71,8 +100,16 @@ def noisy_log_temperature_alternatives(problem: PlatformProblem, selection: Plat
         asked = [c for c in warm if c.place in _places(c.kind, own.place) and (c.name, c.place) not in listed]
         if asked:
             model = problem.without_term(selection.fit, f.number)
-            found = [(s, f.score.evidence(model.size) - s.evidence(model.size)) for c in asked if (s := _by_errors(model, c)) is not None]
-            more = [Alternative(s, behind, _cosine(problem, model, f.score, s)) for s, behind in found if behind < problem.policy.alike]
+            found = [
+                (s, f.score.evidence(model.size) - s.evidence(model.size))
+                for c in asked
+                if (s := _by_errors(model, c)) is not None
+            ]
+            more = [
+                Alternative(s, behind, _cosine(problem, model, f.score, s))
+                for s, behind in found
+                if behind < problem.policy.alike
+            ]
             f = replace(f, alternatives=sorted([*f.alternatives, *more], key=lambda a: a.behind))
         findings.append(f)
     return replace(selection, findings=findings)
@@ -108,11 +145,15 @@ def _per_kelvin(model: LinearisedModel, kind: type[Effect], place: str, sensors:
 def _channels(k: OperatingPoint, candidate: PlatformCandidate) -> set[str]:
     """The logged channels that a candidate follows."""
     logged = k.sensors.channels if k.sensors is not None else {}
-    return {next(name for name in names if name in logged) for names in candidate.kind.follows(candidate.place, context_of(k))}
+    return {
+        next(name for name in names if name in logged)
+        for names in candidate.kind.follows(candidate.place, context_of(k))
+    }
 
 
 def _by_errors(model: LinearisedModel, candidate: PlatformCandidate) -> PlatformScore | None:
-    """Score of an effect of a temperature whose log is off by its own errors, each as likely as it is large; None where it explains nothing.
+    """Score of an effect of a temperature whose log is off by its own errors, each as likely as it is large; None where
+    it explains nothing.
 
     Source of the likelihood: Fuller, Measurement error models, 1987, ch. 2
     """
@@ -133,16 +174,31 @@ def _by_errors(model: LinearisedModel, candidate: PlatformCandidate) -> Platform
     if gains[best] <= 0:
         return None
     theta = candidate.allowed(sizes[best : best + 1])
-    return Score(candidate, dict(candidate.grid[0]), theta, float(gains[best]), 1.0, 1, 1.0, 1.0, np.zeros(1), candidate.numbers({}, theta))
+    return Score(
+        candidate,
+        dict(candidate.grid[0]),
+        theta,
+        float(gains[best]),
+        1.0,
+        1,
+        1.0,
+        1.0,
+        np.zeros(1),
+        candidate.numbers({}, theta),
+    )
 
 
 def _gain(seen: Projection, size: float) -> float:
-    """Twice the logarithm by which an effect of a size is likelier than none, its temperature's errors normal, of one standard deviation each.
-    seen : Projection of (1 + q) columns, the effect under the temperature as it is taken to be, and under each of its errors."""
+    """Twice the logarithm by which an effect of a size is likelier than none, its temperature's errors normal, of one
+    standard deviation each.
+    seen : Projection of (1 + q) columns, the effect under the temperature as it is taken to be, and under each of its
+        errors."""
     b, G = seen.right, seen.gram
     left = size * (b[1:] - G[1:, 0] * size)
     scaled = np.eye(len(left)) + size**2 * G[1:, 1:]
-    return float(2 * size * b[0] - size**2 * G[0, 0] + left @ np.linalg.solve(scaled, left) - np.linalg.slogdet(scaled)[1])
+    return float(
+        2 * size * b[0] - size**2 * G[0, 0] + left @ np.linalg.solve(scaled, left) - np.linalg.slogdet(scaled)[1]
+    )
 
 
 def _cosine(problem: PlatformProblem, model: LinearisedModel, own: PlatformScore, other: PlatformScore) -> float:

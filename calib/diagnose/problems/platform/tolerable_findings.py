@@ -1,4 +1,6 @@
-"""What is there beyond chance and still no finding, since tolerances may do as much on their own: set apart from what matters."""
+"""What is there beyond chance and still no finding, since tolerances may do as much on their own: set apart from what
+matters.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -28,8 +30,8 @@ TOGETHER = "printed markers, the corner finder and thermometers may do on their 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Remarks:
-    """findings : [(Finding, reason)] admitted that do not matter; left : [(LackOfFit, reason)]; sites : [SignificantTolerance] of tolerances beyond
-    chance
+    """findings : [(Finding, reason)] admitted that do not matter; left : [(LackOfFit, reason)];
+    sites : [SignificantTolerance] of tolerances beyond chance
     reason : in words that follow "no more than"."""
 
     findings: list[tuple[Finding, str]]
@@ -37,8 +39,9 @@ class Remarks:
     sites: list[SignificantTolerance]
 
 
-def separate_tolerable_findings(problem: PlatformProblem, selection: PlatformSelection,
-              left: list[LackOfFit]) -> tuple[PlatformSelection, list[LackOfFit], Remarks]:
+def separate_tolerable_findings(
+    problem: PlatformProblem, selection: PlatformSelection, left: list[LackOfFit]
+) -> tuple[PlatformSelection, list[LackOfFit], Remarks]:
     """(Selection of what matters, what is left and matters, Remarks)."""
     fit, known = selection.fit, problem.tolerance_model
     if not known and not selection.findings and not left:
@@ -54,16 +57,26 @@ def separate_tolerable_findings(problem: PlatformProblem, selection: PlatformSel
     found = tolerance_model(model, problem.sensitivities) if known or left else None
     stays = left if known or found is None else problem.lack_of_fit(model_with_tolerances(model, found))
     gone = [(u, TOGETHER) for u in left if not any(u.place == v.place for v in stays)]
-    tiny = [(u, STILL.reason) for u in stays if u.unit == "px" and set(u.depends_on) & set(LASTING) and u.magnitude < STILL.limit]
+    tiny = [
+        (u, STILL.reason)
+        for u in stays
+        if u.unit == "px" and set(u.depends_on) & set(LASTING) and u.magnitude < STILL.limit
+    ]
     stays = [u for u in stays if not any(u is v for v, _ in tiny)]
     sites = significant_tolerances(model, found) if known and found is not None else []
     return replace(selection, findings=matters), stays, Remarks(small, [*gone, *tiny], sites)
 
 
 def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Finding, known: bool) -> str | None:
-    """Why a Finding is a remark, None where it matters. known : whether tolerances were among the nuisances when it was found"""
+    """Why a Finding is a remark, None where it matters. known : whether tolerances were among the nuisances when it was
+    found
+    """
     fit, kind = selection.fit, selection.fit.terms[finding.number].kind
-    if kind.view in LASTING_VIEWS and problem.block(fit.terms[finding.number]) == CORNERS and corner_displacement(fit, finding.number) < STILL.limit:
+    if (
+        kind.view in LASTING_VIEWS
+        and problem.block(fit.terms[finding.number]) == CORNERS
+        and corner_displacement(fit, finding.number) < STILL.limit
+    ):
         return STILL.reason
     if known:
         return None
@@ -72,10 +85,14 @@ def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Fin
     if found is None:
         return None
     score, kept = finding.score, problem.sensitivities.at(model.point)
-    share = share_not_explained_by_tolerances(model, found, column_of(model, score.candidate, score.node, kept), not len(score.coefficients))
+    share = share_not_explained_by_tolerances(
+        model, found, column_of(model, score.candidate, score.node, kept), not len(score.coefficients)
+    )
     if is_significant(weaken_score(score, share), selection.asked, problem.size(fit), problem.policy):
         return None
-    own = (s.tolerance.reason for s in found.sites if (s.effect, s.place) == (score.candidate.name, score.candidate.place))
+    own = (
+        s.tolerance.reason for s in found.sites if (s.effect, s.place) == (score.candidate.name, score.candidate.place)
+    )
     return next(own, TOGETHER)
 
 
@@ -87,7 +104,9 @@ def weaken_score(score: Score, share: float) -> Score:
 
 
 def corner_displacement(fit: PlatformFit, number: int) -> float:
-    """px RMS by which an admitted effect moves the corners that it moves at all, cameras and poses having taken what they can."""
+    """px RMS by which an admitted effect moves the corners that it moves at all, cameras and poses having taken what
+    they can.
+    """
     k, model = fit.refined.point, fit.refined.model
     others = [e for i, e in enumerate(k.effects) if i != number]
     square = model.linear.project(change(model, others)).gram[0, 0]

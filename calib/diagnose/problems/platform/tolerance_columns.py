@@ -1,4 +1,6 @@
-"""What tolerances do to corners and struts, each with its prior: held beside findings, so that what they may do on their own is no finding."""
+"""What tolerances do to corners and struts, each with its prior: held beside findings, so that what they may do on
+their own is no finding.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -6,7 +8,12 @@ import numpy as np
 import scipy
 from scipy.sparse import csr_array
 
-from calib.diagnose.engine.frame_inner_products import Normal, solve_fixed_size, solve_normal_equations, solve_with_prior
+from calib.diagnose.engine.frame_inner_products import (
+    Normal,
+    solve_fixed_size,
+    solve_normal_equations,
+    solve_with_prior,
+)
 from calib.diagnose.engine.linear_model import Column, Projection
 from calib.diagnose.problems.platform.effect_sensitivities import Sensitivities
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, CORNERS, LinearisedModel
@@ -29,7 +36,8 @@ TOGETHER, WARMED = len(KINDS), len(KINDS) + 1  # the side of all markers; what a
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """What one tolerance moves at a place. effect : name of the effect that would be it; parameters : ((name, unit, numbers), ..)
+    """What one tolerance moves at a place. effect : name of the effect that would be it; parameters : ((name, unit,
+    numbers), ..)
     tolerance : Tolerance; columns : slice of them"""
 
     effect: str
@@ -41,8 +49,10 @@ class Site:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToleranceModel:
-    """What tolerances do at a linearisation, q numbers. corners : (2n, q) whitened, frames' own poses still in, of which a number touches few
-    inner : (F, L, q) coordinates in these; closures : (m, q); sigma : (q,) standard deviations of the numbers; sites : what they belong to
+    """What tolerances do at a linearisation, q numbers. corners : (2n, q) whitened, frames' own poses still in, of
+    which a number touches few
+    inner : (F, L, q) coordinates in these; closures : (m, q); sigma : (q,) standard deviations of the numbers;
+        sites : what they belong to
     kinds : (q,) those of one kind vary alike: VARIED of a marker, TOGETHER, WARMED"""
 
     corners: csr_array
@@ -60,7 +70,9 @@ class ToleranceModel:
         return Column((out, self.closures), self.inner)
 
     def projected(self, model: LinearisedModel) -> Projection:
-        """Projection of the column, which is not written out: residual and nuisances stand square to frames' own poses already."""
+        """Projection of the column, which is not written out: residual and nuisances stand square to frames' own poses
+        already.
+        """
         basis, inner = model.linear.columns.whole, self.inner.reshape(-1, len(self.sigma))
         onto = (self.corners.T @ basis[CORNERS]).T + basis[CLOSURES].T @ self.closures
         right = self.corners.T @ model.corner_residual + self.closures.T @ model.closure_residual
@@ -90,7 +102,10 @@ def tolerance_model(model: LinearisedModel, sensitivities: Sensitivities) -> Tol
     kinds = [TOGETHER, *VARIED * (len(sigma) // len(VARIED))][: len(sigma)]
     L = c.local.shape[1]
     frame = np.repeat(np.arange(model.frames), 2 * np.diff(c.edges))
-    own = csr_array((c.local.ravel(), (L * frame[:, None] + np.arange(L)).ravel(), np.arange(0, n * L + 1, L)), (n, model.frames * L))
+    own = csr_array(
+        (c.local.ravel(), (L * frame[:, None] + np.arange(L)).ravel(), np.arange(0, n * L + 1, L)),
+        (n, model.frames * L),
+    )
     inner = (own.T @ table).toarray().reshape(model.frames, L, -1)
     closures = model.nothing(table.shape[1])
     if k.axes:
@@ -107,7 +122,9 @@ def tolerance_model(model: LinearisedModel, sensitivities: Sensitivities) -> Tol
 
 
 def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], list[float], csr_array]:
-    """([Site], standard deviations (q,), (2n, q) of corners whitened) of each marker's place, angle and side, and of all sides together."""
+    """([Site], standard deviations (q,), (2n, q) of corners whitened) of each marker's place, angle and side, and of
+    all sides together.
+    """
     k, c = model.point, model.corners
     o, ids, at = k.observed, k.observed.markers.id, np.argsort(model.corners.order)
     sites: list[Site] = []
@@ -129,10 +146,23 @@ def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], l
     _, prints = np.unique(ids, return_index=True)
     for m in np.sort(prints[np.isin(ids[prints], own)]):
         place, half = f"marker {ids[m]}", o.markers.side[m] / 2
-        columns = [kept.derivative(FaceMisplacement, place, Linear(name, j, STEP), {}) for name in ("offset", "rotation") for j in range(3)]
+        columns = [
+            kept.derivative(FaceMisplacement, place, Linear(name, j, STEP), {})
+            for name in ("offset", "rotation")
+            for j in range(3)
+        ]
         site = Site(FaceMisplacement.name, place, (("offset", "m", 3), ("rotation", "rad", 3)), PLACES, slice(0))
-        add(site, [PLACES.sigma] * 3 + [PLACES.sigma / half] * 3, *kept.touched(columns[0][0], np.stack([q for _, q in columns], axis=-1)))
-        add(Site(PrintScale.name, place, (("scale", "", 1),), SIDES, slice(0)), [SIDES.sigma], everywhere[own == ids[m]], scaled[own == ids[m]])
+        add(
+            site,
+            [PLACES.sigma] * 3 + [PLACES.sigma / half] * 3,
+            *kept.touched(columns[0][0], np.stack([q for _, q in columns], axis=-1)),
+        )
+        add(
+            Site(PrintScale.name, place, (("scale", "", 1),), SIDES, slice(0)),
+            [SIDES.sigma],
+            everywhere[own == ids[m]],
+            scaled[own == ids[m]],
+        )
     values, at_rows, at_columns = (np.concatenate(part) for part in zip(*entries))
     return sites, sigma, csr_array((values, (at_rows, at_columns)), (2 * len(c.order), len(sigma)))
 
@@ -143,14 +173,16 @@ def _courses(k: OperatingPoint) -> np.ndarray:
 
 
 def tolerances_explain_residuals(seen: Projection, sigma: np.ndarray) -> bool:
-    """Whether tolerances, as they are projected on a model, all together and each within its own sigma (q,), explain more than chance does."""
+    """Whether tolerances, as they are projected on a model, all together and each within its own sigma (q,), explain
+    more than chance does.
+    """
     solved = solve_with_prior(Normal(seen.right[None], seen.gram[None], np.diag(seen.gram)[None]), sigma)
     return bool(scipy.special.chdtrc(max(solved.rank[0], 1.0), solved.delta_chi2[0]) < ALPHA)
 
 
 def tolerance_log_likelihood_ratio(seen: Projection, sigma: np.ndarray) -> float:
-    """Twice the logarithm of how much likelier the residuals of a model are beside tolerances, as they are projected on it, than without: their
-    marginal likelihood, sizes normal with standard deviations sigma (q,).
+    """Twice the logarithm of how much likelier the residuals of a model are beside tolerances, as they are projected on
+    it, than without: their marginal likelihood, sizes normal with standard deviations sigma (q,).
 
     Source: MacKay, Information theory, inference and learning algorithms, 2003, ch. 28
     """
@@ -159,14 +191,22 @@ def tolerance_log_likelihood_ratio(seen: Projection, sigma: np.ndarray) -> float
     return float(right @ np.linalg.solve(scaled, right) - np.linalg.slogdet(scaled)[1])
 
 
-def share_not_explained_by_tolerances(model: LinearisedModel, found: ToleranceModel, column: Column, sized: bool) -> float:
-    """Of the delta chi-square that a Column (q) explains, the share that it explains beside tolerances. sized : whether its size is its own"""
+def share_not_explained_by_tolerances(
+    model: LinearisedModel, found: ToleranceModel, column: Column, sized: bool
+) -> float:
+    """Of the delta chi-square that a Column (q) explains, the share that it explains beside tolerances. sized : whether
+    its size is its own
+    """
     alone, tolerances = model.linear.project(column), found.projected(model)
     cross = found.with_column(column) - alone.onto.T @ tolerances.onto
     taken = np.linalg.solve(tolerances.gram + np.diag(found.sigma**-2.0), np.column_stack([tolerances.right, cross.T]))
     right, gram = alone.right - cross @ taken[:, 0], alone.gram - cross @ taken[:, 1:]
-    deltas = [(solve_fixed_size if sized else solve_normal_equations)(Normal(b[None], G[None], np.diag(alone.gram)[None])).delta_chi2[0]
-              for b, G in ((alone.right, alone.gram), (right, gram))]
+    deltas = [
+        (solve_fixed_size if sized else solve_normal_equations)(
+            Normal(b[None], G[None], np.diag(alone.gram)[None])
+        ).delta_chi2[0]
+        for b, G in ((alone.right, alone.gram), (right, gram))
+    ]
     return float(deltas[1] / deltas[0])
 
 
@@ -185,7 +225,9 @@ def model_with_tolerances(model: LinearisedModel, found: ToleranceModel) -> Line
 
 
 def significant_tolerances(model: LinearisedModel, found: ToleranceModel) -> list[SignificantTolerance]:
-    """[SignificantTolerance] of what tolerances are beyond chance, the surest first; what is admitted belongs among the nuisances."""
+    """[SignificantTolerance] of what tolerances are beyond chance, the surest first; what is admitted belongs among the
+    nuisances.
+    """
     seen = found.projected(model)
     covariance = np.linalg.inv(seen.gram + np.diag(found.sigma**-2.0))
     values, out = covariance @ seen.right, []

@@ -1,4 +1,6 @@
-"""A formula for what a platform's struts do and nobody named: of one strut, of all alike, or of the platform that they carry."""
+"""A formula for what a platform's struts do and nobody named: of one strut, of all alike, or of the platform that they
+carry.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +15,15 @@ from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear_model import LinearModel
 from calib.diagnose.engine.problem_interface import Progress
 from calib.diagnose.engine.reduced_least_squares import Reduced
-from calib.diagnose.problems.formula_suggestion import AGREE, GAIN, NAME, Suggestion, formula_library, formula_quantities, written
+from calib.diagnose.problems.formula_suggestion import (
+    AGREE,
+    GAIN,
+    NAME,
+    Suggestion,
+    formula_library,
+    formula_quantities,
+    written,
+)
 from calib.diagnose.problems.platform.candidate_search import axis_products
 from calib.diagnose.problems.platform.held_out_validation import change
 from calib.diagnose.problems.platform.linearised_residuals import CLOSURES, LinearisedModel, linearise
@@ -30,7 +40,8 @@ SEVERAL = 3  # struts that are unknown, from which all alike and the platform ar
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Site:
-    """Where a formula may act. place; struts : their indices; directions : (F, axes, a) m by which struts lengthen with each direction
+    """Where a formula may act. place; struts : their indices; directions : (F, axes, a) m by which struts lengthen with
+    each direction
     library : Library."""
 
     place: str
@@ -41,7 +52,9 @@ class Site:
     def products(self, model: LinearisedModel) -> FrameProducts:
         """FrameProducts of the directions."""
         axes, D = axis_products(model), np.swapaxes(self.directions, 1, 2)
-        return FrameProducts((D @ axes.beta[..., None])[..., 0], D @ axes.gamma @ self.directions, D @ axes.kappa, axes.half)
+        return FrameProducts(
+            (D @ axes.beta[..., None])[..., 0], D @ axes.gamma @ self.directions, D @ axes.kappa, axes.half
+        )
 
     def floor(self, model: LinearisedModel) -> float:
         """Share of the weights' variance that is the poses' own noise."""
@@ -49,7 +62,9 @@ class Site:
         return float(np.mean(1 - model.closures.scatter[self.struts] ** 2 / own))
 
     def deviation(self, formula: Formula) -> np.ndarray:
-        """(F, axes, q) m by which struts lengthen with each of a Formula's coefficients, in units of its library's scales."""
+        """(F, axes, q) m by which struts lengthen with each of a Formula's coefficients, in units of its library's
+        scales.
+        """
         rows = np.arange(len(self.directions))
         return np.concatenate([self.directions @ self.library.weights(atom, rows) for atom in formula.atoms], axis=2)
 
@@ -58,8 +73,11 @@ class Site:
         return written(formula, self.library, "strut", self.place == "rig" and not self.library.apart)
 
 
-def formula_suggestions(problem: PlatformProblem, fit: PlatformFit, left: list[LackOfFit], progress: Progress | None = None) -> list[Suggestion]:
-    """[Suggestion] for what is left of the struts: of each that something is left of, or of all together where that says it shorter.
+def formula_suggestions(
+    problem: PlatformProblem, fit: PlatformFit, left: list[LackOfFit], progress: Progress | None = None
+) -> list[Suggestion]:
+    """[Suggestion] for what is left of the struts: of each that something is left of, or of all together where that
+    says it shorter.
 
     progress : called with (label, done, of), or None
     """
@@ -70,7 +88,9 @@ def formula_suggestions(problem: PlatformProblem, fit: PlatformFit, left: list[L
         return []
     said = progress or silent_progress
     struts = [i for i in range(k.axes) if f"strut {i + 1}" in places]
-    sites = [_of_strut(k, i) for i in struts] + ([_of_all(k), _of_platform(k)] if len(struts) >= SEVERAL or "rig" in places else [])
+    sites = [_of_strut(k, i) for i in struts] + (
+        [_of_all(k), _of_platform(k)] if len(struts) >= SEVERAL or "rig" in places else []
+    )
     tried: list[Found | None] = []
     for site in sites:
         said("trying formulas", len(tried), len(sites))
@@ -83,11 +103,21 @@ def formula_suggestions(problem: PlatformProblem, fit: PlatformFit, left: list[L
 
 
 def _of_strut(k: OperatingPoint, i: int) -> Site:
-    return Site(f"strut {i + 1}", [i], np.broadcast_to(np.eye(k.axes)[:, [i]], (len(k.t), k.axes, 1)), formula_library(k.motion(()), i))
+    return Site(
+        f"strut {i + 1}",
+        [i],
+        np.broadcast_to(np.eye(k.axes)[:, [i]], (len(k.t), k.axes, 1)),
+        formula_library(k.motion(()), i),
+    )
 
 
 def _of_all(k: OperatingPoint) -> Site:
-    return Site("rig", list(range(k.axes)), np.broadcast_to(np.eye(k.axes), (len(k.t), k.axes, k.axes)), formula_library(k.motion(()), None, k.axes))
+    return Site(
+        "rig",
+        list(range(k.axes)),
+        np.broadcast_to(np.eye(k.axes), (len(k.t), k.axes, k.axes)),
+        formula_library(k.motion(()), None, k.axes),
+    )
 
 
 def _of_platform(k: OperatingPoint) -> Site:
@@ -100,8 +130,8 @@ Found = tuple[Site, Formula, LinearisedModel]
 
 
 def _found(problem: PlatformProblem, fit: PlatformFit, model: LinearisedModel, site: Site) -> Found | None:
-    """(Site, Formula, the model that it was found on), None where none is worth it: sought twice, the second time with struts weighed as they
-    scatter about the first."""
+    """(Site, Formula, the model that it was found on), None where none is worth it: sought twice, the second time with
+    struts weighed as they scatter about the first."""
     first = _best(model, site)
     if first is None:
         return None
@@ -120,15 +150,23 @@ def _effect(site: Site, formula: Formula) -> Effect:
 
 
 def _description(problem: PlatformProblem, fit: PlatformFit, several: list[Found]) -> float:
-    """Minus twice the log likelihood with formulas, struts weighed as they scatter beside them, and what the formulas cost."""
+    """Minus twice the log likelihood with formulas, struts weighed as they scatter beside them, and what the formulas
+    cost.
+    """
     k = fit.refined.point
     effects = [_effect(site, formula) for site, formula, _ in several]
     new, _ = _with(problem, fit, k.with_effects((*k.effects, *effects)))
-    return new.linear.cost() - 2 * float(np.linalg.slogdet(new.closures.W)[1].sum()) + sum(formula.cost for _, formula, _ in several)
+    return (
+        new.linear.cost()
+        - 2 * float(np.linalg.slogdet(new.closures.W)[1].sum())
+        + sum(formula.cost for _, formula, _ in several)
+    )
 
 
 def _with(problem: PlatformProblem, fit: PlatformFit, point: OperatingPoint) -> tuple[LinearisedModel, LinearisedModel]:
-    """(LinearisedModel at a point with more effects, the parameters of those admitted in a fit among its nuisances; the same without)."""
+    """(LinearisedModel at a point with more effects, the parameters of those admitted in a fit among its nuisances; the
+    same without).
+    """
     bare = linearise(point)
     coordinates, column = parameter_directions(bare, problem.sensitivities)
     others = [i for i, c in enumerate(coordinates) if c.effect < len(fit.refined.point.effects)]
@@ -144,22 +182,31 @@ def _weighed_beside(problem: PlatformProblem, fit: PlatformFit, site: Site, form
 
 
 def _grown(linear: LinearModel, parts: tuple) -> LinearModel:
-    """LinearModel with parts (one (m, 1) for each block, None for nothing) added to the residuals, nuisances taken out again. What a block knows
-    beforehand besides, tolerances, stays as it is: a part may end before it."""
+    """LinearModel with parts (one (m, 1) for each block, None for nothing) added to the residuals, nuisances taken out
+    again. What a block knows beforehand besides, tolerances, stays as it is: a part may end before it."""
     added = [np.zeros(len(block.residual)) for block in linear.blocks]
     for rows, part in zip(added, parts):
         if part is not None:
             rows[: len(part)] = part[:, 0]
     z = np.sum([Q.T @ rows for Q, rows in zip(linear.columns.whole, added)], axis=0)
-    blocks = tuple(replace(block, residual=block.residual + rows - Q @ z) for block, rows, Q in zip(linear.blocks, added, linear.columns.whole))
+    blocks = tuple(
+        replace(block, residual=block.residual + rows - Q @ z)
+        for block, rows, Q in zip(linear.blocks, added, linear.columns.whole)
+    )
     return replace(linear, blocks=blocks)
 
 
-def _suggested(problem: PlatformProblem, fit: PlatformFit, site: Site, formula: Formula, model: LinearisedModel) -> Suggestion | None:
-    """Suggestion of a Formula, refined with all that is free; None where stretches chosen without do not gain by such."""
+def _suggested(
+    problem: PlatformProblem, fit: PlatformFit, site: Site, formula: Formula, model: LinearisedModel
+) -> Suggestion | None:
+    """Suggestion of a Formula, refined with all that is free; None where stretches chosen without do not gain by
+    such.
+    """
     fold = frame_folds(model.frames, sudden=False)
     products, floor = site.products(model), site.floor(model)
-    chosen = [Search(site.library, Reduced.on(model.linear, products, fold != h), floor).best() for h in np.unique(fold)]
+    chosen = [
+        Search(site.library, Reduced.on(model.linear, products, fold != h), floor).best() for h in np.unique(fold)
+    ]
     residuals = tuple(block.residual for block in model.linear.blocks)
     without = held_out_residuals(model.linear, residuals, fold).frames[CLOSURES]
     withit = without.copy()
@@ -167,7 +214,9 @@ def _suggested(problem: PlatformProblem, fit: PlatformFit, site: Site, formula: 
     for h, one in zip(np.unique(fold), chosen):
         if one is not None:
             taken = model.marginalise(model.lengthened(site.deviation(one)))
-            predicted = held_out_residuals(taken.linear, tuple(block.residual for block in taken.linear.blocks), fold, h).frames[CLOSURES]
+            predicted = held_out_residuals(
+                taken.linear, tuple(block.residual for block in taken.linear.blocks), fold, h
+            ).frames[CLOSURES]
             withit[rows == h] = predicted[rows == h]
     squares = [(left.reshape(model.frames, -1) ** 2).sum(axis=1) for left in (without, withit)]
     gain = summed_gain(squares[0] - squares[1])
@@ -176,7 +225,21 @@ def _suggested(problem: PlatformProblem, fit: PlatformFit, site: Site, formula: 
     k, struts = fit.refined.point, site.struts
     refined = refine(k.with_effects((*k.effects, _effect(site, formula))), problem.sensitivities)
     inverse = np.linalg.inv(model.closures.W)
-    before, after = (float(np.sqrt(np.mean((inverse @ left.reshape(model.frames, -1, 1))[:, struts] ** 2))) for left in (without, withit))
+    before, after = (
+        float(np.sqrt(np.mean((inverse @ left.reshape(model.frames, -1, 1))[:, struts] ** 2)))
+        for left in (without, withit)
+    )
     noise = float(np.sqrt(np.mean((model.strut_noise() - model.closures.scatter**2)[:, struts])))
-    return Suggestion(site.place, site.written(formula), refined.point.effects[-1], refined.intervals(len(k.effects)), before, after, noise, "m",
-                      gain, tuple(formula_quantities(one, site.library) for one in chosen), formula.length)
+    return Suggestion(
+        site.place,
+        site.written(formula),
+        refined.point.effects[-1],
+        refined.intervals(len(k.effects)),
+        before,
+        after,
+        noise,
+        "m",
+        gain,
+        tuple(formula_quantities(one, site.library) for one in chosen),
+        formula.length,
+    )

@@ -1,11 +1,18 @@
-"""The frequency of a shaking platform: a coarse spectrum of all directions, then the exact score of one about its greatest peaks."""
+"""The frequency of a shaking platform: a coarse spectrum of all directions, then the exact score of one about its
+greatest peaks.
+"""
 
 import numpy as np
 import scipy
 
 from calib.diagnose.engine.candidate_score import Score
 from calib.diagnose.engine.chance_probability import residual_dispersion
-from calib.diagnose.engine.frame_inner_products import FrameProducts, Normal, normal_of_weighted_directions, solve_normal_equations
+from calib.diagnose.engine.frame_inner_products import (
+    FrameProducts,
+    Normal,
+    normal_of_weighted_directions,
+    solve_normal_equations,
+)
 from calib.diagnose.problems.platform.effect_candidates import PlatformCandidate, PlatformScore
 from calib.diagnose.problems.platform.linearised_residuals import LinearisedModel
 from rig.effects.catalogue.vibration import one_direction
@@ -28,16 +35,32 @@ def sinusoid_directions(model: LinearisedModel, frequencies: np.ndarray) -> np.n
 
 
 def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts) -> PlatformScore:
-    """Score of the frequency at which one direction shakes most; p-value by the number of frequencies that can be told apart."""
+    """Score of the frequency at which one direction shakes most; p-value by the number of frequencies that can be told
+    apart.
+    """
     t = model.point.t
     parameter = next(p for p in candidate.kind.parameters if p.role == "frequency")
     length, node = np.ptp(t) + 1e-9, candidate.grid[0]
     free = len(candidate.spec.linear) - candidate.tied
     high = min(parameter.usual[1], 0.5 / _tick(t))
     spectrum, frequency = _coarse(model, products, high)
-    inside = (frequency >= max(parameter.usual[0], SLOWEST / length)) & (frequency <= high) & ~_aliased(t, len(spectrum), length, high)
+    inside = (
+        (frequency >= max(parameter.usual[0], SLOWEST / length))
+        & (frequency <= high)
+        & ~_aliased(t, len(spectrum), length, high)
+    )
     if not inside.any():
-        return Score(candidate, {**node, "frequency": parameter.usual[0]}, np.zeros(12), 0.0, 1.0, free + candidate.extra, 1.0, 0.0, np.zeros(1))
+        return Score(
+            candidate,
+            {**node, "frequency": parameter.usual[0]},
+            np.zeros(12),
+            0.0,
+            1.0,
+            free + candidate.extra,
+            1.0,
+            0.0,
+            np.zeros(1),
+        )
     spectrum, frequency = spectrum[inside], frequency[inside]
     peaks = np.argsort(-spectrum)[:PEAKS]
     near = np.unique(np.concatenate([frequency[p] + np.linspace(-1, 1, 21) / (OVERSAMPLED * length) for p in peaks]))
@@ -45,11 +68,22 @@ def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, product
     deltas, coefficients = (np.array(part) for part in zip(*(one_direction(*pair) for pair in zip(normal.b, normal.G))))
     best = int(np.argmax(deltas))
     seen = solve_normal_equations(Normal(*(part[best : best + 1] for part in normal))).seen[0]
-    ratio = residual_dispersion(model.linear, products, sinusoid_directions(model, near[best : best + 1])[0], coefficients[best]).ratio
+    ratio = residual_dispersion(
+        model.linear, products, sinusoid_directions(model, near[best : best + 1])[0], coefficients[best]
+    ).ratio
     delta = deltas[best] / ratio
     p = min(1.0, length * high * float(scipy.special.chdtrc(free, delta)))
-    return Score(candidate, {**node, "frequency": float(near[best])}, coefficients[best], float(delta), float(p), free + candidate.extra, ratio,
-                 float(seen), deltas / ratio)
+    return Score(
+        candidate,
+        {**node, "frequency": float(near[best])},
+        coefficients[best],
+        float(delta),
+        float(p),
+        free + candidate.extra,
+        ratio,
+        float(seen),
+        deltas / ratio,
+    )
 
 
 def _bins(length: float, high: float) -> tuple[int, float]:
@@ -59,10 +93,15 @@ def _bins(length: float, high: float) -> tuple[int, float]:
 
 
 def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """(delta chi-square of all directions, Hz) up to beyond `high`, nuisances and what frames weigh unevenly left aside."""
+    """(delta chi-square of all directions, Hz) up to beyond `high`, nuisances and what frames weigh unevenly left
+    aside.
+    """
     t = model.point.t
     modes = sinusoid_directions(model, np.zeros(1))[0, :, :, 6:]
-    beta, power = np.einsum("fad,fa->fd", modes, products.beta), np.einsum("fad,fab,fbe->de", modes, products.gamma, modes)
+    beta, power = (
+        np.einsum("fad,fa->fd", modes, products.beta),
+        np.einsum("fad,fab,fbe->de", modes, products.gamma, modes),
+    )
     own = np.diag(power)
     half = np.linalg.cholesky(np.linalg.inv(power + SOFT * np.diag(np.maximum(own, SOFT * own.max()))))
     bins, step = _bins(np.ptp(t) + 1e-9, high)
@@ -74,12 +113,16 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
 def _aliased(t: np.ndarray, count: int, length: float, high: float) -> np.ndarray:
     """(count,) bool: frequencies that look like a drift, or like none, at these times."""
     bins, step = _bins(length, high)
-    window = np.abs(np.fft.rfft(np.bincount(np.rint((t - t[0]) / step).astype(int), minlength=bins)[:bins], bins)) / len(t)
+    window = np.abs(
+        np.fft.rfft(np.bincount(np.rint((t - t[0]) / step).astype(int), minlength=bins)[:bins], bins)
+    ) / len(t)
     reach, before = SLOWEST * OVERSAMPLED, np.r_[0, np.cumsum(window > ALIAS)]
     at = np.arange(count)
     return before[np.minimum(at + reach + 1, len(window))] > before[np.maximum(at - reach, 0)]
 
 
 def _tick(t: np.ndarray) -> float:
-    """s: the step of which all times (F,) are whole multiples; a frequency and its mirror images about 1 / tick look the same."""
+    """s: the step of which all times (F,) are whole multiples; a frequency and its mirror images about 1 / tick look
+    the same.
+    """
     return np.gcd.reduce(np.rint((t - t[0]) / TICK).astype(int)) * TICK or TICK

@@ -21,8 +21,16 @@ def read_cameras(path: Path) -> tuple[str, list[ForeignCamera]]:
     for kind, module in KINDS.items():
         if module.recognises(root):
             return kind, module.read(root)
-    target = f"; it holds a target of Kalibr ({root.tree['target_type']}), the cameras are in its camchain" if "target_type" in root.tree else ""
-    raise FileError(path, f"holds no cameras as {', '.join(KINDS)} write them{target or '; its keys are ' + ', '.join(list(root.tree)[:8])}")
+    target = (
+        f"; it holds a target of Kalibr ({root.tree['target_type']}), the cameras are in its camchain"
+        if "target_type" in root.tree
+        else ""
+    )
+    raise FileError(
+        path,
+        f"holds no cameras as {', '.join(KINDS)} write "
+        f"them{target or '; its keys are ' + ', '.join(list(root.tree)[:8])}",
+    )
 
 
 def _root(path: Path) -> Entries:
@@ -31,7 +39,9 @@ def _root(path: Path) -> Entries:
         return json_file.load(path, "calibration of cameras")
     if suffix != ".toml":
         if suffix == ".xml":
-            raise FileError(path, "XML of OpenCV is not read here; write it as .yml (cv2.FileStorage takes the name's end)")
+            raise FileError(
+                path, "XML of OpenCV is not read here; write it as .yml (cv2.FileStorage takes the name's end)"
+            )
         return yaml_file.load(path)
     text = read_text(path, LARGEST)
     try:

@@ -1,6 +1,8 @@
-"""caliscope's camera_array.toml, and what it and Anipose write as cam_0, cam_1, ..: rotation and translation take the world's points to a camera's.
+"""caliscope's camera_array.toml, and what it and Anipose write as cam_0, cam_1, ..: rotation and translation take the
+world's points to a camera's.
 
-Source: caliscope, cameras/camera_array.py: a rotation is Rodrigues' vector, of older versions a matrix; lengths are in metres
+Source: caliscope, cameras/camera_array.py: a rotation is Rodrigues' vector, of older versions a matrix; lengths are in
+    metres
 """
 
 import re
@@ -9,8 +11,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.fisheye_lens import conversion_sentence, rational_lens_of_fisheye, require_four_terms
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, camera_transform, distortion_terms, image_size
+from rig.formats.importers.camera_calibrations.fisheye_lens import (
+    conversion_sentence,
+    rational_lens_of_fisheye,
+    require_four_terms,
+)
+from rig.formats.importers.camera_calibrations.foreign_camera import (
+    ForeignCamera,
+    camera_matrix,
+    camera_transform,
+    distortion_terms,
+    image_size,
+)
 
 NAME = re.compile(r"cam_\d{1,4}")
 
@@ -22,7 +34,9 @@ def recognises(root: Entries) -> bool:
 
 def read(root: Entries) -> list[ForeignCamera]:
     """The cameras that are calibrated and not set aside. Raises FileError where there is none."""
-    found = [_camera(e, name) for name, e in _tables(root).items() if not e.flag("ignore", False) and "matrix" in e.tree]
+    found = [
+        _camera(e, name) for name, e in _tables(root).items() if not e.flag("ignore", False) and "matrix" in e.tree
+    ]
     if not found:
         root.fail("none of its cameras is calibrated")
     return found
@@ -31,13 +45,23 @@ def read(root: Entries) -> list[ForeignCamera]:
 def _tables(root: Entries) -> dict[str, Entries]:
     """{name: table of a camera}"""
     cameras = root.tree.get("cameras")
-    if isinstance(cameras, dict) and any(isinstance(camera, dict) and "distortions" in camera for camera in cameras.values()):
+    if isinstance(cameras, dict) and any(
+        isinstance(camera, dict) and "distortions" in camera for camera in cameras.values()
+    ):
         return {f"cam_{key}": root.table("cameras").table(key) for key in cameras}
-    return {key: root.table(key) for key, value in root.tree.items() if NAME.fullmatch(key) and isinstance(value, dict) and "distortions" in value}
+    return {
+        key: root.table(key)
+        for key, value in root.tree.items()
+        if NAME.fullmatch(key) and isinstance(value, dict) and "distortions" in value
+    }
 
 
 def _camera(e: Entries, name: str) -> ForeignCamera:
-    matrix, wide, values = camera_matrix(e, "matrix", e.array("matrix", (3, 3))), image_size(e, "size"), e.array("distortions", (None,))
+    matrix, wide, values = (
+        camera_matrix(e, "matrix", e.array("matrix", (3, 3))),
+        image_size(e, "size"),
+        e.array("distortions", (None,)),
+    )
     said: tuple[str, ...] = ()
     name = e.text("name", default=name)
     if e.flag("fisheye", False):
@@ -51,4 +75,12 @@ def _camera(e: Entries, name: str) -> ForeignCamera:
     rows = e.get("rotation")
     whole = isinstance(rows, list) and bool(rows) and isinstance(rows[0], list)
     R = e.array("rotation", (3, 3)) if whole else Rotation.from_rotvec(e.turn("rotation")).as_matrix()
-    return ForeignCamera(name, wide, matrix, distortion, camera_transform(e, "rotation", np.asarray(R), e.array("translation", (3,))).inv(), e, said)
+    return ForeignCamera(
+        name,
+        wide,
+        matrix,
+        distortion,
+        camera_transform(e, "rotation", np.asarray(R), e.array("translation", (3,))).inv(),
+        e,
+        said,
+    )

@@ -1,4 +1,5 @@
-"""An equidistant fisheye as OpenCV's rational lens, where that follows it over the whole image; where it does not, it is refused by name.
+"""An equidistant fisheye as OpenCV's rational lens, where that follows it over the whole image; where it does not, it
+is refused by name.
 
 Distorted radius theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), theta the angle off the axis.
 Source: Kannala and Brandt, 2006; OpenCV, fisheye camera model
@@ -14,10 +15,13 @@ POINTS = 400  # along the radius
 ROUNDS = 8  # of the fit, weighted by the last one's denominator
 
 
-def rational_lens_of_fisheye(e: Entries, key: str, k: np.ndarray, matrix: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, float]:
+def rational_lens_of_fisheye(
+    e: Entries, key: str, k: np.ndarray, matrix: np.ndarray, size: tuple[int, int]
+) -> tuple[np.ndarray, float]:
     """(distortion (8,) in OpenCV's order, the most it is off in px) of equidistant coefficients k (4,).
 
-    matrix : (3, 3) px; size : (width, height) px. Raises FileError where no rational lens follows it, with how far one does
+    matrix : (3, 3) px; size : (width, height) px. Raises FileError where no rational lens follows it, with how far one
+        does
     """
     corners = np.array([[u, v] for u in (0, size[0] - 1) for v in (0, size[1] - 1)], float)
     focal = np.array([matrix[0, 0], matrix[1, 1]])
@@ -27,15 +31,24 @@ def rational_lens_of_fisheye(e: Entries, key: str, k: np.ndarray, matrix: np.nda
     grows = np.diff(radius) > 0
     last = int(np.argmin(grows)) if not grows.all() else len(radius) - 1
     if radius[last] < reach:
-        e.fail(f"{e.name(key)}: an equidistant lens that reaches more than {np.degrees(theta[last]):.0f} degrees off the axis in the image's corners "
-               "has no place here: OpenCV's rational lens, which a rig.toml takes, cannot follow it", key)
-    angle = np.interp(np.linspace(0, reach, POINTS + 1)[1:], radius[:last + 1], theta[:last + 1])
+        e.fail(
+            f"{e.name(key)}: an equidistant lens that reaches more than {np.degrees(theta[last]):.0f} "
+            "degrees off the axis in the image's corners "
+            "has no place here: OpenCV's rational lens, which a rig.toml takes, cannot follow it",
+            key,
+        )
+    angle = np.interp(np.linspace(0, reach, POINTS + 1)[1:], radius[: last + 1], theta[: last + 1])
     wanted = angle * (1 + k[0] * angle**2 + k[1] * angle**4 + k[2] * angle**6 + k[3] * angle**8)
     coefficients = _fitted(np.tan(angle), wanted)
     off = float(np.abs(_radius(np.tan(angle), coefficients) - wanted).max() * focal.max())
     if not off <= FOLLOWS:
-        e.fail(f"{e.name(key)}: an equidistant lens, which reaches {np.degrees(angle[-1]):.0f} degrees off the axis: OpenCV's rational lens, which a "
-               f"rig.toml takes, follows it to {off:.2g} px only, more than {FOLLOWS:g} px; `rig lens` fits another to photographs of a board", key)
+        e.fail(
+            f"{e.name(key)}: an equidistant lens, which reaches {np.degrees(angle[-1]):.0f} degrees off the "
+            "axis: OpenCV's rational lens, which a "
+            f"rig.toml takes, follows it to {off:.2g} px only, more than {FOLLOWS:g} px; `rig lens` fits "
+            "another to photographs of a board",
+            key,
+        )
     a, d = coefficients[:3], coefficients[3:]
     return np.array([a[0], a[1], 0, 0, a[2], *d]), off
 
@@ -57,7 +70,9 @@ def _radius(r: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 
 def _fitted(r: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """(6,) of a numerator and a denominator, linear least squares in turn: each round's error is divided by the last one's denominator."""
+    """(6,) of a numerator and a denominator, linear least squares in turn: each round's error is divided by the last
+    one's denominator.
+    """
     scale = r[-1] ** 2
     s = r**2 / scale
     columns = np.stack([s, s**2, s**3, *(-(wanted / r) * s**n for n in (1, 2, 3))], axis=1)

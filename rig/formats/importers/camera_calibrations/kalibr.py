@@ -1,4 +1,5 @@
-"""Kalibr's camchain.yaml: cam0, cam1, .. with pinhole lenses; T_cn_cnm1 takes points of the camera before to this one's frame.
+"""Kalibr's camchain.yaml: cam0, cam1, .. with pinhole lenses; T_cn_cnm1 takes points of the camera before to this one's
+frame.
 
 Source: Kalibr, wiki, "yaml formats" and "supported models"; its pixels are OpenCV's, the first one's centre is 0, 0.
 """
@@ -18,7 +19,9 @@ OTHERS = {"omni": "the omnidirectional", "ds": "the double sphere", "eucm": "the
 
 def recognises(root: Entries) -> bool:
     """Whether this is a camchain."""
-    return any(NAME.fullmatch(key) and isinstance(value, dict) and "intrinsics" in value for key, value in root.tree.items())
+    return any(
+        NAME.fullmatch(key) and isinstance(value, dict) and "intrinsics" in value for key, value in root.tree.items()
+    )
 
 
 def read(root: Entries) -> list[ForeignCamera]:
@@ -50,12 +53,21 @@ def _camera(e: Entries, name: str, T: RigidTransform) -> ForeignCamera:
     model = e.text("camera_model", default="pinhole")
     if model != "pinhole":
         kind = f"{OTHERS[model]} model" if model in OTHERS else "a model"
-        e.fail(f"{e.name('camera_model')} = {model!r}: {kind} of Kalibr has no place here, where lenses are OpenCV's; calibrate as pinhole-radtan",
-               "camera_model", value=model)
+        e.fail(
+            f"{e.name('camera_model')} = {model!r}: {kind} of Kalibr has no place here, where lenses are "
+            "OpenCV's; calibrate as pinhole-radtan",
+            "camera_model",
+            value=model,
+        )
     fx, fy, cx, cy = e.array("intrinsics", (4,))
     for i, focal in enumerate((fx, fy)):
         if focal <= 0:
-            e.fail(f"{e.name('intrinsics')}[{i + 1}]: the focal length must be positive px, not {focal:g}", "intrinsics", i, value=focal)
+            e.fail(
+                f"{e.name('intrinsics')}[{i + 1}]: the focal length must be positive px, not {focal:g}",
+                "intrinsics",
+                i,
+                value=focal,
+            )
     matrix, wide = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), image_size(e, "resolution")
     kind = e.text("distortion_model", default="none")
     if kind == "none":
@@ -63,7 +75,23 @@ def _camera(e: Entries, name: str, T: RigidTransform) -> ForeignCamera:
     if kind == "radtan":
         return ForeignCamera(name, wide, matrix, e.array("distortion_coeffs", (4,)), T, e)
     if kind == "equidistant":
-        distortion, off = rational_lens_of_fisheye(e, "distortion_model", e.array("distortion_coeffs", (4,)), matrix, wide)
-        return ForeignCamera(name, wide, matrix, distortion, T, e,
-                             (f"{name}: its equidistant lens becomes OpenCV's rational one, which follows it to {off:.2g} px in the whole image",))
-    e.fail(f"{e.name('distortion_model')} = {kind!r} has no place here; radtan, equidistant and none have", "distortion_model", value=kind)
+        distortion, off = rational_lens_of_fisheye(
+            e, "distortion_model", e.array("distortion_coeffs", (4,)), matrix, wide
+        )
+        return ForeignCamera(
+            name,
+            wide,
+            matrix,
+            distortion,
+            T,
+            e,
+            (
+                f"{name}: its equidistant lens becomes OpenCV's rational one, which follows it to {off:.2g} "
+                "px in the whole image",
+            ),
+        )
+    e.fail(
+        f"{e.name('distortion_model')} = {kind!r} has no place here; radtan, equidistant and none have",
+        "distortion_model",
+        value=kind,
+    )

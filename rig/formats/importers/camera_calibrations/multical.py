@@ -1,10 +1,17 @@
-"""multical's calibration.json: cameras, and camera_poses that take points of the rig's frame, or of a master camera's, to a camera's.
+"""multical's calibration.json: cameras, and camera_poses that take points of the rig's frame, or of a master camera's,
+to a camera's.
 
 Source: multical, io/export_calib.py and motion/static_frames.py
 """
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, camera_transform, distortion_terms, image_size
+from rig.formats.importers.camera_calibrations.foreign_camera import (
+    ForeignCamera,
+    camera_matrix,
+    camera_transform,
+    distortion_terms,
+    image_size,
+)
 
 MODELS = ("standard", "rational", "thin_prism", "tilted")  # which are OpenCV's
 
@@ -12,7 +19,9 @@ MODELS = ("standard", "rational", "thin_prism", "tilted")  # which are OpenCV's
 def recognises(root: Entries) -> bool:
     """Whether this is a result of multical."""
     cameras = root.tree.get("cameras")
-    return isinstance(cameras, dict) and any(isinstance(camera, dict) and "K" in camera and "dist" in camera for camera in cameras.values())
+    return isinstance(cameras, dict) and any(
+        isinstance(camera, dict) and "K" in camera and "dist" in camera for camera in cameras.values()
+    )
 
 
 def read(root: Entries) -> list[ForeignCamera]:
@@ -24,7 +33,11 @@ def read(root: Entries) -> list[ForeignCamera]:
 def _camera(e: Entries, name: str, poses: Entries) -> ForeignCamera:
     model = e.text("model", default="standard")
     if model not in MODELS:
-        e.fail(f"{e.name('model')} = {model!r}: no lens of OpenCV's that has a place here; {', '.join(MODELS)} have", "model", value=model)
+        e.fail(
+            f"{e.name('model')} = {model!r}: no lens of OpenCV's that has a place here; {', '.join(MODELS)} have",
+            "model",
+            value=model,
+        )
     matrix = camera_matrix(e, "K", e.array("K", (3, 3)))
     flat = e.get("dist")
     nested = isinstance(flat, list) and len(flat) == 1 and isinstance(flat[0], list)

@@ -1,12 +1,18 @@
-"""One camera as ROS' camera_info YAML has it, or as OpenCV's FileStorage does, YAML or JSON: a matrix and distortion, no place.
+"""One camera as ROS' camera_info YAML has it, or as OpenCV's FileStorage does, YAML or JSON: a matrix and distortion,
+no place.
 
-Source: ROS, camera_calibration_parsers and sensor_msgs/CameraInfo; OpenCV, samples/cpp/tutorial_code/calib3d/camera_calibration
+Source: ROS, camera_calibration_parsers and sensor_msgs/CameraInfo; OpenCV,
+    samples/cpp/tutorial_code/calib3d/camera_calibration
 """
 
 import numpy as np
 
 from rig.formats.checked_entries import Entries
-from rig.formats.importers.camera_calibrations.fisheye_lens import conversion_sentence, rational_lens_of_fisheye, require_four_terms
+from rig.formats.importers.camera_calibrations.fisheye_lens import (
+    conversion_sentence,
+    rational_lens_of_fisheye,
+    require_four_terms,
+)
 from rig.formats.importers.camera_calibrations.foreign_camera import ForeignCamera, camera_matrix, distortion_terms
 from rig.formats.rig_toml.camera_entries import LARGEST_IMAGE
 
@@ -26,15 +32,23 @@ def read(root: Entries) -> list[ForeignCamera]:
     name = root.text("camera_name", default=root.file.stem)
     key, bent = _key(root, MATRIX) or MATRIX[0], _key(root, DISTORTION) or DISTORTION[0]
     matrix, values = camera_matrix(root, key, _matrix(root, key, (3, 3))), _matrix(root, bent, None).ravel()
-    width, height = (root.whole(word, 1, most=LARGEST_IMAGE) if word in root.tree else None for word in ("image_width", "image_height"))
+    width, height = (
+        root.whole(word, 1, most=LARGEST_IMAGE) if word in root.tree else None
+        for word in ("image_width", "image_height")
+    )
     size = None if width is None or height is None else (width, height)
     model = root.text("distortion_model", MODELS, default="plumb_bob")
     if model not in FISHEYES and root.get("fisheye_model", 0) in (0, False):
         return [ForeignCamera(name, size, matrix, distortion_terms(root, bent, values), None, root)]
     require_four_terms(root, bent, values)
     if size is None:
-        root.fail(f"image_width and image_height are missing, over which a fisheye is to become a lens of {root.file.name}'s camera here")
-    distortion, off = rational_lens_of_fisheye(root, "distortion_model" if model in FISHEYES else "fisheye_model", values, matrix, size)
+        root.fail(
+            "image_width and image_height are missing, over which a fisheye is to become a lens of "
+            f"{root.file.name}'s camera here"
+        )
+    distortion, off = rational_lens_of_fisheye(
+        root, "distortion_model" if model in FISHEYES else "fisheye_model", values, matrix, size
+    )
     return [ForeignCamera(name, size, matrix, distortion, None, root, (conversion_sentence(name, off),))]
 
 

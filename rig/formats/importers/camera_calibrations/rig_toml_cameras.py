@@ -1,4 +1,6 @@
-"""Foreign cameras onto a rig.toml: lenses and places of the cameras there, or cameras added; whose place nothing tells is refused."""
+"""Foreign cameras onto a rig.toml: lenses and places of the cameras there, or cameras added; whose place nothing tells
+is refused.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,7 +24,8 @@ from rig.model.pose import pose
 def rig_toml_with_cameras(stated: Cameras, text: str, there: Sequence[Camera]) -> tuple[str, tuple[str, ...]]:
     """(rig.toml with the cameras, sentences about what was found out).
 
-    text : a valid rig.toml; there : its cameras. Raises RigError where names or places are not told, and for another size of image
+    text : a valid rig.toml; there : its cameras. Raises RigError where names or places are not told, and for another
+        size of image
     """
     known = {camera.name: camera for camera in there}
     said: tuple[str, ...] = ()
@@ -57,14 +60,19 @@ def _ours(one: ForeignCamera, stated: Cameras, known: dict[str, Camera], alone: 
         name = next(iter(known))
     if name is None:
         setting = f"--set cameras.names.{one.name}="
-        one.at.fail(f"camera {value_text(one.name)} is none of rig.toml's, {', '.join(known)}: {setting}{next(iter(known))} says which it is, "
-                    f"{setting}{one.name} adds it")
+        one.at.fail(
+            f"camera {value_text(one.name)} is none of rig.toml's, {', '.join(known)}: "
+            f"{setting}{next(iter(known))} says which it is, "
+            f"{setting}{one.name} adds it"
+        )
     if name_problem(name):
         one.at.fail(f"camera {name_problem(name)}: --set cameras.names.{one.name}=cam0 gives it another", value=name)
     return name
 
 
-def _anchor(named: dict[str, ForeignCamera], known: dict[str, Camera], stated: Cameras, file: Path) -> tuple[RigidTransform | None, tuple[str, ...]]:
+def _anchor(
+    named: dict[str, ForeignCamera], known: dict[str, Camera], stated: Cameras, file: Path
+) -> tuple[RigidTransform | None, tuple[str, ...]]:
     """(T_base_reference of a file's cameras, sentences); None where it tells no places."""
     placed = {name: one.T for name, one in named.items() if one.T is not None}
     if not placed:
@@ -74,9 +82,14 @@ def _anchor(named: dict[str, ForeignCamera], known: dict[str, Camera], stated: C
         return _pose(stated.at) * T.inv(), (f"camera {name} stands where cameras.at has it",)
     name = next((name for name in placed if name in known), "")
     if not name:
-        raise RigError(f"{file}: where its cameras stand to each other is told, but not where in the base frame: --set 'cameras.at=X Y Z RX RY RZ' "
-                       f"places {next(iter(placed))} (camera in base, m and rad, x right, y down, z ahead)")
-    return known[name].pose * placed[name].inv(), (f"camera {name} stands where rig.toml has it, the others as {file.name} has them about it",)
+        raise RigError(
+            f"{file}: where its cameras stand to each other is told, but not where in the base frame: --set "
+            "'cameras.at=X Y Z RX RY RZ' "
+            f"places {next(iter(placed))} (camera in base, m and rad, x right, y down, z ahead)"
+        )
+    return known[name].pose * placed[name].inv(), (
+        f"camera {name} stands where rig.toml has it, the others as {file.name} has them about it",
+    )
 
 
 def _pose(text: str) -> RigidTransform:
@@ -95,11 +108,19 @@ def _camera(name: str, one: ForeignCamera, there: Camera | None, T_base: RigidTr
     if there is not None:
         if one.size not in (None, (there.width, there.height)):
             width, height = one.size or (0, 0)
-            one.at.fail(f"camera {name} was calibrated at {width}x{height} px, and rig.toml has {there.width}x{there.height}: a lens holds for one "
-                        "size of image")
-        return replace(there, matrix=one.matrix, distortion=one.distortion, pose=there.pose if placed is None else placed)
+            one.at.fail(
+                f"camera {name} was calibrated at {width}x{height} px, and rig.toml has "
+                f"{there.width}x{there.height}: a lens holds for one "
+                "size of image"
+            )
+        return replace(
+            there, matrix=one.matrix, distortion=one.distortion, pose=there.pose if placed is None else placed
+        )
     if placed is None or one.size is None:
         lacks = "where it stands" if placed is None else "its size"
-        one.at.fail(f"camera {name} is not in rig.toml, and {one.at.file.name} does not tell {lacks}: write a [[camera]] of that name with the pose "
-                    "that you believe")
+        one.at.fail(
+            f"camera {name} is not in rig.toml, and {one.at.file.name} does not tell {lacks}: write a "
+            "[[camera]] of that name with the pose "
+            "that you believe"
+        )
     return Camera(name, *one.size, one.matrix, one.distortion, placed)

@@ -1,4 +1,6 @@
-"""An arm's calibration as a whole: profiles, held-out figures, what to command, the file, and the command line on real data."""
+"""An arm's calibration as a whole: profiles, held-out figures, what to command, the file, and the command line on real
+data.
+"""
 
 import json
 from dataclasses import replace
@@ -49,7 +51,9 @@ def test_commands_give_wanted_poses_of_the_real_arm(nominal):
     true = worlds.secret(nominal, rng)
     correction, found = calibrate(worlds.tracked(true, nominal, 120, rng), nominal, worlds.TRACKER, False)
     q = configurations(nominal, 60, rng, 0.4)
-    bent = np.abs(q[:, len(q[0]) - 4]) > 0.3  # a stretched elbow's poses may be out of the fitted arm's reach by micrometres
+    bent = (
+        np.abs(q[:, len(q[0]) - 4]) > 0.3
+    )  # a stretched elbow's poses may be out of the fitted arm's reach by micrometres
     wanted = error_model.predicted(q[bent], true)
     commands = correction.inverse(wanted)
     assert np.abs(pose_difference(correction.predict(commands), wanted)).max() < 1e-10
@@ -60,7 +64,9 @@ def test_commands_give_wanted_poses_of_the_real_arm(nominal):
 
 def test_wanted_poses_are_taken_as_the_visited_ones_were(plain):
     _, samples, done = plain
-    bent = (np.abs(np.sin(samples.commanded[:, [2, 4]])) > 0.2).all(axis=1)  # away from singularities, where noise turns joints far
+    bent = (np.abs(np.sin(samples.commanded[:, [2, 4]])) > 0.2).all(
+        axis=1
+    )  # away from singularities, where noise turns joints far
     commands = done.correction.inverse(samples.T_base_platform[bent])
     assert np.abs(commands - samples.commanded[bent]).max() < 0.02
 
@@ -79,19 +85,26 @@ def test_joint_profiles_are_found_where_they_pay():
     true = worlds.secret(UR10, rng)
     samples = worlds.tracked(true, UR10, 400, rng, deviation=geared)
     done = certify(samples, UR10, worlds.TRACKER, np.random.default_rng(0))
-    assert done.held_out.after.mean[0] < 0.5 * done.geometry.after.mean[0] and done.held_out.after.position[0] < 1.5 * done.held_out.floor[0]
+    assert (
+        done.held_out.after.mean[0] < 0.5 * done.geometry.after.mean[0]
+        and done.held_out.after.position[0] < 1.5 * done.held_out.floor[0]
+    )
     q = configurations(UR10, 50, rng, 0.45)
     error = pose_difference(done.correction.predict(q), error_model.predicted(q + geared(q), true))
     assert np.linalg.norm(error[:, :3], axis=1).mean() < 5e-5
     wanted = error_model.predicted(q, true)
-    np.testing.assert_allclose(pose_difference(done.correction.predict(done.correction.inverse(wanted)), wanted), 0, atol=1e-10)
+    np.testing.assert_allclose(
+        pose_difference(done.correction.predict(done.correction.inverse(wanted)), wanted), 0, atol=1e-10
+    )
 
 
 def test_profiles_that_do_not_pay_are_dropped():
     """A drift in time is no function of the joints' angles, whatever the samples it was fitted on say."""
     rng = np.random.default_rng(3)
     true = worlds.secret(UR10, rng)
-    samples = worlds.tracked(true, UR10, 150, rng, deviation=lambda q: np.linspace(0, 2e-4, len(q))[:, None] * np.array([0, 1.0, 0, 0, 0, 0]))
+    samples = worlds.tracked(
+        true, UR10, 150, rng, deviation=lambda q: np.linspace(0, 2e-4, len(q))[:, None] * np.array([0, 1.0, 0, 0, 0, 0])
+    )
     assert certify(samples, UR10, worlds.TRACKER, np.random.default_rng(0)).correction.remainder == (None,) * 6
 
 
@@ -116,30 +129,45 @@ def test_stated_uncertainty_of_a_command_covers_its_error(plain):
 
 def test_the_file_keeps_everything(plain, tmp_path):
     _, samples, done = plain
-    calibration = Calibration(done.correction, done.found.covariance, done.found.scatter, (1, 2), (3,), done.held_out, {"seed": 0})
+    calibration = Calibration(
+        done.correction, done.found.covariance, done.found.scatter, (1, 2), (3,), done.held_out, {"seed": 0}
+    )
     calibration_file.save(tmp_path / "c.json", calibration)
     again = calibration_file.load(tmp_path / "c.json")
     np.testing.assert_allclose(
-        pose_difference(again.correction.predict(samples.commanded), done.correction.predict(samples.commanded)), 0, atol=1e-12
+        pose_difference(again.correction.predict(samples.commanded), done.correction.predict(samples.commanded)),
+        0,
+        atol=1e-12,
     )
     assert again.held_out == done.held_out and again.correction.visited.shape == (150, 6)
     assert json.loads((tmp_path / "c.json").read_text())["parameter_order"].startswith("base x, base y")
 
 
-@pytest.mark.parametrize("base, tool, alone", [("free", "free", False), ("rig", "rig", False), ("free", "rig", False), ("free", "free", True)])
+@pytest.mark.parametrize(
+    "base, tool, alone",
+    [("free", "free", False), ("rig", "rig", False), ("free", "rig", False), ("free", "free", True)],
+)
 def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
-    """Whatever of the instrument's place is known, and whatever it sees: what is then commanded gives the wanted pose."""
+    """Whatever of the instrument's place is known, and whatever it sees: what is then commanded gives the wanted
+    pose.
+    """
     rng = np.random.default_rng(6)
     true = worlds.secret(UR10, rng)
-    true = replace(true, base=true.base if base == "free" else exp(2e-4 * rng.normal(size=6)),
-                   tool=true.tool if tool == "free" else exp(2e-4 * rng.normal(size=6)))
+    true = replace(
+        true,
+        base=true.base if base == "free" else exp(2e-4 * rng.normal(size=6)),
+        tool=true.tool if tool == "free" else exp(2e-4 * rng.normal(size=6)),
+    )
     worlds.write(tmp_path / "rec", UR10, worlds.tracked(true, UR10, 160, rng), base, tool, alone)
     worlds.write(tmp_path / "other", UR10, worlds.tracked(true, UR10, 40, rng), base, tool, alone)
     assert command_line.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 0
     assert f"{27 if alone else 30} of {27 if alone else 30} parameters fitted" in capsys.readouterr().out
     assert command_line.main(["verify", str(tmp_path / "c.json"), str(tmp_path / "other"), "--json"]) == 0
     verified = json.loads(capsys.readouterr().out)
-    assert verified["held_out"] and verified["after"]["position"]["mean"] < 8e-5 < 3e-4 < verified["before"]["position"]["mean"]
+    assert (
+        verified["held_out"]
+        and verified["after"]["position"]["mean"] < 8e-5 < 3e-4 < verified["before"]["position"]["mean"]
+    )
     assert (verified["after"]["rotation"]["mean"] is None) == alone
     if alone:
         return
@@ -147,7 +175,19 @@ def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
     wanted = error_model.predicted(q, true)
     rows = [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in enumerate(pose_to_vector(wanted))]
     (tmp_path / "wanted.csv").write_text("\n".join(["frame,x,y,z,rx,ry,rz", *rows]) + "\n")
-    assert command_line.main(["correct", str(tmp_path / "c.json"), "--poses", str(tmp_path / "wanted.csv"), "--out", str(tmp_path / "q.csv")]) == 0
+    assert (
+        command_line.main(
+            [
+                "correct",
+                str(tmp_path / "c.json"),
+                "--poses",
+                str(tmp_path / "wanted.csv"),
+                "--out",
+                str(tmp_path / "q.csv"),
+            ]
+        )
+        == 0
+    )
     commands = np.loadtxt(tmp_path / "q.csv", delimiter=",", skiprows=1)[:, 1:]
     assert np.linalg.norm(pose_difference(error_model.predicted(commands, true), wanted)[:, :3], axis=1).max() < 5e-5
 
@@ -162,7 +202,13 @@ def test_an_instrument_that_is_not_where_it_says_is_an_error(tmp_path, capsys):
 
 
 def test_positions_alone_calibrate_no_hexapod(tmp_path, design, rig_text, capsys):
-    make_recording(tmp_path / "rec", design, rig_text + '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\n', 3, count=8)
+    make_recording(
+        tmp_path / "rec",
+        design,
+        rig_text + '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\n',
+        3,
+        count=8,
+    )
     (tmp_path / "rec" / "poses.csv").write_text("frame,x,y,z\n" + "".join(f"{i},0,0,0.4\n" for i in range(8)))
     assert command_line.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 1
     assert "positions alone calibrate arms" in capsys.readouterr().err
@@ -198,7 +244,8 @@ def test_an_arms_claims_cover_what_is_found_elsewhere():
         q = low_discrepancy(seen, 200, seed=seed)
         real = error_model.predicted(q, true)
         before, after = (
-            np.mean(pose_difference(T, real)[:, :3] ** 2) for T in (error_model.predicted(q, done.correction.nominal), done.correction.predict(q))
+            np.mean(pose_difference(T, real)[:, :3] ** 2)
+            for T in (error_model.predicted(q, done.correction.nominal), done.correction.predict(q))
         )
         inside.append(claim.ratio[1] <= np.sqrt(before / after) <= claim.ratio[2])
         assert claim.distinct == 36

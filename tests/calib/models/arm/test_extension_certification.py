@@ -1,4 +1,6 @@
-"""Extensions over an arm's joint space: exact at their samples, kept and told in files, refused where they cannot serve, and worth it held out."""
+"""Extensions over an arm's joint space: exact at their samples, kept and told in files, refused where they cannot
+serve, and worth it held out.
+"""
 
 import json
 import re
@@ -13,7 +15,13 @@ from calib.correct.interpolation.interpolation_methods import field_from_entries
 from calib.files import calibration_file
 from calib.models.arm import error_model
 from calib.models.arm.certification import model_covariance
-from calib.models.arm.extension_certification import certify_extended, claim_without_geometry, left, owners, single_step_errors
+from calib.models.arm.extension_certification import (
+    certify_extended,
+    claim_without_geometry,
+    left,
+    owners,
+    single_step_errors,
+)
 from calib.samples.pose_samples import Samples
 from rig.errors import RigError
 from rig.formats.checked_entries import Entries
@@ -38,14 +46,23 @@ def geared(q):
 def samples_at(q, true, sigma=OWN, seed=1):
     scale = np.repeat(sigma, 3)
     T = error_model.predicted(q - geared(q), true) * exp(scale * np.random.default_rng(seed).normal(size=(len(q), 6)))
-    return Samples(np.arange(len(q)), np.arange(len(q)) * 10.0, q, T, np.tile(np.diag(scale**2), (len(q), 1, 1)), np.zeros((len(q), 6, 0)))
+    return Samples(
+        np.arange(len(q)),
+        np.arange(len(q)) * 10.0,
+        q,
+        T,
+        np.tile(np.diag(scale**2), (len(q), 1, 1)),
+        np.zeros((len(q), 6, 0)),
+    )
 
 
 @pytest.fixture(scope="module")
 def gridded():
     """(Samples on a grid of 64 vertices and at 30 configurations beside it, true Arm)."""
     true = worlds.secret(UR10, np.random.default_rng(3))
-    return samples_at(np.concatenate([grid_division(BOX, "1x1x1x1x1x1@1"), low_discrepancy(BOX, 30, 0.9, 8)]), true), true
+    return samples_at(
+        np.concatenate([grid_division(BOX, "1x1x1x1x1x1@1"), low_discrepancy(BOX, 30, 0.9, 8)]), true
+    ), true
 
 
 @pytest.mark.parametrize("alone", [False, True])
@@ -53,13 +70,21 @@ def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridde
     samples, true = gridded
     done, tried = certify_extended(samples, UR10, worlds.TRACKER, Asked("simplex", alone), np.random.default_rng(0))
     on = slice(0, 64)
-    assert np.abs(pose_difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max() < 1e-10
-    assert (done.correction.fitted is done.correction.nominal) == alone and [one.kind for one in tried if one.chosen] == ["simplex"]
+    assert (
+        np.abs(pose_difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max()
+        < 1e-10
+    )
+    assert (done.correction.fitted is done.correction.nominal) == alone and [
+        one.kind for one in tried if one.chosen
+    ] == ["simplex"]
     assert done.held_out.after.n == 30 and done.held_out.after.position[0] < 0.6 * done.held_out.before.position[0]
     wanted = error_model.predicted(low_discrepancy(BOX, 20, 0.6, 3), true)
     commands = done.correction.inverse(wanted)
     assert np.abs(pose_difference(done.correction.predict(commands), wanted)).max() < 1e-10
-    real, bare = (pose_difference(error_model.predicted(c - geared(c), true), wanted) for c in (commands, done.correction.uncorrected(wanted)))
+    real, bare = (
+        pose_difference(error_model.predicted(c - geared(c), true), wanted)
+        for c in (commands, done.correction.uncorrected(wanted))
+    )
     assert np.linalg.norm(real[:, :3], axis=1).mean() < 0.5 * np.linalg.norm(bare[:, :3], axis=1).mean()
     assert 0 < single_step_errors(done.correction)[1] < 1e-5
 
@@ -68,14 +93,18 @@ def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
     samples, true = gridded
     done, _ = certify_extended(samples, UR10, worlds.TRACKER, Asked("linear", True), np.random.default_rng(0))
     claim = claim_without_geometry(samples, done, np.random.default_rng(0))
-    kept = Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim)
+    kept = Calibration(
+        done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim
+    )
     calibration_file.save(tmp_path / "c.json", kept)
     again = calibration_file.load(tmp_path / "c.json")
     inner = low_discrepancy(BOX, 60, 0.7, 4)
     np.testing.assert_array_equal(again.correction.rho(inner), done.correction.rho(inner))
     error = pose_difference(again.correction.predict(inner), error_model.predicted(inner - geared(inner), true))
     stated = np.sqrt(np.einsum("nii->ni", model_covariance(again, inner))[:, :3].sum(axis=1).mean())
-    assert 0.4 < np.sqrt((error[:, :3] ** 2).sum(axis=1).mean()) / stated < 2  # the extension's own error is in what is stated
+    assert (
+        0.4 < np.sqrt((error[:, :3] ** 2).sum(axis=1).mean()) / stated < 2
+    )  # the extension's own error is in what is stated
     plain = replace(again, correction=replace(again.correction, extension=None))
     assert stated > 2 * np.sqrt(np.einsum("nii->ni", model_covariance(plain, inner))[:, :3].sum(axis=1).mean())
     assert "extended by linear" in claim.tolerance and claim.after[0][0] < 0.5 * claim.before[0][0]
@@ -90,7 +119,9 @@ def test_summands_meet_the_poses_and_keep_none_where_a_pose_tells_no_joint(arm):
     samples = samples_at(q, true)
     plain, _ = owners(samples, arm, worlds.TRACKER, replace(arm, base=true.base, tool=true.tool))
     known = left(samples, plain.fitted, np.zeros(0))
-    missed = np.abs(pose_difference(error_model.predicted(q - known.values, plain.fitted), samples.T_base_platform)).max(axis=1)
+    missed = np.abs(
+        pose_difference(error_model.predicted(q - known.values, plain.fitted), samples.T_base_platform)
+    ).max(axis=1)
     assert (missed < 1e-11).mean() > 0.7 and np.abs(known.values).max() < 0.05
     if len(arm.joints) == 6:
         assert missed[0] > 1e-6 and known.variances[0].max() >= known.variances.max() / 4
@@ -99,7 +130,9 @@ def test_summands_meet_the_poses_and_keep_none_where_a_pose_tells_no_joint(arm):
 def test_what_cannot_serve_is_refused_by_name(gridded):
     samples, true = gridded
     with pytest.raises(RigError, match="the 30 samples fill no grid .* over 6 axes it has 64 vertices at the least"):
-        certify_extended(samples.take(slice(64, 94)), UR10, worlds.TRACKER, Asked("simplex", True), np.random.default_rng(0))
+        certify_extended(
+            samples.take(slice(64, 94)), UR10, worlds.TRACKER, Asked("simplex", True), np.random.default_rng(0)
+        )
     turned = replace(samples, covariance=np.where(np.eye(6) * np.r_[1, 1, 1, 0, 0, 0] > 0, np.inf, samples.covariance))
     with pytest.raises(RigError, match="--extend takes an arm's poses, or its positions.* orientations alone"):
         certify_extended(turned, UR10, worlds.TRACKER, Asked("radial", False), np.random.default_rng(0))
@@ -120,9 +153,15 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
         assert re.search(r"KSF over the whole configuration space: \w+, on the fitted geometry", said)
         assert "the single step X + KSF(X) misses the fixed point" in said and " urad RMS" in said
     assert figures["radial"]["radial"] < 0.6 * figures["radial"]["none"]  # what is left is mostly what measuring adds
-    assert set(figures["auto"]) == {"none", "delaunay", "axes", "radial", "polynomial"} and "<svg" in (tmp_path / "auto.html").read_text()
+    assert (
+        set(figures["auto"]) == {"none", "delaunay", "axes", "radial", "polynomial"}
+        and "<svg" in (tmp_path / "auto.html").read_text()
+    )
     rig("calibrate", tmp_path / "rec", "--out", tmp_path / "plain.json")
-    told = {name: json.loads(rig("verify", tmp_path / f"{name}.json", tmp_path / "rec2", "--json")) for name in ("radial", "plain")}
+    told = {
+        name: json.loads(rig("verify", tmp_path / f"{name}.json", tmp_path / "rec2", "--json"))
+        for name in ("radial", "plain")
+    }
     assert told["radial"]["after"]["position"]["rms"] < 0.2 * told["radial"]["before"]["position"]["rms"]
     wanted = error_model.predicted(low_discrepancy(BOX, 40, 0.9, 3), true)
     write_poses(tmp_path / "wanted.csv", Poses(np.arange(40), wanted, None))
@@ -130,12 +169,23 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
     for name, more in (("radial", ()), ("bare", ("--uncorrected",)), ("single", ("--single-step",))):
         rig("correct", tmp_path / "radial.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "c.csv", *more)
         c = np.genfromtxt(tmp_path / "c.csv", delimiter=",", skip_header=1)[:, 1:]
-        left[name] = np.sqrt((pose_difference(error_model.predicted(c - geared(c), true), wanted)[:, :3] ** 2).sum(axis=1).mean())
+        left[name] = np.sqrt(
+            (pose_difference(error_model.predicted(c - geared(c), true), wanted)[:, :3] ** 2).sum(axis=1).mean()
+        )
     assert left["radial"] < 0.1 * left["bare"] and left["radial"] < 6e-5 and left["single"] < 2 * left["radial"]
     stated = rig("certify", tmp_path / "radial.json", tmp_path / "rec2", "--out", tmp_path / "certificate.json")
     assert "95 %" in stated and json.loads((tmp_path / "certificate.json").read_text())
-    assert "an arm's is extended in one go" in rig("calibrate", tmp_path / "rec2", "--extend", "radial", "--onto", tmp_path / "radial.json", "--out",
-                                                   tmp_path / "again.json", ok=False)
+    assert "an arm's is extended in one go" in rig(
+        "calibrate",
+        tmp_path / "rec2",
+        "--extend",
+        "radial",
+        "--onto",
+        tmp_path / "radial.json",
+        "--out",
+        tmp_path / "again.json",
+        ok=False,
+    )
 
 
 def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
@@ -148,7 +198,9 @@ def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
     assert done.correction.extension.inflation > 1.5
     size = np.sqrt((error**2).sum(axis=1).mean())  # nearer the middle than most that were held out
     assert 0.6 < size / claim.after[0][0] < 1.3 and claim.after[0][1] < claim.after[0][2] < 4 * claim.after[0][1]
-    again = field_from_entries(Entries(json.loads(json.dumps(field_to_dict(done.correction.extension))), ("extension",), "c.json", {}), 6)
+    again = field_from_entries(
+        Entries(json.loads(json.dumps(field_to_dict(done.correction.extension))), ("extension",), "c.json", {}), 6
+    )
     np.testing.assert_array_equal(again.error(q), done.correction.extension.error(q))
 
 
@@ -161,5 +213,7 @@ def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):
     x, y, k = (np.stack([rows[f"{name}{i}"] for i in range(1, 7)], axis=1) for name in "xyk")
     np.testing.assert_allclose(k, x - y, atol=2e-12)
     placed = calibration_file.load(tmp_path / "c.json").correction.nominal
-    missed = pose_difference(error_model.predicted(y, placed), recording_folder.load(tmp_path / "rec").poses.T_base_platform)
+    missed = pose_difference(
+        error_model.predicted(y, placed), recording_folder.load(tmp_path / "rec").poses.T_base_platform
+    )
     assert (np.abs(missed).max(axis=1) < 1e-9).mean() > 0.7 and 1e-4 < np.sqrt((k**2).mean()) < 1e-2

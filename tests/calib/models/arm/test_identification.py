@@ -1,4 +1,6 @@
-"""Hayati's model of an arm from what instruments see: derivatives, convergence, stated against real uncertainty, rank."""
+"""Hayati's model of an arm from what instruments see: derivatives, convergence, stated against real uncertainty,
+rank.
+"""
 
 from dataclasses import replace
 
@@ -21,7 +23,9 @@ def test_parameter_jacobian_agrees_with_differences():
     T = error_model.predicted(q, arm)
     J = jacobian(lambda step: log(T.inv() * error_model.predicted(q, error_model.moved(arm, step))), np.zeros(47))
     np.testing.assert_allclose(error_model.parameter_jacobian(q, arm), J, atol=1e-8)
-    np.testing.assert_allclose(error_model.joint_jacobian(q, arm), error_model.parameter_jacobian(q, arm)[..., 6:-6:5], atol=1e-14)
+    np.testing.assert_allclose(
+        error_model.joint_jacobian(q, arm), error_model.parameter_jacobian(q, arm)[..., 6:-6:5], atol=1e-14
+    )
     assert len(error_model.names(arm)) == len(error_model.units(arm)) == 47
     assert error_model.names(arm)[6:12] == ("theta 1", "d 1", "a 1", "alpha 1", "beta 1", "theta 2")
 
@@ -55,7 +59,9 @@ def test_an_unknown_place_is_found(base, tool):
 
 @pytest.mark.parametrize("nominal", [UR10, SEVEN], ids=["UR10", "seven"])
 def test_identification_of_near_parallel_axes_is_as_good_as_it_says(nominal):
-    """Every prediction, and every parameter where the truth is one of the model's own figures, lies within the stated scatter."""
+    """Every prediction, and every parameter where the truth is one of the model's own figures, lies within the stated
+    scatter.
+    """
     scores = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -96,12 +102,19 @@ def test_positions_and_distances_suffice_too():
     wire = worlds.wired(true, UR10, 400, rng)
     start = instrument_placement.place_arm(wire, replace(UR10, tool=worlds.TOOL), True, False)
     found = identify(wire, start)
-    assert np.abs(np.linalg.norm(error_model.predicted(q, found.arm).translation, axis=1) - np.linalg.norm(want, axis=1)).max() < 2e-4
+    assert (
+        np.abs(
+            np.linalg.norm(error_model.predicted(q, found.arm).translation, axis=1) - np.linalg.norm(want, axis=1)
+        ).max()
+        < 2e-4
+    )
     assert not found.scatter.any()
 
 
 def test_errors_common_to_all_poses_are_not_taken_for_the_arms():
-    """Cameras that stand a little off move every pose alike on the hand; that is the tool's, and its stated scatter says so."""
+    """Cameras that stand a little off move every pose alike on the hand; that is the tool's, and its stated scatter
+    says so.
+    """
     rng = np.random.default_rng(7)
     true = worlds.secret(UR10, rng)
     seen = of_poses(worlds.tracked(true, UR10, 60, rng, common=(1e-4, 1e-4)))
@@ -137,7 +150,9 @@ def test_wild_poses_are_left_out():
     seen = of_poses(worlds.tracked(true, UR10, 90, rng))
     wild = seen.value.as_matrix()
     wild[[5, 30, 61], :3, 3] += 0.05
-    found = identify(replace(seen, value=type(seen.value).from_matrix(wild)), instrument_placement.place_arm(seen, UR10, True, True))
+    found = identify(
+        replace(seen, value=type(seen.value).from_matrix(wild)), instrument_placement.place_arm(seen, UR10, True, True)
+    )
     assert np.flatnonzero(~found.inliers).tolist() == [5, 30, 61] and not found.scatter.any()
 
 

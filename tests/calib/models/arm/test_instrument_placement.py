@@ -33,14 +33,18 @@ def level(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def case(seed: int) -> tuple[Arm, Arm, np.ndarray, Observations, np.ndarray]:
-    """(nominal, true, q, observations, fresh q): zeros off by ZEROS, base and tool anywhere, a few rows off by much; three in ten stay level."""
+    """(nominal, true, q, observations, fresh q): zeros off by ZEROS, base and tool anywhere, a few rows off by much;
+    three in ten stay level.
+    """
     rng = np.random.default_rng([77, seed])
     stays, positions, count = seed % 10 < 3, seed % 4 == 1, int(rng.integers(60, 250))
     nominal = UR10 if stays else ARMS[seed % 3]
     zeros = np.r_[0, rng.uniform(-ZEROS, ZEROS, len(nominal.joints) - 1)]
     true = worlds.secret(nominal, rng, parallel=1e-3)
     rows = true.rows + zeros[:, None] * [1, 0, 0, 0, 0]
-    base, tool = (RigidTransform.from_components(size * rng.normal(size=3), Rotation.random(rng=rng)) for size in (1.0, 0.1))
+    base, tool = (
+        RigidTransform.from_components(size * rng.normal(size=3), Rotation.random(rng=rng)) for size in (1.0, 0.1)
+    )
     true = replace(true, joints=rows, base=base, tool=tool)
     draw = level if stays else lambda n, r: configurations(nominal, n, r, 0.5)
     q, fresh = draw(count, rng), draw(60, rng)
@@ -50,14 +54,24 @@ def case(seed: int) -> tuple[Arm, Arm, np.ndarray, Observations, np.ndarray]:
     if positions:
         return nominal, true, q, of_positions(q, T.translation, SIGMA[0]), fresh
     covariance = np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (count, 1, 1))
-    return nominal, true, q, of_samples(Samples(np.arange(count), np.arange(count) * 1.0, q, T, covariance, np.zeros((count, 6, 0)))), fresh
+    return (
+        nominal,
+        true,
+        q,
+        of_samples(Samples(np.arange(count), np.arange(count) * 1.0, q, T, covariance, np.zeros((count, 6, 0)))),
+        fresh,
+    )
 
 
 def missed(seed: int) -> float:
     """m, the greatest error at fresh poses of the arm identified from where it was placed."""
     nominal, true, _, seen, fresh = case(seed)
     found = identify(seen, place_arm(seen, nominal, True, True))
-    return float(np.linalg.norm(error_model.predicted(fresh, found.arm).translation - error_model.predicted(fresh, true).translation, axis=1).max())
+    return float(
+        np.linalg.norm(
+            error_model.predicted(fresh, found.arm).translation - error_model.predicted(fresh, true).translation, axis=1
+        ).max()
+    )
 
 
 @pytest.mark.parametrize("seed", (0, 1, 4, 5, 9, 41))
@@ -68,7 +82,9 @@ def test_an_arm_is_found_from_a_bad_start(seed):
 def test_what_a_level_hand_leaves_open_goes_nowhere():
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        true = replace(worlds.secret(UR10, rng), base=RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng)))
+        true = replace(
+            worlds.secret(UR10, rng), base=RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng))
+        )
         q = level(120, rng).round(7)  # as files hold them: level up to rounding
         T = error_model.predicted(q, true) * exp(np.repeat(SIGMA, 3) * rng.normal(size=(120, 6)))
         covariance = np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (120, 1, 1))
@@ -103,6 +119,8 @@ def test_places_that_the_poses_do_not_tell_apart_are_no_answer():
     rng = np.random.default_rng(3)
     q = np.tile(configurations(UR10, 1, rng, 0.4), (40, 1))
     q[:, 0] = np.linspace(-1, 1, 40)
-    seen = of_positions(q, error_model.predicted(q, replace(UR10, base=worlds.BASE, tool=worlds.TOOL)).translation, 1e-5)
+    seen = of_positions(
+        q, error_model.predicted(q, replace(UR10, base=worlds.BASE, tool=worlds.TOOL)).translation, 1e-5
+    )
     with pytest.raises(RigError, match="base and tool can be placed in two ways that fit alike"):
         place_arm(seen, UR10, True, True)

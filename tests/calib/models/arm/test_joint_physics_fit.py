@@ -1,4 +1,6 @@
-"""Physics in an arm's calibration: whatever moves its joints or its hand is undone by commands, and what was found of it is sure as it says."""
+"""Physics in an arm's calibration: whatever moves its joints or its hand is undone by commands, and what was found of
+it is sure as it says.
+"""
 
 import json
 from dataclasses import replace
@@ -32,10 +34,20 @@ from rig.recording.recording_folder import Poses, Sensors
 from rig.recording.recording_tables import write_poses
 from synthetic import recording_simulation, secret_machine
 
-MOVING = ("backlash:joint 2:gap=4e-4", "hysteresis:joint 2:range=0.5,weight=0.001", "cyclic_error:joint 2:amplitude=3e-4,order=40,phase=0.5",
-          "transmission_error:joint 1:profile=0/4e-4/-3e-4/1e-4", "servo_lag:joint 1:time_constant=0.02", "scale_error:joint 1:scale=4e-4",
-          "creep:rig:fraction=0.002,time_constant=30", "axis_coupling:joint 2:scale=3e-4,other=1", "thermal_expansion:rig:coefficient=2e-5")
-SAG = "compliance:joint 2:moments=" + "/".join(["0", "3e-5", "2e-5", "0"] * 2 + ["0"] * 16)  # a horizontal arm's joints carry no weight
+MOVING = (
+    "backlash:joint 2:gap=4e-4",
+    "hysteresis:joint 2:range=0.5,weight=0.001",
+    "cyclic_error:joint 2:amplitude=3e-4,order=40,phase=0.5",
+    "transmission_error:joint 1:profile=0/4e-4/-3e-4/1e-4",
+    "servo_lag:joint 1:time_constant=0.02",
+    "scale_error:joint 1:scale=4e-4",
+    "creep:rig:fraction=0.002,time_constant=30",
+    "axis_coupling:joint 2:scale=3e-4,other=1",
+    "thermal_expansion:rig:coefficient=2e-5",
+)
+SAG = "compliance:joint 2:moments=" + "/".join(
+    ["0", "3e-5", "2e-5", "0"] * 2 + ["0"] * 16
+)  # a horizontal arm's joints carry no weight
 GAP = "backlash:joint 2:gap=4e-4"
 
 
@@ -47,14 +59,32 @@ def arm_named(tmp_path, name):
 def known_to_be(design, *effects):
     """Calibration of an arm that is as stated, but for effects."""
     m, n = design.mechanism, len(coordinates_of(effects))
-    physics = Physics(effects, 1e-12 * np.eye(n), np.zeros((12 + 5 * len(m.joints), n)), design.gravity, design.actuator, design.platform,
-                      {"ambient_temperature_C": (21.0, 1.0)})
+    physics = Physics(
+        effects,
+        1e-12 * np.eye(n),
+        np.zeros((12 + 5 * len(m.joints), n)),
+        design.gravity,
+        design.actuator,
+        design.platform,
+        {"ambient_temperature_C": (21.0, 1.0)},
+    )
     visited = low_discrepancy(m.limits, 40, 0.7, 5)
-    return Calibration(ArmCorrection(m, m, (None,) * len(m.joints), visited), 1e-14 * np.eye(12 + 5 * len(m.joints)), np.zeros(6), (), (), None, {},
-                       None, physics)
+    return Calibration(
+        ArmCorrection(m, m, (None,) * len(m.joints), visited),
+        1e-14 * np.eye(12 + 5 * len(m.joints)),
+        np.zeros(6),
+        (),
+        (),
+        None,
+        {},
+        None,
+        physics,
+    )
 
 
-@pytest.mark.parametrize(("name", "text"), [("puma560", text) for text in (*MOVING, SAG)] + [("scara", text) for text in MOVING])
+@pytest.mark.parametrize(
+    ("name", "text"), [("puma560", text) for text in (*MOVING, SAG)] + [("scara", text) for text in MOVING]
+)
 def test_whatever_moves_the_arm_is_undone(tmp_path, name, text):
     design = arm_named(tmp_path, name)
     calibration = known_to_be(design, parse_effect(text), parse_effect("scale_error:joint 1:scale=1e-4"))
@@ -104,7 +134,9 @@ def test_a_gap_is_found_as_sure_as_it_says_whatever_it_starts_from(played):
     assert found[0].effects[0].gap == pytest.approx(found[1].effects[0].gap, abs=0.02 * sigma)
     sure = fitted(read, (parse_effect(GAP),), Prior(np.array([3e-4]), np.array([sigma])))
     between = (found[0].effects[0].gap + 3e-4) / 2  # as sure of the one as of the other
-    assert sure.effects[0].gap == pytest.approx(between, abs=0.05 * sigma) and sure.own[0, 0] == pytest.approx(sigma**2 / 2, rel=0.05)
+    assert sure.effects[0].gap == pytest.approx(between, abs=0.05 * sigma) and sure.own[0, 0] == pytest.approx(
+        sigma**2 / 2, rel=0.05
+    )
 
 
 def test_what_is_held_out_says_nothing_of_the_gap(played):
@@ -120,9 +152,11 @@ def test_what_is_held_out_says_nothing_of_the_gap(played):
 
 
 def drives(tmp_path, capsys, name, effects, without=(), another=False):
-    """{"c", "plain"}: what `rig verify --wanted --json` says of poses that an arm was told to take, with the physics found and without.
+    """{"c", "plain"}: what `rig verify --wanted --json` says of poses that an arm was told to take, with the physics
+    found and without.
 
-    without : how lines begin that its rig.toml lacks; another : whether another recording than the one calibrated was diagnosed
+    without : how lines begin that its rig.toml lacks; another : whether another recording than the one calibrated was
+        diagnosed
     """
     rig, truth = tmp_path / "rig.toml", tmp_path / "truth.json"
     text = shipped_arms.shipped_arm_rig_toml(name)
@@ -136,30 +170,75 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
     said("simulate", rig, "--plan", "sobol:120", *options, "--seed", "3", "--out", tmp_path / "rec", "--truth", truth)
     said("diagnose", tmp_path / "rec", "--out", tmp_path / "d")
     if another:
-        said("simulate", rig, "--machine", truth, "--plan", "sobol:100", "--seed", "9", "--out", tmp_path / "rec", "--force")
+        said(
+            "simulate",
+            rig,
+            "--machine",
+            truth,
+            "--plan",
+            "sobol:100",
+            "--seed",
+            "9",
+            "--out",
+            tmp_path / "rec",
+            "--force",
+        )
     told = said("calibrate", tmp_path / "rec", "--diagnosis", tmp_path / "d", "--out", tmp_path / "c.json")
     assert "beyond the geometry: the physics that was found" in told and "undone by commands: " in told
     said("calibrate", tmp_path / "rec", "--out", tmp_path / "plain.json")
     known = calibration_file.load(tmp_path / "c.json").correction
     ends = np.stack([known.visited.min(axis=0), known.visited.max(axis=0)], axis=1)
-    write_poses(tmp_path / "w.csv", Poses(np.arange(60), error_model.predicted(low_discrepancy(ends, 60, 0.7, 17), known.fitted), None))
+    write_poses(
+        tmp_path / "w.csv",
+        Poses(np.arange(60), error_model.predicted(low_discrepancy(ends, 60, 0.7, 17), known.fitted), None),
+    )
     out = {}
     for way in ("c", "plain"):
         said("correct", tmp_path / f"{way}.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / f"{way}.csv")
-        said("simulate", rig, "--machine", truth, "--plan", f"commands:{tmp_path / f'{way}.csv'}", "--seed", "11", "--out", tmp_path / f"drive-{way}")
+        said(
+            "simulate",
+            rig,
+            "--machine",
+            truth,
+            "--plan",
+            f"commands:{tmp_path / f'{way}.csv'}",
+            "--seed",
+            "11",
+            "--out",
+            tmp_path / f"drive-{way}",
+        )
         taken = tmp_path / f"{way}.poses.csv"
-        out[way] = json.loads(said("verify", tmp_path / f"{way}.json", tmp_path / f"drive-{way}", "--wanted", taken if taken.exists() else
-                                   tmp_path / "w.csv", "--json"))["wanted"]
+        out[way] = json.loads(
+            said(
+                "verify",
+                tmp_path / f"{way}.json",
+                tmp_path / f"drive-{way}",
+                "--wanted",
+                taken if taken.exists() else tmp_path / "w.csv",
+                "--json",
+            )
+        )["wanted"]
     return out
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "effects", "without", "another"), [
-    ("puma560", ("hysteresis:joint 2:range=0.5,weight=0.001", "cyclic_error:joint 3:amplitude=3e-4,order=3,phase=0.5"), (), False),
-    ("puma560", (SAG, "transmission_error:joint 4:profile=0/4e-4/-3e-4/1e-4/-2e-4"), (), True),
-    ("scara", ("backlash:joint 2:gap=1e-3",), ("rotation_sigma",), False)])
+@pytest.mark.parametrize(
+    ("name", "effects", "without", "another"),
+    [
+        (
+            "puma560",
+            ("hysteresis:joint 2:range=0.5,weight=0.001", "cyclic_error:joint 3:amplitude=3e-4,order=3,phase=0.5"),
+            (),
+            False,
+        ),
+        ("puma560", (SAG, "transmission_error:joint 4:profile=0/4e-4/-3e-4/1e-4/-2e-4"), (), True),
+        ("scara", ("backlash:joint 2:gap=1e-3",), ("rotation_sigma",), False),
+    ],
+)
 def test_commands_undo_what_was_found_as_sure_as_they_say(tmp_path, capsys, name, effects, without, another):
-    """The bound is the stated uncertainty, the instrument's own included; positions alone are measured of the last arm."""
+    """The bound is the stated uncertainty, the instrument's own included; positions alone are measured of the last
+    arm.
+    """
     judged = drives(tmp_path, capsys, name, effects, without, another)
     with_physics, plain = (judged[way]["position"]["rms"] for way in ("c", "plain"))
     assert 0.8 < with_physics / judged["c"]["stated_uncertainty"]["position"] < 1.2

@@ -1,4 +1,6 @@
-"""Arms of which an instrument sees a part of the pose: orientations alone, or the length of a drawn wire; from the model to the commands."""
+"""Arms of which an instrument sees a part of the pose: orientations alone, or the length of a drawn wire; from the
+model to the commands.
+"""
 
 import re
 from dataclasses import replace
@@ -25,7 +27,9 @@ SIGMA = 1e-4  # rad
 def leaning(true, nominal, count, rng, noisy=1.0):
     """Observations of orientations alone."""
     q = worlds.configurations_of(nominal, count, rng)
-    noise = np.concatenate([np.full((count, 3), 7.0), noisy * SIGMA * rng.normal(size=(count, 3))], axis=1)  # positions are rubbish
+    noise = np.concatenate(
+        [np.full((count, 3), 7.0), noisy * SIGMA * rng.normal(size=(count, 3))], axis=1
+    )  # positions are rubbish
     return of_orientations(q, error_model.predicted(q, true) * exp(noise), SIGMA)
 
 
@@ -39,19 +43,26 @@ def test_rows_of_orientations_agree_with_differences():
 
 @pytest.mark.parametrize("nominal", [UR10, SEVEN], ids=["6R", "7R"])
 def test_orientations_tell_the_rotational_parameters_as_well_as_they_say(nominal):
-    """Base and target placed by the rotations; every predicted rotation lies within the stated scatter, and lengths stay as stated."""
+    """Base and target placed by the rotations; every predicted rotation lies within the stated scatter, and lengths
+    stay as stated.
+    """
     scores = []
     for seed in range(5):
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
         seen = leaning(true, nominal, 60, rng)
         found = identify(seen, instrument_placement.place_arm(seen, nominal, True, True))
-        assert found.rank.free.sum() == parameters(nominal, "orientation").sum() == 2 * len(nominal.joints) + 3 and not found.scatter.any()
+        assert (
+            found.rank.free.sum() == parameters(nominal, "orientation").sum() == 2 * len(nominal.joints) + 3
+            and not found.scatter.any()
+        )
         np.testing.assert_array_equal(found.arm.rows[:, 1:3], nominal.rows[:, 1:3])
         q = configurations(nominal, 40, rng, 0.5)
         J = error_model.parameter_jacobian(q, found.arm)[:, 3:]
         sigma = np.sqrt(np.einsum("mki,ij,mkj->mk", J, found.covariance, J))
-        scores.append(pose_difference(error_model.predicted(q, found.arm), error_model.predicted(q, true))[:, 3:] / sigma)
+        scores.append(
+            pose_difference(error_model.predicted(q, found.arm), error_model.predicted(q, true))[:, 3:] / sigma
+        )
     assert np.abs(scores).max() < 5 and np.mean(np.square(scores)) == pytest.approx(1, abs=0.35)
 
 
@@ -67,35 +78,57 @@ def test_a_hand_that_turns_about_one_axis_alone_is_not_placed_by_its_rotations()
 def written(folder, kind, rows, sigma, columns):
     """A recording of an instrument of a kind; rows of poses.csv as text."""
     folder.mkdir()
-    (folder / "rig.toml").write_text(f'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = {UR10.rows.tolist()}\nlimits = {UR10.limits.tolist()}\n'
-                                     f'[instrument]\nkind = "{kind}"\nbase = "free"\ntool = "rig"\n{sigma}\n')
+    (folder / "rig.toml").write_text(
+        f'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = {UR10.rows.tolist()}\nlimits = {UR10.limits.tolist()}\n'
+        f'[instrument]\nkind = "{kind}"\nbase = "free"\ntool = "rig"\n{sigma}\n'
+    )
     (folder / "frames.csv").write_text("frame,t,camera,image\n" + "".join(f"{i},{i + 1},,\n" for i in range(len(rows))))
     (folder / "commands.csv").write_text("t,q1,q2,q3,q4,q5,q6\n0,0,0,0,0,0,0\n9,1,1,1,1,1,1\n")
-    (folder / "poses.csv").write_text("\n".join([f"frame,{columns}", *(f"{i},{row}" for i, row in enumerate(rows))]) + "\n")
+    (folder / "poses.csv").write_text(
+        "\n".join([f"frame,{columns}", *(f"{i},{row}" for i, row in enumerate(rows))]) + "\n"
+    )
     return folder
 
 
 def test_a_wires_lengths_and_orientations_are_read(tmp_path):
     lengths = sample_recording(
-        recording_folder.load(written(tmp_path / "a", "distance", ["1.25", "0.75"], "position_sigma = 1e-5", "distance"))
+        recording_folder.load(
+            written(tmp_path / "a", "distance", ["1.25", "0.75"], "position_sigma = 1e-5", "distance")
+        )
     ).samples
-    assert lengths.measured == "distance" and lengths.T_base_platform.translation.tolist() == [[1.25, 0, 0], [0.75, 0, 0]]
+    assert lengths.measured == "distance" and lengths.T_base_platform.translation.tolist() == [
+        [1.25, 0, 0],
+        [0.75, 0, 0],
+    ]
     assert lengths.covariance[0, 0, 0] == pytest.approx(1e-10)
     turned = sample_recording(
-        recording_folder.load(written(tmp_path / "b", "orientation", ["0.1,0,0.2"], "rotation_sigma = 1e-4", "rx,ry,rz"))
+        recording_folder.load(
+            written(tmp_path / "b", "orientation", ["0.1,0,0.2"], "rotation_sigma = 1e-4", "rx,ry,rz")
+        )
     ).samples
-    assert turned.measured == "orientation" and turned.T_base_platform.rotation.as_rotvec()[0].tolist() == pytest.approx([0.1, 0, 0.2])
+    assert turned.measured == "orientation" and turned.T_base_platform.rotation.as_rotvec()[
+        0
+    ].tolist() == pytest.approx([0.1, 0, 0.2])
 
 
-@pytest.mark.parametrize("kind, rows, sigma, columns, says", [
-    ("distance", ["1.2", "-0.1"], "position_sigma = 1e-5", "distance", "must be positive, not -0.1 m"),
-    ("distance", ["1250"], "position_sigma = 1e-5", "distance", "millimetres"),
-    ("distance", ["1.2"], "position_sigma = 1e-5", "length", "column 'distance' is missing"),
-    ("distance", ["1.2"], "position_sigma = 1e-5\nrotation_sigma = 1e-4", "distance", "sees no rotations; leave out instrument.rotation_sigma"),
-    ("orientation", ["0,0,0"], "position_sigma = 1e-5\nrotation_sigma = 1e-4", "rx,ry,rz", "sees no positions"),
-    ("orientation", ["0,0,0"], "", "rx,ry,rz", "rotation_sigma is missing"),
-    ("distanz", ["1.2"], "position_sigma = 1e-5", "distance", "must be one of 'pose', 'orientation', 'distance'"),
-])
+@pytest.mark.parametrize(
+    "kind, rows, sigma, columns, says",
+    [
+        ("distance", ["1.2", "-0.1"], "position_sigma = 1e-5", "distance", "must be positive, not -0.1 m"),
+        ("distance", ["1250"], "position_sigma = 1e-5", "distance", "millimetres"),
+        ("distance", ["1.2"], "position_sigma = 1e-5", "length", "column 'distance' is missing"),
+        (
+            "distance",
+            ["1.2"],
+            "position_sigma = 1e-5\nrotation_sigma = 1e-4",
+            "distance",
+            "sees no rotations; leave out instrument.rotation_sigma",
+        ),
+        ("orientation", ["0,0,0"], "position_sigma = 1e-5\nrotation_sigma = 1e-4", "rx,ry,rz", "sees no positions"),
+        ("orientation", ["0,0,0"], "", "rx,ry,rz", "rotation_sigma is missing"),
+        ("distanz", ["1.2"], "position_sigma = 1e-5", "distance", "must be one of 'pose', 'orientation', 'distance'"),
+    ],
+)
 def test_what_an_instrument_cannot_have_seen_is_named(tmp_path, kind, rows, sigma, columns, says):
     with pytest.raises(FileError, match=re.escape(says)):
         recording_folder.load(written(tmp_path / "a", kind, rows, sigma, columns))
@@ -103,26 +136,64 @@ def test_what_an_instrument_cannot_have_seen_is_named(tmp_path, kind, rows, sigm
 
 def test_what_was_measured_of_poses_is_told_by_what_is_known():
     T = pose(np.zeros((2, 3)), np.zeros((2, 3)))
-    for variances, measured in (([1] * 6, "pose"), ([1, 1, 1] + [np.inf] * 3, "position"), ([np.inf] * 3 + [1] * 3, "orientation"),
-                                ([1] + [np.inf] * 5, "distance")):
+    for variances, measured in (
+        ([1] * 6, "pose"),
+        ([1, 1, 1] + [np.inf] * 3, "position"),
+        ([np.inf] * 3 + [1] * 3, "orientation"),
+        ([1] + [np.inf] * 5, "distance"),
+    ):
         covariance = np.broadcast_to(np.diag(np.array(variances, float)), (2, 6, 6))
-        assert Samples(np.arange(2), np.arange(2.0), np.zeros((2, 6)), T, covariance, np.zeros((2, 6, 0))).measured == measured
+        assert (
+            Samples(np.arange(2), np.arange(2.0), np.zeros((2, 6)), T, covariance, np.zeros((2, 6, 0))).measured
+            == measured
+        )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind, change, count, left, unit", [
-    ("orientation", ("position_sigma = 2e-5", 'kind = "orientation"'), 60, 0.25, "mrad"),
-    ("distance", ("rotation_sigma = 1e-4", 'kind = "distance"'), 300, 0.03, "mm")])
+@pytest.mark.parametrize(
+    "kind, change, count, left, unit",
+    [
+        ("orientation", ("position_sigma = 2e-5", 'kind = "orientation"'), 60, 0.25, "mrad"),
+        ("distance", ("rotation_sigma = 1e-4", 'kind = "distance"'), 300, 0.03, "mm"),
+    ],
+)
 def test_a_part_of_the_pose_calibrates_through_the_commands(tmp_path, capsys, kind, change, count, left, unit):
     rig = command(capsys)
     rig("design", "--arm", "ur10", "--out", tmp_path / "stated.toml")
     text = (tmp_path / "stated.toml").read_text().replace(*change)
     (tmp_path / "rig.toml").write_text(text.replace('tool = "free"', 'tool = "rig"') if kind == "distance" else text)
-    rig("simulate", tmp_path / "rig.toml", "--plan", f"sobol:{count}", "--seed", "3", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        f"sobol:{count}",
+        "--seed",
+        "3",
+        "--out",
+        tmp_path / "rec",
+        "--truth",
+        tmp_path / "truth.json",
+    )
     said = rig("calibrate", tmp_path / "rec", "--out", tmp_path / "cal.json")
     assert "no factor is claimed" in said and "nan" not in said
-    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:30", "--seed", "5", "--machine", tmp_path / "truth.json", "--out", tmp_path / "other")
-    found = re.search(rf"([\d.]+) times better .* -> ([\d.]+) {unit} RMS as measured", rig("verify", tmp_path / "cal.json", tmp_path / "other"))
+    rig(
+        "simulate",
+        tmp_path / "rig.toml",
+        "--plan",
+        "sobol:30",
+        "--seed",
+        "5",
+        "--machine",
+        tmp_path / "truth.json",
+        "--out",
+        tmp_path / "other",
+    )
+    found = re.search(
+        rf"([\d.]+) times better .* -> ([\d.]+) {unit} RMS as measured",
+        rig("verify", tmp_path / "cal.json", tmp_path / "other"),
+    )
     assert float(found[1]) > 5 and float(found[2]) < left
     assert f"the {kind} alone was measured" in rig("diagnose", tmp_path / "rec", "--out", tmp_path / "d", ok=False)
-    assert f"the {kind} alone was measured" in rig("certify", tmp_path / "cal.json", tmp_path / "other", "--out", tmp_path / "c.json", ok=False)
+    assert f"the {kind} alone was measured" in rig(
+        "certify", tmp_path / "cal.json", tmp_path / "other", "--out", tmp_path / "c.json", ok=False
+    )

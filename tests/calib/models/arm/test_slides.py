@@ -1,4 +1,6 @@
-"""Arms with slides: their independent parameters, how well these are found, and what a correction makes of few joints."""
+"""Arms with slides: their independent parameters, how well these are found, and what a correction makes of few
+joints.
+"""
 
 from dataclasses import replace
 
@@ -24,7 +26,9 @@ def scores(nominal, seeds, count=80):
     for seed in seeds:
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
-        found = identify(of_poses(worlds.tracked(true, nominal, count, rng)), replace(nominal, base=worlds.BASE, tool=worlds.TOOL))
+        found = identify(
+            of_poses(worlds.tracked(true, nominal, count, rng)), replace(nominal, base=worlds.BASE, tool=worlds.TOOL)
+        )
         assert found.rank.free.sum() == free.sum()
         out.append(worlds.scores(found, true, nominal, free))
     return np.array(out)
@@ -37,7 +41,9 @@ def test_parameter_jacobian_of_slides_agrees_with_differences():
     J = jacobian(lambda step: log(T.inv() * error_model.predicted(q, error_model.moved(arm, step))), np.zeros(37))
     np.testing.assert_allclose(error_model.parameter_jacobian(q, arm), J, atol=1e-8)
     np.testing.assert_allclose(
-        error_model.joint_jacobian(q, arm), error_model.parameter_jacobian(q, arm)[..., error_model.zero_columns(arm)], atol=1e-14
+        error_model.joint_jacobian(q, arm),
+        error_model.parameter_jacobian(q, arm)[..., error_model.zero_columns(arm)],
+        atol=1e-14,
     )
 
 
@@ -46,7 +52,11 @@ def test_parameter_jacobian_of_slides_agrees_with_differences():
 def test_counts_of_independent_parameters(arm, kind, extra):
     """4 R + 2 P + 6 of whole poses; the rank of the model says of joints that turn what the rules say."""
     slides = arm.slides.sum()
-    assert independent_parameters.independent(arm, kind).sum() == parameters(arm, kind).sum() == 4 * (len(arm.slides) - slides) + 2 * slides + extra
+    assert (
+        independent_parameters.independent(arm, kind).sum()
+        == parameters(arm, kind).sum()
+        == 4 * (len(arm.slides) - slides) + 2 * slides + extra
+    )
 
 
 @pytest.mark.parametrize("name", ["scara", "gantry"])
@@ -64,7 +74,9 @@ def test_scores_of_parameters_over_200_runs(name):
 
 @pytest.mark.parametrize("name", ["scara", "gantry"])
 def test_an_unknown_place_is_found(name):
-    """As far as the hand's positions tell it: a hand that never turns, or about one axis alone, leaves the target's place to the base's."""
+    """As far as the hand's positions tell it: a hand that never turns, or about one axis alone, leaves the target's
+    place to the base's.
+    """
     nominal, rng = ARMS[name], np.random.default_rng(3)
     true = worlds.secret(nominal, rng)
     seen = of_poses(worlds.tracked(true, nominal, 40, rng))
@@ -83,13 +95,17 @@ def test_few_joints_are_commanded_to_the_nearest_pose_and_the_rest_is_told():
     tilt[:, 3:5] = 1e-3 * rng.normal(size=(20, 2))
     tool = found.arm.tool.rotation.as_matrix()
     wanted = error_model.predicted(configurations(SCARA, 20, rng, 0.4), true)
-    wanted = wanted * exp(np.concatenate([tilt[:, :3], tilt[:, 3:] @ tool], axis=1))  # about axes across the hand's own, which nothing turns about
+    wanted = wanted * exp(
+        np.concatenate([tilt[:, :3], tilt[:, 3:] @ tool], axis=1)
+    )  # about axes across the hand's own, which nothing turns about
     commands = correction.inverse(wanted)
     rest = correction.rest(wanted, commands)
     assert np.abs(rest[:, :3]).max() < 1e-10
     np.testing.assert_allclose(np.linalg.norm(rest[:, 3:], axis=1), np.linalg.norm(tilt, axis=1), atol=1.5e-4)
     reached = error_model.predicted(commands, true)
-    assert np.linalg.norm((reached.translation - wanted.translation), axis=1).max() < 5e-5  # 20 um of the tracker, 80 poses
+    assert (
+        np.linalg.norm((reached.translation - wanted.translation), axis=1).max() < 5e-5
+    )  # 20 um of the tracker, 80 poses
     plain = correction.uncorrected(wanted)
     assert np.linalg.norm(error_model.predicted(plain, true).translation - wanted.translation, axis=1).max() > 1e-4
     np.testing.assert_allclose(correction.summand(commands), 0, atol=0.05)

@@ -1,4 +1,6 @@
-"""Which joint solution an arm's command takes: the same in whatever frame poses are given, and the same elbow for the owner's model as corrected."""
+"""Which joint solution an arm's command takes: the same in whatever frame poses are given, and the same elbow for the
+owner's model as corrected.
+"""
 
 from dataclasses import replace
 
@@ -30,7 +32,9 @@ def drawn(arm, seed, count=30, deviation=None):
 def test_the_tracker_elsewhere_changes_no_command(arm, seed):
     samples, wanted = drawn(arm, seed)
     here, _ = calibrate(samples, arm, worlds.TRACKER, False)
-    there, _ = calibrate(replace(samples, T_base_platform=ELSEWHERE * samples.T_base_platform), arm, worlds.TRACKER, False)
+    there, _ = calibrate(
+        replace(samples, T_base_platform=ELSEWHERE * samples.T_base_platform), arm, worlds.TRACKER, False
+    )
     commands = here.inverse(wanted)
     np.testing.assert_allclose(there.inverse(ELSEWHERE * wanted), commands, atol=1e-8)
     assert np.abs(pose_difference(here.predict(commands), wanted)).max() < 1e-10
@@ -53,5 +57,7 @@ def test_the_single_step_is_on_the_elbow_of_the_fixed_point_and_no_whole_turn_is
 
 def test_joint_values_are_apart_by_less_than_half_a_turn_and_slides_by_all_of_it():
     arm = replace(UR10, slides=np.arange(6) == 2)
-    apart = mechanism.joint_difference(np.array([3.1, 0.0, 7.0, 0.0, 0.0, 0.0]), np.array([-3.1, 0.0, 0.0, 0.0, 0.0, 6.0]), arm)
+    apart = mechanism.joint_difference(
+        np.array([3.1, 0.0, 7.0, 0.0, 0.0, 0.0]), np.array([-3.1, 0.0, 0.0, 0.0, 0.0, 6.0]), arm
+    )
     np.testing.assert_allclose(apart, [6.2 - 2 * np.pi, 0, 7.0, 0, 0, 2 * np.pi - 6.0])

@@ -1,9 +1,17 @@
-"""Plans for parameters: better than evenly spread by the criterion they were chosen for, and honest about what was given."""
+"""Plans for parameters: better than evenly spread by the criterion they were chosen for, and honest about what was
+given.
+"""
 
 import numpy as np
 import pytest
 
-from calib.models.platform.d_optimal_configurations import CANDIDATES, CRITERIA, FILL, choose_configurations, configuration_information
+from calib.models.platform.d_optimal_configurations import (
+    CANDIDATES,
+    CRITERIA,
+    FILL,
+    choose_configurations,
+    configuration_information,
+)
 from calib.models.platform.identification import identify, parameters
 from calib.models.platform.parameter_observability import PLAUSIBLE, parameter_combinations
 from rig.errors import RigError
@@ -50,7 +58,9 @@ def test_configurations_can_be_reached(chosen, design):
 
 
 def test_what_is_promised_is_what_a_fit_finds(chosen, design):
-    """Standard errors along combinations before any pose is measured, held to a fit of poses simulated at the chosen commands."""
+    """Standard errors along combinations before any pose is measured, held to a fit of poses simulated at the chosen
+    commands.
+    """
     own = np.repeat(SIGMAS, 3)
     errors = []
     for seed in range(30):
@@ -66,7 +76,9 @@ def test_what_is_given_counts(design):
     given = plan.low_discrepancy(design.mechanism.strut_range, 3)
     found = choose_configurations(design.mechanism, 20, SIGMAS, given=given)
     hidden = [part for part in parameter_combinations(found.before, design.mechanism)[0] if not part.determined]
-    assert len(hidden) >= 42 - 18 and all(part.determined for part in parameter_combinations(found.root, design.mechanism)[0])
+    assert len(hidden) >= 42 - 18 and all(
+        part.determined for part in parameter_combinations(found.root, design.mechanism)[0]
+    )
 
 
 def test_too_few_and_unknown_are_refused(design):

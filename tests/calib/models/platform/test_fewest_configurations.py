@@ -1,4 +1,6 @@
-"""The fewest poses for a promise: kept on rigs drawn at random, fewer than evenly spread ones, and the next best beside those given."""
+"""The fewest poses for a promise: kept on rigs drawn at random, fewer than evenly spread ones, and the next best beside
+those given.
+"""
 
 import numpy as np
 import pytest
@@ -20,7 +22,11 @@ def found(design):
 
 
 def test_what_is_promised_is_kept_and_not_one_pose_sooner(design, found):
-    assert found.left[-1] <= PROMISE < found.left[-2] and (np.diff(found.left) < 0).all() and len(found.left) == len(found.commands) + 1
+    assert (
+        found.left[-1] <= PROMISE < found.left[-2]
+        and (np.diff(found.left) < 0).all()
+        and len(found.left) == len(found.commands) + 1
+    )
     wanted = workspace(design, 100)
     kept = []
     for seed in range(12):
@@ -33,7 +39,9 @@ def test_what_is_promised_is_kept_and_not_one_pose_sooner(design, found):
 
 def test_what_was_visited_counts(design, found):
     rest = fewest_configurations(design.mechanism, PROMISE, SIGMAS, found.commands[:10])
-    assert abs(len(rest.commands) + 10 - len(found.commands)) <= 1 and rest.left[0] == pytest.approx(found.left[10], rel=1e-6)
+    assert abs(len(rest.commands) + 10 - len(found.commands)) <= 1 and rest.left[0] == pytest.approx(
+        found.left[10], rel=1e-6
+    )
     assert len(fewest_configurations(design.mechanism, PROMISE, SIGMAS, found.commands).commands) == 0
 
 

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform.identification import PRIOR, identify, loop_jacobian, parameters, pose_jacobian, with_parameters
+from calib.models.platform.identification import (
+    PRIOR,
+    identify,
+    loop_jacobian,
+    parameters,
+    pose_jacobian,
+    with_parameters,
+)
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
@@ -17,7 +24,9 @@ from tests.numeric import jacobian
 
 def test_loop_jacobian_agrees_with_differences(design):
     T = design.mechanism.home * exp(np.array([0.02, -0.03, 0.01, 0.1, -0.05, 0.2]))
-    numeric = jacobian(lambda p: -hexapod.inverse(T, with_parameters(design.mechanism, parameters(design.mechanism) + p)), np.zeros(42))
+    numeric = jacobian(
+        lambda p: -hexapod.inverse(T, with_parameters(design.mechanism, parameters(design.mechanism) + p)), np.zeros(42)
+    )
     np.testing.assert_allclose(loop_jacobian(T, design.mechanism), numeric, atol=1e-8)
 
 
@@ -25,7 +34,11 @@ def test_pose_jacobian_agrees_with_differences(design):
     lengths = hexapod.inverse(design.mechanism.home, design.mechanism) + np.array([0.01, -0.01, 0.02, 0, 0.005, -0.02])
     T = hexapod.forward(lengths, design.mechanism)
     start = parameters(design.mechanism)
-    numeric = jacobian(lambda p: pose_difference(T, hexapod.forward(lengths, with_parameters(design.mechanism, start + p))), np.zeros(42), 1e-5)
+    numeric = jacobian(
+        lambda p: pose_difference(T, hexapod.forward(lengths, with_parameters(design.mechanism, start + p))),
+        np.zeros(42),
+        1e-5,
+    )
     np.testing.assert_allclose(pose_jacobian(T, design.mechanism), numeric, rtol=1e-5, atol=1e-5)
 
 
@@ -73,7 +86,10 @@ def test_strut_lengths_steady_the_shared_errors(design):
     for seed in range(10):
         samples, true = sampled(design, seed, count=200)
         pooled = replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0])
-        errors = [np.linalg.norm(parameters(identify(s, design.mechanism).mechanism) - parameters(true)) for s in (samples, pooled)]
+        errors = [
+            np.linalg.norm(parameters(identify(s, design.mechanism).mechanism) - parameters(true))
+            for s in (samples, pooled)
+        ]
         better.append(errors[0] < 1.05 * errors[1])
     assert np.mean(better) > 0.5
 
@@ -102,7 +118,10 @@ def test_few_poses_move_what_they_tell_and_leave_the_rest(design, count):
     few = samples.take(np.arange(count))
     found = identify(few, design.mechanism, prior=np.full(42, 3e-4))
     assert (np.linalg.svd(found.root * PRIOR, compute_uv=False) > 1).sum() == 6 * count and not found.scatter.any()
-    stated, told = np.linalg.norm(parameters(true) - parameters(design.mechanism)), parameters(found.mechanism) - parameters(design.mechanism)
+    stated, told = (
+        np.linalg.norm(parameters(true) - parameters(design.mechanism)),
+        parameters(found.mechanism) - parameters(design.mechanism),
+    )
     assert np.linalg.norm(parameters(true) - parameters(found.mechanism)) < stated and np.linalg.norm(told) < stated
     left = found.residuals / np.sqrt(np.einsum("nii->ni", found.residual_covariance))
     assert np.abs(left).max() < 1
@@ -124,5 +143,9 @@ def test_z_scores_of_five_hundred_runs(design):
         samples, true = sampled(design, seed, count=200)
         found = identify(samples, design.mechanism)
         along = np.linalg.svd(found.root)[2] if along is None else along
-        z.append(along @ (parameters(found.mechanism) - parameters(true)) / np.sqrt(np.einsum("ki,ij,kj->k", along, found.covariance, along)))
+        z.append(
+            along
+            @ (parameters(found.mechanism) - parameters(true))
+            / np.sqrt(np.einsum("ki,ij,kj->k", along, found.covariance, along))
+        )
     assert np.abs(np.mean(z, axis=0)).max() < 0.15 and np.std(z) == pytest.approx(1, abs=0.05)

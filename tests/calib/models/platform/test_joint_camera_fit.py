@@ -1,4 +1,6 @@
-"""Cameras, lenses and geometry in one solve: the optimum that two steps with shared errors reach, and better than without."""
+"""Cameras, lenses and geometry in one solve: the optimum that two steps with shared errors reach, and better than
+without.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +25,9 @@ def solved(tmp_path_factory, design, rig_text):
         secret,
         read,
         sampled,
-        joint_camera_fit.fit_cameras_and_geometry(corners, commanded, state, read.design.cameras, read.design.mechanism),
+        joint_camera_fit.fit_cameras_and_geometry(
+            corners, commanded, state, read.design.cameras, read.design.mechanism
+        ),
         corners,
     )
 
@@ -39,7 +43,9 @@ def test_two_steps_with_shared_errors_reach_the_joint_optimum(solved):
 def test_the_truth_lies_where_the_covariance_says(solved):
     secret, _, _, found, corners = solved
     error = parameters(found.mechanism) - parameters(secret.true.mechanism)
-    assert 18 < error @ np.linalg.solve(found.covariance, error) < 80  # chi-square of 42: one in 2000 lies beyond either
+    assert (
+        18 < error @ np.linalg.solve(found.covariance, error) < 80
+    )  # chi-square of 42: one in 2000 lies beyond either
     assert np.mean(found.residuals**2) == pytest.approx(1, abs=0.05) and len(found.residuals) == len(corners)
     for camera, true in zip(found.cameras, secret.true.cameras):
         assert camera.matrix[0, 0] == pytest.approx(true.matrix[0, 0], abs=0.6)

@@ -23,7 +23,9 @@ def test_gauge_is_the_motion_of_the_frames(design):
 
 def test_gauge_agrees_with_joints_moved(design):
     xi = np.array([1e-4, -2e-4, 5e-5, 3e-4, -1e-4, 2e-4])
-    moved = with_parameters(design.mechanism, parameters(design.mechanism) + frame_motion_columns(design.mechanism) @ np.r_[xi, np.zeros(6)])
+    moved = with_parameters(
+        design.mechanism, parameters(design.mechanism) + frame_motion_columns(design.mechanism) @ np.r_[xi, np.zeros(6)]
+    )
     np.testing.assert_allclose(moved.base_joints, transform_points(exp(xi), design.mechanism.base_joints), atol=1e-7)
 
 
@@ -32,7 +34,11 @@ def test_combinations_are_told_apart_and_named(design):
     found = identify(samples, design.mechanism)
     parts, seen = parameter_combinations(found.root, found.mechanism)
     sigma = [part.sigma for part in parts]
-    assert len(parts) == 42 and sigma == sorted(sigma, reverse=True) and seen.condition == pytest.approx(sigma[0] / sigma[-1])
+    assert (
+        len(parts) == 42
+        and sigma == sorted(sigma, reverse=True)
+        and seen.condition == pytest.approx(sigma[0] / sigma[-1])
+    )
     assert all(part.determined for part in parts) and 50 < seen.condition < 7000
     exact = np.sqrt(parts[5].direction @ np.linalg.inv(found.root.T @ found.root) @ parts[5].direction)
     assert parts[5].sigma == pytest.approx(exact, rel=1e-6)
@@ -52,6 +58,11 @@ def test_names_follow_the_parameters(design):
     p = np.arange(42.0)
     m = with_parameters(design.mechanism, p)
     named = NAMES["hexapod"]
-    assert named[20] == "platform joint 1 z" and m.platform_joints[0, 2] == 20 and named[41] == "zero of strut 6" and m.strut_zeros[5] == 41
+    assert (
+        named[20] == "platform joint 1 z"
+        and m.platform_joints[0, 2] == 20
+        and named[41] == "zero of strut 6"
+        and m.strut_zeros[5] == 41
+    )
     np.testing.assert_array_equal(parameters(m), p)
     assert hexapod.inverse(design.mechanism.home, design.mechanism).shape == (6,)

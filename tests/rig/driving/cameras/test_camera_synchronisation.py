@@ -46,10 +46,14 @@ def test_a_grab_that_failed_is_tried_again_and_then_named():
 @pytest.mark.parametrize("white", [3.0, 40.0, 400.0, 2000.0])
 def test_exposure_brings_white_up_and_never_clips(white):
     source = Flaky(Ticking(), 0, white)
-    exposure, level = set_exposure_for_markers(source, lambda image: (float(image.max()), float((image >= 250).mean())), 1e-3)
+    exposure, level = set_exposure_for_markers(
+        source, lambda image: (float(image.max()), float((image >= 250).mean())), 1e-3
+    )
     assert 150 <= level < 250 and exposure == source.exposure
     with pytest.raises(CameraError, match="change the light"):
-        set_exposure_for_markers(Flaky(Ticking(), 0, 1e5), lambda image: (float(image.max()), float((image >= 250).mean())), 1e-3)
+        set_exposure_for_markers(
+            Flaky(Ticking(), 0, 1e5), lambda image: (float(image.max()), float((image >= 250).mean())), 1e-3
+        )
 
 
 def test_rest_is_told_by_images_from_motion_under_noise():
@@ -82,7 +86,9 @@ def test_rest_is_told_by_limbs_and_by_time():
     clock = Ticking()
     parse_settling("time:1.5").wait(clock)
     assert clock.now() == 1001.5
-    parse_settling("limbs:1e-6").wait(clock, limbs=lambda: np.full(6, 0.4 + 1e-3 * np.exp(-(clock.now() - 1001.5) / 0.1)))
+    parse_settling("limbs:1e-6").wait(
+        clock, limbs=lambda: np.full(6, 0.4 + 1e-3 * np.exp(-(clock.now() - 1001.5) / 0.1))
+    )
     assert 0.5 < clock.now() - 1001.5 < 1.5
     with pytest.raises(NotSettled, match="limb 3 still moves"):
         parse_settling("limbs:1e-6").wait(clock, limbs=lambda: 0.4 + 1e-4 * np.sin(clock.now() * 9) * np.eye(6)[2])

@@ -23,10 +23,18 @@ def camera(source=None):
 
 
 class Capture:
-    """A free-running cv2.VideoCapture: a frame every 0.1 s, up to four wait; stamped by a clock that is `off` s behind, where it stamps."""
+    """A free-running cv2.VideoCapture: a frame every 0.1 s, up to four wait; stamped by a clock that is `off` s behind,
+    where it stamps.
+    """
 
     def __init__(self, clock, stamps, off=700.0):
-        self.clock, self.stamps, self.off, self.taken, self.released = clock, stamps, off, round(clock.t * 10) - 20, False
+        self.clock, self.stamps, self.off, self.taken, self.released = (
+            clock,
+            stamps,
+            off,
+            round(clock.t * 10) - 20,
+            False,
+        )
 
     def grab(self):
         self.taken = max(self.taken + 1, int(self.clock.t * 10) - 3)
@@ -73,15 +81,26 @@ def test_a_video_camera_that_is_gone_or_of_another_size_is_named():
 
 
 READING = [
-    "v4l2src ! videoconvert ! appsink", "v4l2src device=/dev/video0 ! video/x-raw, width=1280, format=(string)BGR ! videoconvert ! appsink",
+    "v4l2src ! videoconvert ! appsink",
+    "v4l2src device=/dev/video0 ! video/x-raw, width=1280, format=(string)BGR ! videoconvert ! appsink",
     "rtspsrc location=rtsp://u:p@h/x?a=b latency=0 ! rtph264depay ! avdec_h264 ! queue ! appsink drop=true",
-    "nvarguscamerasrc ! video/x-raw(memory:NVMM),width=1280,framerate=30/1 ! nvvidconv ! appsink"]
+    "nvarguscamerasrc ! video/x-raw(memory:NVMM),width=1280,framerate=30/1 ! nvvidconv ! appsink",
+]
 WRITING = [
-    "v4l2src ! filesink location={}", "v4l2src ! tee name=t ! appsink t. ! filesink location={}", "v4l2src ! file://{}", "v4l2src ! video/x-raw",
-    "v4l2src ! appsink filesrc location=a ! filesink location={}", "playbin video-sink=filesink ! appsink", "appsink",
-    "v4l2src ! splitmuxsink location={} ! appsink", "camerabin location={} ! appsink", "v4l2src ! queue2 temp-template={} ! appsink",
-    "v4l2src name='a ! filesink location={} v4l2src ! appsink", "bin.( v4l2src ! filesink location={} ) ! appsink",
-    "v4l2src ! appsink t. ! filesink location={}"]
+    "v4l2src ! filesink location={}",
+    "v4l2src ! tee name=t ! appsink t. ! filesink location={}",
+    "v4l2src ! file://{}",
+    "v4l2src ! video/x-raw",
+    "v4l2src ! appsink filesrc location=a ! filesink location={}",
+    "playbin video-sink=filesink ! appsink",
+    "appsink",
+    "v4l2src ! splitmuxsink location={} ! appsink",
+    "camerabin location={} ! appsink",
+    "v4l2src ! queue2 temp-template={} ! appsink",
+    "v4l2src name='a ! filesink location={} v4l2src ! appsink",
+    "bin.( v4l2src ! filesink location={} ) ! appsink",
+    "v4l2src ! appsink t. ! filesink location={}",
+]
 
 
 def test_a_pipeline_opens_only_what_reads_decodes_and_converts(tmp_path, monkeypatch):
@@ -90,7 +109,9 @@ def test_a_pipeline_opens_only_what_reads_decodes_and_converts(tmp_path, monkeyp
     closed = types.SimpleNamespace(isOpened=lambda: False, release=lambda: None)
     monkeypatch.setattr(cv2, "VideoCapture", lambda place, kind: opened.append(place) or closed)
     for text in WRITING:
-        with pytest.raises(CameraError, match="'cam0': gstreamer:.*(may write|must end in appsink|no setting|images come from)"):
+        with pytest.raises(
+            CameraError, match="'cam0': gstreamer:.*(may write|must end in appsink|no setting|images come from)"
+        ):
             open_source(camera("gstreamer:" + text.format(tmp_path / "written")), Ticking())
     assert not opened
     for text in READING:
@@ -129,7 +150,9 @@ class Node:
 
 def genicam(clock, data_format="Mono12", off=250.0, latency=0.004):
     """A harvesters ImageAcquirer that isn't there: stamps its exposures by a clock that is `off` s behind."""
-    nodes = types.SimpleNamespace(ExposureTime=Node(5000.0), TriggerMode=Node(), TriggerSource=Node(), ExposureAuto=Node())
+    nodes = types.SimpleNamespace(
+        ExposureTime=Node(5000.0), TriggerMode=Node(), TriggerSource=Node(), ExposureAuto=Node()
+    )
     acquirer = types.SimpleNamespace(remote_device=types.SimpleNamespace(node_map=nodes), started=False)
     exposed = []
 
@@ -154,11 +177,18 @@ def genicam(clock, data_format="Mono12", off=250.0, latency=0.004):
         buffer = Buffer()
         buffer.timestamp_ns = int((exposed[-1] - off) * 1e9)
         data = np.full(SIZE[0] * SIZE[1], 4095 if data_format != "Mono8" else 255, np.uint16)
-        buffer.payload = types.SimpleNamespace(components=[types.SimpleNamespace(width=SIZE[0], height=SIZE[1], data_format=data_format, data=data)])
+        buffer.payload = types.SimpleNamespace(
+            components=[types.SimpleNamespace(width=SIZE[0], height=SIZE[1], data_format=data_format, data=data)]
+        )
         return buffer
 
     nodes.TriggerSoftware = Node(run=trigger)
-    acquirer.start, acquirer.stop, acquirer.destroy, acquirer.fetch = (lambda: None), (lambda: None), (lambda: None), fetch
+    acquirer.start, acquirer.stop, acquirer.destroy, acquirer.fetch = (
+        (lambda: None),
+        (lambda: None),
+        (lambda: None),
+        fetch,
+    )
     return acquirer, nodes, exposed
 
 
@@ -166,7 +196,11 @@ def test_a_genicam_camera_is_triggered_and_its_stamp_brought_to_the_host():
     clock = Ticking()
     acquirer, nodes, exposed = genicam(clock)
     source = GenicamSource("cam0", acquirer, clock, SIZE)
-    assert nodes.TriggerMode.value == "On" and nodes.TriggerSource.value == "Software" and nodes.ExposureAuto.value == "Off"
+    assert (
+        nodes.TriggerMode.value == "On"
+        and nodes.TriggerSource.value == "Software"
+        and nodes.ExposureAuto.value == "Off"
+    )
     assert source.set_exposure(0.002) == pytest.approx(0.002) and source.set_exposure(9.0) == pytest.approx(0.1)
     source.set_exposure(0.01)
     for _ in range(4):
@@ -200,14 +234,19 @@ def test_a_watched_folder_gives_whole_files_that_came_after_asking(tmp_path):
     source = FolderSource(camera(), tmp_path, clock)
     (tmp_path / "unasked.png").write_bytes(png(2))
     whole = png(7)
-    clock.due = [(1000.5, lambda: (tmp_path / "new.png").write_bytes(whole[:40])), (1000.6, lambda: (tmp_path / "new.png").write_bytes(whole[:-5])),
-                 (1000.7, lambda: (tmp_path / "new.png").write_bytes(whole))]
+    clock.due = [
+        (1000.5, lambda: (tmp_path / "new.png").write_bytes(whole[:40])),
+        (1000.6, lambda: (tmp_path / "new.png").write_bytes(whole[:-5])),
+        (1000.7, lambda: (tmp_path / "new.png").write_bytes(whole)),
+    ]
     frame = source.grab()
     assert frame.image[0, 0] == 7 and 1000.7 <= clock.now() < 1000.8
     assert abs(frame.t - 1000.25) < 0.02 and frame.t_sigma == pytest.approx(0.5 / 12**0.5, abs=0.02)
     raw = cv2.imencode(".bmp", np.full(SIZE[::-1], 9, np.uint8))[1].tobytes()  # has no end mark: it must stop growing
     start = clock.now()
-    clock.due = [(start + 0.1 * k, lambda k=k: (tmp_path / "b.bmp").write_bytes(raw[: len(raw) * k // 5])) for k in range(1, 6)]
+    clock.due = [
+        (start + 0.1 * k, lambda k=k: (tmp_path / "b.bmp").write_bytes(raw[: len(raw) * k // 5])) for k in range(1, 6)
+    ]
     assert source.grab().image[0, 0] == 9 and clock.now() >= start + 0.7
     with pytest.raises(CameraError, match="no whole image appeared"):
         source.grab()
@@ -216,7 +255,12 @@ def test_a_watched_folder_gives_whole_files_that_came_after_asking(tmp_path):
 def test_a_watched_folder_refuses_another_size(tmp_path):
     clock = Ticking()
     source = FolderSource(camera(), tmp_path, clock)
-    clock.due = [(1000.1, lambda: (tmp_path / "a.png").write_bytes(cv2.imencode(".png", np.zeros((8, 8), np.uint8))[1].tobytes()))]
+    clock.due = [
+        (
+            1000.1,
+            lambda: (tmp_path / "a.png").write_bytes(cv2.imencode(".png", np.zeros((8, 8), np.uint8))[1].tobytes()),
+        )
+    ]
     with pytest.raises(CameraError, match="8 x 8 px, but rig.toml has 32 x 24"):
         source.grab()
 

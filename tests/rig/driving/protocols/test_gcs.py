@@ -20,12 +20,20 @@ def each(*values):
 
 
 def hello(servo=(1,) * 6, units=("MM",) * 6):
-    return [IDENTITY, (b"SAI?\n", b"1 \n2 \n3 \n4 \n5 \n6\n"), (b"ERR?\n", b"0\n"), (b"PUN?\n", each(*units)),
-            (f"SVO? {AXES}\n".encode(), each(*servo))]
+    return [
+        IDENTITY,
+        (b"SAI?\n", b"1 \n2 \n3 \n4 \n5 \n6\n"),
+        (b"ERR?\n", b"0\n"),
+        (b"PUN?\n", each(*units)),
+        (f"SVO? {AXES}\n".encode(), each(*servo)),
+    ]
 
 
 def flags(on_target=(1,) * 6, servo=(1,) * 6, referenced=(1,) * 6):
-    return [(f"{word} {AXES}\n".encode(), each(*values)) for word, values in (("ONT?", on_target), ("SVO?", servo), ("FRF?", referenced))]
+    return [
+        (f"{word} {AXES}\n".encode(), each(*values))
+        for word, values in (("ONT?", on_target), ("SVO?", servo), ("FRF?", referenced))
+    ]
 
 
 def positions(*mm):
@@ -33,7 +41,9 @@ def positions(*mm):
 
 
 def talk(script, *what):
-    """What the last of some dialogues comes to, after a hello where it begins with none, against a script that must be used up."""
+    """What the last of some dialogues comes to, after a hello where it begins with none, against a script that must be
+    used up.
+    """
     clock, protocol = SimulatedClock(), GCS((), 6)
     port = ScriptedPort(script, clock)
     link = Link(protocol, lambda: port, clock)
@@ -65,20 +75,37 @@ def test_a_controller_with_fewer_axes_is_refused():
 def test_names_of_axes_may_have_a_dash():
     names = [f"A-{i}" for i in range(6)]
     lines = [" \n".join(f"{name}{value}" for name in names).encode() + b"\n" for value in ("", "=MM", "=1")]
-    script = [IDENTITY, (b"SAI?\n", lines[0]), (b"ERR?\n", b"0\n"), (b"PUN?\n", lines[1]), (f"SVO? {' '.join(names)}\n".encode(), lines[2])]
+    script = [
+        IDENTITY,
+        (b"SAI?\n", lines[0]),
+        (b"ERR?\n", b"0\n"),
+        (b"PUN?\n", lines[1]),
+        (f"SVO? {' '.join(names)}\n".encode(), lines[2]),
+    ]
     assert talk(script).endswith("axes A-0 A-1 A-2 A-3 A-4 A-5")
 
 
 def test_older_controllers_count_in_mm():
-    script = [*hello()[:3], (b"PUN?\n", b""), IDENTITY, (b"ERR?\n", b"2\n"), hello()[4], (b"\x05", b"3F\n"), positions(1, 2, 3, 4, 5, 6),
-              (b"ERR?\n", b"0\n")]
+    script = [
+        *hello()[:3],
+        (b"PUN?\n", b""),
+        IDENTITY,
+        (b"ERR?\n", b"2\n"),
+        hello()[4],
+        (b"\x05", b"3F\n"),
+        positions(1, 2, 3, 4, 5, 6),
+        (b"ERR?\n", b"0\n"),
+    ]
     state = talk(script, lambda p: p.state())
     assert state.activity == "moving"
     np.testing.assert_allclose(state.positions, np.arange(1, 7) / 1e3)
 
 
 def test_micrometres_are_told_as_micrometres():
-    moved = (b"VEL 1 500.000000\nERR?\n", b"0\n"), (b"MOV 1 1000.000000 2 0.000000 3 0.000000 4 0.000000 5 0.000000 6 0.000000\nERR?\n", b"0\n")
+    moved = (
+        (b"VEL 1 500.000000\nERR?\n", b"0\n"),
+        (b"MOV 1 1000.000000 2 0.000000 3 0.000000 4 0.000000 5 0.000000 6 0.000000\nERR?\n", b"0\n"),
+    )
     assert talk([*hello(units=("um",) * 6), *moved], lambda p: p.move(segment([1, 0, 0, 0, 0, 0]))).accepted
     with pytest.raises(ControllerFault, match="count in DEG MM"):
         talk(hello(units=("MM", "MM", "MM", "MM", "MM", "DEG"))[:4])
@@ -90,11 +117,16 @@ def test_speeds_are_such_that_all_arrive_together():
     assert talk([*hello(), (speeds, b"0\n"), (move, b"0\n")], lambda p: p.move(segment([1, 0, -2, 0, 0, 0.5]))).accepted
     refused = talk([*hello(), (speeds, b"0\n"), (move, b"7\n")], lambda p: p.move(segment([1, 0, -2, 0, 0, 0.5])))
     assert refused.accepted is False and "position out of limits" in refused.reason
-    assert talk([*hello(), (speeds, b"8\n")], lambda p: p.move(segment([1, 0, -2, 0, 0, 0.5]))).accepted is False  # and no MOV
+    assert (
+        talk([*hello(), (speeds, b"8\n")], lambda p: p.move(segment([1, 0, -2, 0, 0, 0.5]))).accepted is False
+    )  # and no MOV
 
 
 def test_a_lost_answer_to_a_move_is_no_verdict_and_the_line_is_brought_in_step():
-    speeds, move = b"VEL 1 0.500000\nERR?\n", b"MOV 1 1.000000 2 0.000000 3 0.000000 4 0.000000 5 0.000000 6 0.000000\nERR?\n"
+    speeds, move = (
+        b"VEL 1 0.500000\nERR?\n",
+        b"MOV 1 1.000000 2 0.000000 3 0.000000 4 0.000000 5 0.000000 6 0.000000\nERR?\n",
+    )
     script = [*hello(), (speeds, b"0\n"), (move, b""), (IDENTITY[0], b"0\n" + IDENTITY[1])]
     assert talk(script, lambda p: p.move(segment([1, 0, 0, 0, 0, 0]))).accepted is None
 
@@ -125,7 +157,9 @@ def test_referencing_that_one_axis_fails_is_said():
 
 
 def test_stop_waits_for_rest_and_takes_its_error_away():
-    assert talk([*hello(), (b"HLT\n", b""), (b"\x05", b"3F\n"), (b"\x05", b"0\n"), (b"ERR?\n", b"10\n")], lambda p: p.stop()).accepted
+    assert talk(
+        [*hello(), (b"HLT\n", b""), (b"\x05", b"3F\n"), (b"\x05", b"0\n"), (b"ERR?\n", b"10\n")], lambda p: p.stop()
+    ).accepted
 
 
 def test_blanks_that_only_unicode_knows_are_no_digits():

@@ -13,7 +13,13 @@ from tests.rig.wire import ScriptedPort
 IDLE = b"<Idle|MPos:1.000,2.000,3.000,4.000,5.000,6.000|Bf:100,1023|FS:0,0>\r\n"
 BUILD = b"[VER:1.1f.20260817:]\r\n[OPT:VNML+,100,1024,6,0]\r\n[AXS:6:XYZABC]\r\nok\r\n"
 MODES = (b"$G\n", b"[GC:G1 G54 G17 G21 G90 G94 G49 G98 G50 M5 M9 T0 F100 S0.]\r\nok\r\n")
-HELLO = [(b"?", IDLE), (b"$I\n", BUILD), (b"$$\n", b"$10=511\r\n$13=0\r\n$376=7\r\nok\r\n"), (b"G21G90G94F100\n", b"ok\r\n"), MODES]
+HELLO = [
+    (b"?", IDLE),
+    (b"$I\n", BUILD),
+    (b"$$\n", b"$10=511\r\n$13=0\r\n$376=7\r\nok\r\n"),
+    (b"G21G90G94F100\n", b"ok\r\n"),
+    MODES,
+]
 
 
 def talk(script, what, protocol=None):
@@ -53,9 +59,14 @@ def settled(*settings):
     return greeted([*HELLO[:2], (b"$$\n", b"".join(line + b"\r\n" for line in (*settings, b"ok"))), *HELLO[3:]])
 
 
-@pytest.mark.parametrize("settings, says", [
-    ([b"$22=0"], "set $22=1, or state homing = false"), ([b"$22=0", b"$44=63"], "set $22=1"),
-    ([b"$22=1", b"$44=4", b"$45=3", b"$46=0"], "leave out ABC")])
+@pytest.mark.parametrize(
+    "settings, says",
+    [
+        ([b"$22=0"], "set $22=1, or state homing = false"),
+        ([b"$22=0", b"$44=63"], "set $22=1"),
+        ([b"$22=1", b"$44=4", b"$45=3", b"$46=0"], "leave out ABC"),
+    ],
+)
 def test_homing_that_would_not_home_every_strut_is_refused_before_anything_is_sent(settings, says):
     script = [HELLO[0], HELLO[1], (b"$$\n", b"".join(line + b"\r\n" for line in (*settings, b"ok"))), *HELLO[3:]]
     homed = IDLE.replace(b"FS:0,0", b"FS:0,0|H:1")
@@ -87,12 +98,18 @@ def test_state_in_work_positions_waits_for_their_offset():
 def test_reports_in_inches_leave_rotary_axes_alone():
     settings = (b"$$\n", b"$13=1\r\n$376=4\r\nok\r\n")  # the third of A, B, C turns
     protocol = greeted([*HELLO[:2], settings, *HELLO[3:]])
-    state = talk([(b"?", b"<Idle|MPos:0.1000,0.1000,0.1000,0.1000,0.1000,0.1000|FS:0,0>\r\n")], lambda p: p.state(), protocol)
+    state = talk(
+        [(b"?", b"<Idle|MPos:0.1000,0.1000,0.1000,0.1000,0.1000,0.1000|FS:0,0>\r\n")], lambda p: p.state(), protocol
+    )
     np.testing.assert_allclose(state.positions, [2.54e-3] * 5 + [0.1e-3], atol=1e-12)
 
 
 def test_a_garbled_report_is_asked_for_again():
-    script = [(b"?", b"<Idle|MPos:1.000,2.0"), (b"?", b"\xff\x00<Idle|MPos:1.000,2.000,3.000|FS:0,0>\r\n"), (b"?", IDLE)]
+    script = [
+        (b"?", b"<Idle|MPos:1.000,2.0"),
+        (b"?", b"\xff\x00<Idle|MPos:1.000,2.000,3.000|FS:0,0>\r\n"),
+        (b"?", IDLE),
+    ]
     assert talk(script, lambda p: p.state()).activity == "idle"
 
 
@@ -106,9 +123,15 @@ def test_move_in_machine_coordinates_with_the_way_s_feed():
     assert talk([(line, b"ok\r\n")], lambda p: p.move(segment([3, 0, 0, 0, 0, -4])), greeted()).accepted is True
 
 
-@pytest.mark.parametrize("answer, accepted, reason", [
-    (b"error:15\r\n", False, "error:15 (beyond the soft limits)"), (b"ALARM:2\r\n", False, "ALARM:2 (beyond the soft limits)"),
-    (b"ok", None, "no answer to"), (b"[MSG:Caution]\r\n", None, "no answer to")])
+@pytest.mark.parametrize(
+    "answer, accepted, reason",
+    [
+        (b"error:15\r\n", False, "error:15 (beyond the soft limits)"),
+        (b"ALARM:2\r\n", False, "ALARM:2 (beyond the soft limits)"),
+        (b"ok", None, "no answer to"),
+        (b"[MSG:Caution]\r\n", None, "no answer to"),
+    ],
+)
 def test_what_a_refusal_says(answer, accepted, reason):
     line = b"G53G1X3.0000Y0.0000Z0.0000A0.0000B0.0000C-4.0000F150.0\n"
     verdict = talk([(line, answer)], lambda p: p.move(segment([3, 0, 0, 0, 0, -4])), greeted())
@@ -133,14 +156,24 @@ def test_a_fence_takes_no_older_ok_and_notices_a_new_start():
 @pytest.mark.parametrize(("slowing", "held"), [(b"Hold:1", b"Hold:0"), (b"Door:2", b"Door:1")])
 def test_stop_lets_a_hold_end_before_it_resets(slowing, held):
     states = [IDLE.replace(b"Idle", word) for word in (slowing, held)]
-    script = [(b"!", b""), *((b"?", state) for state in states), (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"),
-              (b"G21G90G94F100\n", b"ok\r\n")]
+    script = [
+        (b"!", b""),
+        *((b"?", state) for state in states),
+        (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"),
+        (b"G21G90G94F100\n", b"ok\r\n"),
+    ]
     assert talk(script, lambda p: p.stop(), greeted()).accepted
 
 
 def test_stop_resets_what_answers_nothing_because_it_homes():
     banner = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
-    script = [(b"!", b""), (b"?", b""), (b"?", b""), (b"\x18", b"ALARM:6\r\n" + banner), (b"G21G90G94F100\n", b"error:9\r\n")]
+    script = [
+        (b"!", b""),
+        (b"?", b""),
+        (b"?", b""),
+        (b"\x18", b"ALARM:6\r\n" + banner),
+        (b"G21G90G94F100\n", b"error:9\r\n"),
+    ]
     assert talk(script, lambda p: p.stop(), greeted()).accepted
 
 
@@ -160,7 +193,9 @@ def test_a_controller_that_still_moves_is_waited_for():
     assert greeted([HELLO[0], (b"$I\n", b"error:8\r\n"), *HELLO[1:]]) is not None
 
 
-@pytest.mark.parametrize("state, says", [(b"Check", "rig stop ends that"), (b"Sleep", "rig stop wakes it"), (b"Door:0", "door")])
+@pytest.mark.parametrize(
+    "state, says", [(b"Check", "rig stop ends that"), (b"Sleep", "rig stop wakes it"), (b"Door:0", "door")]
+)
 def test_a_state_in_which_nothing_moves_is_told_with_its_way_out(state, says):
     read = talk([(b"?", IDLE.replace(b"Idle", state))], lambda p: p.state())
     assert says in read.fault and read.activity != "idle"

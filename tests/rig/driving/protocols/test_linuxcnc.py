@@ -1,4 +1,6 @@
-"""linuxcncrsh's conversations, as pairs of bytes; the answers are those of LinuxCNC 2.9 itself, with a simulated machine."""
+"""linuxcncrsh's conversations, as pairs of bytes; the answers are those of LinuxCNC 2.9 itself, with a simulated
+machine.
+"""
 
 import numpy as np
 import pytest
@@ -16,19 +18,29 @@ POSITIONS = (b"GET JOINT_POS\r\n", b"JOINT_POS 475.851818 475.851818 475.851818 
 
 
 def hello(kind=b"4", units=b"MM"):
-    return [(b"HELLO EMC rig 1.0\r\n", b"HELLO ACK EMCNETSVR 1.1\r\n"), (b"SET ECHO OFF\r\n", b"SET ECHO OFF\r\n"),
-            (b"SET VERBOSE ON\r\n", b"SET VERBOSE ACK\n\r"), (b"SET ENABLE EMCTOO\r\n", b"SET ENABLE ACK\n\r"),
-            (b"GET KINEMATICS_TYPE\r\n", b"KINEMATICS_TYPE " + kind + b"\r\n"),
-            (b"GET USER_LINEAR_UNITS\r\n", b"USER_LINEAR_UNITS " + units + b"\r\n"),
-            POSITIONS, HOMED]
+    return [
+        (b"HELLO EMC rig 1.0\r\n", b"HELLO ACK EMCNETSVR 1.1\r\n"),
+        (b"SET ECHO OFF\r\n", b"SET ECHO OFF\r\n"),
+        (b"SET VERBOSE ON\r\n", b"SET VERBOSE ACK\n\r"),
+        (b"SET ENABLE EMCTOO\r\n", b"SET ENABLE ACK\n\r"),
+        (b"GET KINEMATICS_TYPE\r\n", b"KINEMATICS_TYPE " + kind + b"\r\n"),
+        (b"GET USER_LINEAR_UNITS\r\n", b"USER_LINEAR_UNITS " + units + b"\r\n"),
+        POSITIONS,
+        HOMED,
+    ]
 
 
 def state(*errors, machine=b"ON", estop=b"OFF"):
-    return [(b"GET PROGRAM_STATUS\r\n", b"PROGRAM_STATUS IDLE\r\n"), POSITIONS,
-            *[(b"GET ERROR\r\n", b"ERROR " + error + b"\r\n") for error in errors],
-            (b"GET ERROR\r\n", b"ERROR OK\r\n"), (b"GET MACHINE\r\n", b"MACHINE " + machine + b"\r\n"),
-            (b"GET ESTOP\r\n", b"ESTOP " + estop + b"\r\n"),
-            (b"GET JOINT_FAULT\r\n", b"JOINT_FAULT OK OK OK OK OK OK\r\n"), HOMED]
+    return [
+        (b"GET PROGRAM_STATUS\r\n", b"PROGRAM_STATUS IDLE\r\n"),
+        POSITIONS,
+        *[(b"GET ERROR\r\n", b"ERROR " + error + b"\r\n") for error in errors],
+        (b"GET ERROR\r\n", b"ERROR OK\r\n"),
+        (b"GET MACHINE\r\n", b"MACHINE " + machine + b"\r\n"),
+        (b"GET ESTOP\r\n", b"ESTOP " + estop + b"\r\n"),
+        (b"GET JOINT_FAULT\r\n", b"JOINT_FAULT OK OK OK OK OK OK\r\n"),
+        HOMED,
+    ]
 
 
 def talk(script, *what, kinematics="world"):
@@ -74,21 +86,37 @@ def test_inches_are_told_as_inches():
     mode = (b"GET MODE\r\n", b"MODE MDI\r\n")
     line = b"SET MDI G20 G90 G93 G53 G1 X1.000000 Y1.000000 Z1.000000 A1.000000 B1.000000 C1.000000 F12.000000\r\n"
     segment = Segment(np.zeros(6), np.full(6, 0.0254), 5.0, np.full(6, 0.01), None)
-    assert talk([*hello(b"1", b"INCH"), mode, (line, b"SET MDI ACK\n\r")], lambda p: p.hello(), lambda p: p.move(segment),
-                kinematics="joint").accepted
+    assert talk(
+        [*hello(b"1", b"INCH"), mode, (line, b"SET MDI ACK\n\r")],
+        lambda p: p.hello(),
+        lambda p: p.move(segment),
+        kinematics="joint",
+    ).accepted
 
 
 def test_a_pose_as_genhexkins_counts_it():
     modes = [(b"GET MODE\r\n", b"MODE MANUAL\r\n"), (b"SET MODE MDI\r\n", b"SET MODE ACK\n\r")]
     line = b"SET MDI G21 G90 G93 G53 G1 X10.000000 Y-20.000000 Z450.000000 A1.000000 B2.000000 C3.000000 F30.000000\r\n"
-    turn = Rotation.from_euler("z", 3, degrees=True) * Rotation.from_euler("y", 2, degrees=True) * Rotation.from_euler("x", 1, degrees=True)
-    segment = Segment(np.zeros(6), np.zeros(6), 2.0, np.zeros(6), None, RigidTransform.from_components([0.01, -0.02, 0.45], turn))
+    turn = (
+        Rotation.from_euler("z", 3, degrees=True)
+        * Rotation.from_euler("y", 2, degrees=True)
+        * Rotation.from_euler("x", 1, degrees=True)
+    )
+    segment = Segment(
+        np.zeros(6), np.zeros(6), 2.0, np.zeros(6), None, RigidTransform.from_components([0.01, -0.02, 0.45], turn)
+    )
     assert talk([*hello(), *modes, (line, b"SET MDI ACK\n\r")], lambda p: p.hello(), lambda p: p.move(segment)).accepted
 
 
 def test_homing_joint_by_joint_where_all_at_once_is_unknown():
-    begin = [(b"GET ESTOP\r\n", b"ESTOP OFF\r\n"), *[(f"SET {what}\r\n".encode(), f"SET {what.split()[0]} ACK\n\r".encode())
-             for what in ("MACHINE ON", "MODE MANUAL", "TELEOP_ENABLE OFF")], (b"GET ERROR\r\n", b"ERROR OK\r\n")]
+    begin = [
+        (b"GET ESTOP\r\n", b"ESTOP OFF\r\n"),
+        *[
+            (f"SET {what}\r\n".encode(), f"SET {what.split()[0]} ACK\n\r".encode())
+            for what in ("MACHINE ON", "MODE MANUAL", "TELEOP_ENABLE OFF")
+        ],
+        (b"GET ERROR\r\n", b"ERROR OK\r\n"),
+    ]
     ones = [(f"SET HOME {i}\r\n".encode(), b"SET HOME ACK\n\r") for i in range(6)]
     script = [*begin, (b"SET HOME -1\r\n", b"SET HOME NAK\n\r"), *ones, (b"GET ERROR\r\n", b"ERROR OK\r\n"), HOMED]
     assert talk(script, lambda p: p.home(10.0)).accepted

@@ -1,4 +1,6 @@
-"""Our own line protocol: conversations as pairs of bytes, its document, and the reference firmware at the far end of a pseudo-terminal."""
+"""Our own line protocol: conversations as pairs of bytes, its document, and the reference firmware at the far end of a
+pseudo-terminal.
+"""
 
 import os
 import re
@@ -20,7 +22,10 @@ from rig.errors import ControllerFault, NoAnswer, PositionLost
 from tests.conftest import ROOT
 from tests.rig.wire import ScriptedPort
 
-HELLO = [(b">1 HELLO*7DF0\n", encode("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=128 pc")), (b">2 WATCH 1000*3DAA\n", b"<2 OK*27DA\n")]
+HELLO = [
+    (b">1 HELLO*7DF0\n", encode("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=128 pc")),
+    (b">2 WATCH 1000*3DAA\n", b"<2 OK*27DA\n"),
+]
 STATE = "OK idle 1 0EA93B36 - 0 1000000 2000000 3000000 4000000 -5000000"
 
 
@@ -43,7 +48,9 @@ def test_the_document_s_conversation_is_what_is_sent():
     assert len(frames) == 14 and all(decode(frame[0], frame) for frame in frames)
     target = np.full(6, 2e-3)
     pairs = [((frames[i] + "\n").encode(), (frames[i + 1] + "\n").encode()) for i in range(4, 14, 2)]
-    assert [tuple(pair) for pair in HELLO] == [((frames[i] + "\n").encode(), (frames[i + 1] + "\n").encode()) for i in (0, 2)]
+    assert [tuple(pair) for pair in HELLO] == [
+        ((frames[i] + "\n").encode(), (frames[i + 1] + "\n").encode()) for i in (0, 2)
+    ]
     segment = Segment(np.zeros(6), target, 0.2, target / 0.2, np.full(6, 0.2))
     state = talk(pairs, lambda p: p.home(1.0), lambda p: p.move(segment), lambda p: p.state())
     assert state.activity == "moving" and np.allclose(state.positions, 1.204e-3)
@@ -57,8 +64,17 @@ def test_state_and_fence():
     assert talk([(encode(">", 3, "STATE"), encode("<", 3, other))], lambda p: p.fence()) is False
 
 
-@pytest.mark.parametrize("answer", [
-    b"", encode("<", 2, STATE), encode("<", 3, STATE)[:-9], encode("<", 3, STATE).replace(b"1000000", b"1000001"), b"<- NAK*8B54\n", b"\xff" * 5000])
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"",
+        encode("<", 2, STATE),
+        encode("<", 3, STATE)[:-9],
+        encode("<", 3, STATE).replace(b"1000000", b"1000001"),
+        b"<- NAK*8B54\n",
+        b"\xff" * 5000,
+    ],
+)
 def test_an_answer_that_is_late_cut_altered_or_none_is_asked_for_again_under_a_new_number(answer):
     good = (encode(">", 4, "STATE"), encode("<", 3, STATE) + b"rubbish" + encode("<", 4, STATE))
     assert talk([(encode(">", 3, "STATE"), answer), good], lambda p: p.state()).activity == "idle"
@@ -70,7 +86,9 @@ def test_a_silent_controller_is_named():
 
 
 def test_a_move_is_sent_once_and_a_broken_arrival_is_no_verdict():
-    segment = Segment(np.zeros(6), np.full(6, 1e-3), 0.1, np.full(6, 0.01), np.full(6, 0.01))  # too short for full speed: a triangle
+    segment = Segment(
+        np.zeros(6), np.full(6, 1e-3), 0.1, np.full(6, 0.01), np.full(6, 0.01)
+    )  # too short for full speed: a triangle
     sent = encode(">", 3, "MOVE 0EA93B36 317 317" + " 1000000" * 6)
     assert talk([(sent, encode("<", None, "NAK"))], lambda p: p.move(segment)).accepted is None
     refused = talk([(sent, encode("<", 3, "ERR 6"))], lambda p: p.move(segment))
@@ -95,8 +113,23 @@ def firmware(tmp_path_factory):
         pytest.skip("no C compiler; install gcc")
     program = tmp_path_factory.mktemp("firmware") / "struts"
     folder = ROOT / "firmware"
-    subprocess.run([compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-D_POSIX_C_SOURCE=200809L", f"-I{folder / 'struts'}",
-                    str(folder / "pc" / "main.c"), str(folder / "struts" / "struts.c"), "-o", str(program)], check=True)
+    subprocess.run(
+        [
+            compiler,
+            "-std=c99",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            "-pedantic",
+            "-D_POSIX_C_SOURCE=200809L",
+            f"-I{folder / 'struts'}",
+            str(folder / "pc" / "main.c"),
+            str(folder / "struts" / "struts.c"),
+            "-o",
+            str(program),
+        ],
+        check=True,
+    )
     return program
 
 
@@ -116,13 +149,19 @@ def terminal(firmware):
 @pytest.fixture
 def driven(driven_design, terminal):
     low = driven_design.mechanism.strut_range[:, 0]
-    controller = replace(driven_design.controller, protocol="struts", port=terminal, zero=low - 1e-3, max_speed=np.full(6, 0.02),
-                         max_acceleration=np.full(6, 0.5))
+    controller = replace(
+        driven_design.controller,
+        protocol="struts",
+        port=terminal,
+        zero=low - 1e-3,
+        max_speed=np.full(6, 0.02),
+        max_acceleration=np.full(6, 0.5),
+    )
     return replace(driven_design, controller=controller)
 
 
 def test_the_reference_firmware_homes_moves_and_stops(driven):
-    home = (driven.mechanism.strut_range[:, 0] - 1e-3)
+    home = driven.mechanism.strut_range[:, 0] - 1e-3
     with Driver(driven) as driver:
         with pytest.raises(PositionLost):
             driver.move(home + 1.5e-3)
@@ -140,7 +179,9 @@ def test_the_reference_firmware_stops_when_the_host_falls_silent(driven):
     link.connect(0)
     link.run(protocol.hello())
     assert link.run(protocol.home(20.0)).accepted
-    assert link.run(protocol.move(Segment(np.zeros(6), np.full(6, 0.09), 3.0, np.full(6, 0.03), np.full(6, 3.0)))).accepted
+    assert link.run(
+        protocol.move(Segment(np.zeros(6), np.full(6, 0.09), 3.0, np.full(6, 0.03), np.full(6, 3.0)))
+    ).accepted
     clock.sleep(0.1)  # five times what it waits
     state = link.run(protocol.state())
     assert "heard nothing" in state.fault and 0 < state.positions.max() < 0.02

@@ -41,10 +41,14 @@ def test_genhexkins_goes_where_we_go(true, units, scale):
 
 @pytest.mark.parametrize("gain", [1.0, -0.6])
 def test_genhexkins_screws_couple_as_ours_do(true, gain):
-    """Turning cardans drive the screws: our effect in the forward model of motion against genhexkins' strut length correction."""
+    """Turning cardans drive the screws: our effect in the forward model of motion against genhexkins' strut length
+    correction.
+    """
     m = true.mechanism
     steps = plan.settled_plan(plan.low_discrepancy(m.strut_range, 40, 0.9), m.strut_range.mean(axis=1), 0.05)
-    run = motion_simulation.run_machine(true, steps.commands, steps.t, (parse_effect(f"screw_coupling:rig:gain={gain}"),))
+    run = motion_simulation.run_machine(
+        true, steps.commands, steps.t, (parse_effect(f"screw_coupling:rig:gain={gain}"),)
+    )
     plain = motion_simulation.run_machine(true, steps.commands, steps.t)
     assert np.linalg.norm(pose_difference(plain.T_base_platform, run.T_base_platform)[:, :3], axis=1).max() > 5e-6
     text = linuxcnc_genhexkins.genhexkins_settings(m, "mm", true.actuator.screw_lead, gain)
@@ -57,7 +61,10 @@ def test_genhexkins_refuses_what_it_cannot_hold(true):
         linuxcnc_genhexkins.genhexkins_settings(true.mechanism, gain=0.5)
     with pytest.raises(ValueError, match="mm or m"):
         linuxcnc_genhexkins.genhexkins_settings(true.mechanism, "inch")
-    turned = replace(true.mechanism, platform_joints=Rotation.from_rotvec([0, 0, 1.2]).apply(np.array(true.mechanism.platform_joints)))
+    turned = replace(
+        true.mechanism,
+        platform_joints=Rotation.from_rotvec([0, 0, 1.2]).apply(np.array(true.mechanism.platform_joints)),
+    )
     with pytest.raises(RigError, match="degrees to each other"):
         linuxcnc_genhexkins.genhexkins_settings(turned, lead=0.004, gain=1.0)
 
@@ -65,18 +72,35 @@ def test_genhexkins_refuses_what_it_cannot_hold(true):
 def test_sheets_hold_every_bit_of_a_hexapod(true):
     m = true.mechanism
     tree = json.loads(geometry_json_and_csv.as_json(m))
-    again = Hexapod(tree["base_joints"], tree["platform_joints"], tree["strut_range"], pose(tree["home"]["position"], tree["home"]["rotvec"]),
-                    tree["strut_zeros"])
+    again = Hexapod(
+        tree["base_joints"],
+        tree["platform_joints"],
+        tree["strut_range"],
+        pose(tree["home"]["position"], tree["home"]["rotvec"]),
+        tree["strut_zeros"],
+    )
     lengths = plan.low_discrepancy(m.strut_range, 20)
-    np.testing.assert_allclose(pose_difference(hexapod.forward(lengths, m), hexapod.forward(lengths, again)), 0, atol=1e-14)
-    rows = np.array([[float(cell) for cell in row] for row in list(csv.reader(io.StringIO(geometry_json_and_csv.as_csv(m))))[1:]])
+    np.testing.assert_allclose(
+        pose_difference(hexapod.forward(lengths, m), hexapod.forward(lengths, again)), 0, atol=1e-14
+    )
+    rows = np.array(
+        [[float(cell) for cell in row] for row in list(csv.reader(io.StringIO(geometry_json_and_csv.as_csv(m))))[1:]]
+    )
     from_rows = Hexapod(rows[:, 1:4], rows[:, 4:7], rows[:, 8:10], m.home, rows[:, 7])
-    np.testing.assert_allclose(pose_difference(hexapod.forward(lengths, m), hexapod.forward(lengths, from_rows)), 0, atol=1e-11)
+    np.testing.assert_allclose(
+        pose_difference(hexapod.forward(lengths, m), hexapod.forward(lengths, from_rows)), 0, atol=1e-11
+    )
 
 
 ARMS = {
-    "six joints": [[0.1, 0.3, 0.02, -np.pi / 2], [-0.2, 0, 0.6, 0.01], [0.3, 0.15, 0.1, np.pi / 2], [0, 0.5, 0, -np.pi / 2],
-                   [0.05, 0, 0, np.pi / 2], [1.0, 0.1, 0, 0]],
+    "six joints": [
+        [0.1, 0.3, 0.02, -np.pi / 2],
+        [-0.2, 0, 0.6, 0.01],
+        [0.3, 0.15, 0.1, np.pi / 2],
+        [0, 0.5, 0, -np.pi / 2],
+        [0.05, 0, 0, np.pi / 2],
+        [1.0, 0.1, 0, 0],
+    ],
     "nearly parallel, Hayati": [[0, 0.3, 0, np.pi / 2, 0], [0.2, 0, 0.5, 1e-3, 2e-3], [0, 0, 0.4, 0, -3e-3]],
 }
 
@@ -95,8 +119,15 @@ def test_urdf_is_the_same_chain(rows):
         T = RigidTransform.identity()
         for angle, row in zip(q, rows):
             theta, d, a, alpha, beta = [*row, 0][:5]
-            T = T * pose([0, 0, d], [0, 0, theta + angle]) * pose([a, 0, 0], [alpha, 0, 0]) * pose([0, 0, 0], [0, beta, 0])
-        np.testing.assert_allclose(driven(arm_urdf.arm_urdf(arm, "a & b"), dict(zip(arm.axes, q))).as_matrix(), T.as_matrix(), atol=1e-12)
+            T = (
+                T
+                * pose([0, 0, d], [0, 0, theta + angle])
+                * pose([a, 0, 0], [alpha, 0, 0])
+                * pose([0, 0, 0], [0, beta, 0])
+            )
+        np.testing.assert_allclose(
+            driven(arm_urdf.arm_urdf(arm, "a & b"), dict(zip(arm.axes, q))).as_matrix(), T.as_matrix(), atol=1e-12
+        )
 
 
 def driven(text, angles):

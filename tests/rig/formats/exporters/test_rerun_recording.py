@@ -1,4 +1,6 @@
-"""What goes to Rerun: cameras, cubes, poses, corners, images and curves where they are; told by what a stand-in for its library is given."""
+"""What goes to Rerun: cameras, cubes, poses, corners, images and curves where they are; told by what a stand-in for its
+library is given.
+"""
 
 import builtins
 import subprocess
@@ -51,9 +53,12 @@ def archetype(kind):
 def stand_in():
     streams = []
     names = ("Transform3D", "Pinhole", "Boxes3D", "EncodedImage", "Points2D", "LineStrips3D", "TimeColumn")
-    return streams, SimpleNamespace(RecordingStream=lambda name: streams.append(Stream(name)) or streams[-1],
-                                    ViewCoordinates=SimpleNamespace(RIGHT_HAND_Z_UP="up", RDF="right, down, ahead"),
-                                    Scalars=SimpleNamespace(columns=lambda scalars: scalars), **{name: archetype(name) for name in names})
+    return streams, SimpleNamespace(
+        RecordingStream=lambda name: streams.append(Stream(name)) or streams[-1],
+        ViewCoordinates=SimpleNamespace(RIGHT_HAND_Z_UP="up", RDF="right, down, ahead"),
+        Scalars=SimpleNamespace(columns=lambda scalars: scalars),
+        **{name: archetype(name) for name in names},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +82,9 @@ def test_all_that_a_recording_holds_is_where_it_is(seen, stand_in, tmp_path):
     assert rerun_recording.write_rerun(there, tmp_path / "x.rrd", rr) == 0
     logged = streams[0].logged
     for camera in there.design.cameras:
-        T, lens = (next(what for place, what, _ in logged if place == f"base/{camera.name}{end}") for end in ("", "/image"))
+        T, lens = (
+            next(what for place, what, _ in logged if place == f"base/{camera.name}{end}") for end in ("", "/image")
+        )
         np.testing.assert_array_equal(T.mat3x3, camera.pose.rotation.as_matrix())
         np.testing.assert_array_equal(lens.image_from_camera[:2, 2], camera.matrix[:2, 2] + 0.5)
     moved = [(what, times) for place, what, times in logged if place == "base/platform"]
@@ -90,7 +97,9 @@ def test_all_that_a_recording_holds_is_where_it_is(seen, stand_in, tmp_path):
     assert sorted(stage, key=str) == sorted(((what.translation.tolist(), times) for what, times in moved), key=str)
     struts = [what.given[0] for place, what, _ in logged if place == "base/struts"]
     lengths = np.linalg.norm(np.diff(struts[7], axis=1)[:, 0], axis=1) - there.design.mechanism.strut_zeros
-    np.testing.assert_allclose(lengths, hexapod.inverse(there.poses.T_base_platform[7], there.design.mechanism), atol=1e-12)
+    np.testing.assert_allclose(
+        lengths, hexapod.inverse(there.poses.T_base_platform[7], there.design.mechanism), atol=1e-12
+    )
     corners = [(place, what.given[0], times) for place, what, times in logged if place.endswith("/corners")]
     assert sum(len(uv) for _, uv, _ in corners) == len(there.corners.uv)
     place, uv, times = corners[5]
@@ -102,8 +111,13 @@ def test_all_that_a_recording_holds_is_where_it_is(seen, stand_in, tmp_path):
 
 def test_a_missing_library_says_what_installs_it(seen, tmp_path, monkeypatch):
     whole = builtins.__import__
-    monkeypatch.setattr(builtins, "__import__", lambda name, *rest, **more: (_ for _ in ()).throw(ImportError(name)) if name == "rerun"
-                        else whole(name, *rest, **more))
+    monkeypatch.setattr(
+        builtins,
+        "__import__",
+        lambda name, *rest, **more: (
+            (_ for _ in ()).throw(ImportError(name)) if name == "rerun" else whole(name, *rest, **more)
+        ),
+    )
     status, text = said("view", seen, "--rerun", tmp_path / "x.rrd")
     assert status == 1 and "pip install 'rig[rerun]'" in text and not (tmp_path / "x.rrd").exists()
 
@@ -113,5 +127,7 @@ def test_rerun_itself_reads_what_is_written(seen, tmp_path):
     pytest.importorskip("rerun")
     status, text = said("view", seen, "--rerun", tmp_path / "x.rrd")
     assert status == 0 and "60 frames" in text, text
-    done = subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", str(tmp_path / "x.rrd")], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(tmp_path / "x.rrd")], capture_output=True, text=True
+    )
     assert done.returncode == 0 and "verified without error" in done.stdout + done.stderr

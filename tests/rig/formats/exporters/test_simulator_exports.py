@@ -1,4 +1,6 @@
-"""A hexapod's URDF, as pinocchio builds it, closes its loops at every pose for the lengths that our own kinematics has; SDF has the same joints."""
+"""A hexapod's URDF, as pinocchio builds it, closes its loops at every pose for the lengths that our own kinematics has;
+SDF has the same joints.
+"""
 
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -76,7 +78,10 @@ def stood(link):
 
 def test_sdf_stands_at_home_with_joints_where_they_are(machine):
     model = ElementTree.fromstring(hexapod_sdf.hexapod_sdf(machine)).find("model")
-    links, joints = {link.get("name"): stood(link) for link in model.findall("link")}, {j.get("name"): j for j in model.findall("joint")}
+    links, joints = (
+        {link.get("name"): stood(link) for link in model.findall("link")},
+        {j.get("name"): j for j in model.findall("joint")},
+    )
     assert np.abs((links["platform"].inv() * machine.home).as_matrix() - np.eye(4)).max() < 1e-12
     for n in range(1, 7):
         strut, rod = links[f"strut_{n}"], links[f"strut_{n}_rod"]
@@ -85,7 +90,9 @@ def test_sdf_stands_at_home_with_joints_where_they_are(machine):
         length = np.linalg.norm(rod.translation - strut.translation)
         np.testing.assert_allclose(strut.apply([0, 0, length]), rod.translation, atol=1e-12)
         limits = [float(joints[f"l{n}"].findtext(f"axis/limit/{end}")) for end in ("lower", "upper")]
-        np.testing.assert_allclose(np.add(limits, length - machine.strut_zeros[n - 1]), machine.strut_range[n - 1], atol=1e-10)
+        np.testing.assert_allclose(
+            np.add(limits, length - machine.strut_zeros[n - 1]), machine.strut_range[n - 1], atol=1e-10
+        )
         base = joints[f"strut_{n}_base"]
         first, second = (np.array(base.findtext(f"{axis}/xyz").split(), float) for axis in ("axis", "axis2"))
         assert abs(first[2]) < 1e-12 and abs(first[:2] @ machine.base_joints[n - 1, :2]) < 1e-12

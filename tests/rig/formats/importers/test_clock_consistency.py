@@ -13,7 +13,9 @@ from tests.rig.formats.importers.test_importing import words
 
 
 def log(gaps, rate=10.0):
-    """(t (n,) s, values (n, 2) rad, middles of the dwells (m,) s): moves of as many seconds as gaps say, then 2 s of standing."""
+    """(t (n,) s, values (n, 2) rad, middles of the dwells (m,) s): moves of as many seconds as gaps say, then 2 s of
+    standing.
+    """
     places = np.random.default_rng(3).normal(size=(len(gaps), 2))
     t, values, middles, now, last = [0.0], [np.zeros(2)], [], 0.0, np.zeros(2)
     for gap, place in zip(gaps, places):
@@ -32,7 +34,9 @@ def log(gaps, rate=10.0):
 def test_frames_are_brought_to_where_the_commands_stand(noise):
     rng = np.random.default_rng(1)
     t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
-    found = standing_shift(at - 5000.0 + rng.uniform(-0.5, 0.5, 30), t, values + noise * rng.uniform(-0.5, 0.5, values.shape))
+    found = standing_shift(
+        at - 5000.0 + rng.uniform(-0.5, 0.5, 30), t, values + noise * rng.uniform(-0.5, 0.5, values.shape)
+    )
     assert found is not None and found.frames == 30 and abs(found.shift - 5000.0) <= found.room < 1.0
 
 
@@ -44,7 +48,14 @@ def test_what_repeats_or_is_short_tells_nothing():
     assert standing_shift(np.arange(30.0), np.arange(100.0), np.arange(100.0)[:, None]) is None
 
 
-STATED = ("poses.rotation=rotvec", "poses.rotation_unit=rad", "commands.unit=m", "commands.time_unit=s", "poses.time_unit=s", "poses.unit=m")
+STATED = (
+    "poses.rotation=rotvec",
+    "poses.rotation_unit=rad",
+    "commands.unit=m",
+    "commands.time_unit=s",
+    "poses.time_unit=s",
+    "poses.unit=m",
+)
 
 
 def timed(good, folder):
@@ -81,7 +92,10 @@ def test_rows_that_a_log_has_twice_are_taken_once(good, tmp_path):
     lines = files["commands"].read_text().splitlines()
     files["commands"].write_text("\n".join([*lines[:5], lines[4], *lines[5:]]) + "\n")
     status, text = said(*words(good, files, None, *STATED), "--out", tmp_path / "rec")
-    assert status == 0 and "commands.csv: 1 rows are there twice, with their times, and are taken once; the first is line 6" in text, text
+    assert (
+        status == 0
+        and "commands.csv: 1 rows are there twice, with their times, and are taken once; the first is line 6" in text
+    ), text
     assert len(recording_folder.load(tmp_path / "rec").commands.t) == len(lines) - 1
     files["commands"].write_text("\n".join([*lines[:5], f"{lines[4]}1", *lines[5:]]) + "\n")
     status, text = said(*words(good, files, None, *STATED), "--out", tmp_path / "again")
@@ -94,7 +108,10 @@ def test_clocks_that_differ_though_they_overlap_are_told_by_what_stands_still(ah
     t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
     assert not list(clock_offset_mistake(at, t, values))
     (found,) = clock_offset_mistake(at + ahead, t, values)
-    assert found.spoils and f"clock is {abs(ahead):.4g} s {'ahead of' if ahead > 0 else 'behind'} the commands'" in found.what
+    assert (
+        found.spoils
+        and f"clock is {abs(ahead):.4g} s {'ahead of' if ahead > 0 else 'behind'} the commands'" in found.what
+    )
     assert f"images.shift={-ahead:.3f}" in found.do
 
 
@@ -104,7 +121,10 @@ def test_frames_taken_on_the_way_say_nothing_of_clocks():
     assert not list(clock_offset_mistake(np.sort(rng.uniform(0, t[-1], 40)), t, values))
 
 
-@pytest.mark.parametrize("parts", ["sobol:40", "ladder:2", "moving:30", "zigzag:30", "sobol:20,moving:20", "dwell:20", "warmup:20", "repeat:20"])
+@pytest.mark.parametrize(
+    "parts",
+    ["sobol:40", "ladder:2", "moving:30", "zigzag:30", "sobol:20,moving:20", "dwell:20", "warmup:20", "repeat:20"],
+)
 def test_a_plan_as_it_was_exposed_is_accused_of_no_clock(design, parts):
     found = build_plan(design, parts, 3)
     assert not list(clock_offset_mistake(found.t, found.commands.t, found.commands.values))

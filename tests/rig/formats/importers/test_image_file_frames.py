@@ -1,4 +1,6 @@
-"""Names of images tell camera, frame and time; exposures of several cameras are grouped by time; what can be both is refused."""
+"""Names of images tell camera, frame and time; exposures of several cameras are grouped by time; what can be both is
+refused.
+"""
 
 import pytest
 
@@ -19,15 +21,24 @@ def scan(folder, design, files, **stated):
     return image_file_frames.group_exposures(image_file_frames.list_pictures(images, design), images, ANY)
 
 
-@pytest.mark.parametrize("pattern, stated", [
-    ("cam{c}/{k:05d}.png", {}), ("{k}_CAM{c}.JPG", {}), ("cam{c}-{k}.tiff", {}), ("session7/left{c}/img{k}.png", dict(
-    cameras=(("left0", "cam0"), ("left1", "cam1")))), ("run2_cam{c}_f{k}.png", dict(names="run*_{camera}_f{frame}"))])
+@pytest.mark.parametrize(
+    "pattern, stated",
+    [
+        ("cam{c}/{k:05d}.png", {}),
+        ("{k}_CAM{c}.JPG", {}),
+        ("cam{c}-{k}.tiff", {}),
+        ("session7/left{c}/img{k}.png", dict(cameras=(("left0", "cam0"), ("left1", "cam1")))),
+        ("run2_cam{c}_f{k}.png", dict(names="run*_{camera}_f{frame}")),
+    ],
+)
 def test_numbers_in_names(pattern, stated, design, tmp_path):
     found = scan(tmp_path, design, [pattern.format(c=c, k=k) for c in (0, 1) for k in (9, 10, 11)], **stated)
     assert found.frame == [9, 9, 10, 10, 11, 11] and found.camera == ["cam0", "cam1"] * 3 and found.t is None
 
 
-@pytest.mark.parametrize("text", [lambda t: f"{t * 1000:.0f}", lambda t: f"{t:.6f}", lambda t: f"{t * 10**9:.0f}"], ids=["ms", "s", "ns"])
+@pytest.mark.parametrize(
+    "text", [lambda t: f"{t * 1000:.0f}", lambda t: f"{t:.6f}", lambda t: f"{t * 10**9:.0f}"], ids=["ms", "s", "ns"]
+)
 def test_times_in_names_are_grouped_across_cameras(text, design, tmp_path):
     at = [EPOCH + k for k in range(3)]
     found = scan(tmp_path, design, [f"cam{c}_{text(t + c * EPOCH.from_float(0.008))}.png" for t in at for c in (0, 1)])
@@ -46,9 +57,16 @@ def test_exposures_neither_together_nor_apart_are_refused(design, tmp_path):
         scan(tmp_path, design, names, tolerance=1.5)
 
 
-@pytest.mark.parametrize("names, says", [
-    (["cam0_1_2.png"], "which figure"), (["cam0_a.png"], "neither frame nor time"), (["left_1.png"], "which camera"),
-    (["cam0_1.png", "a/cam0_1.png"], "is frame 1 of camera cam0"), (["cam0/x.txt"], "no images")])
+@pytest.mark.parametrize(
+    "names, says",
+    [
+        (["cam0_1_2.png"], "which figure"),
+        (["cam0_a.png"], "neither frame nor time"),
+        (["left_1.png"], "which camera"),
+        (["cam0_1.png", "a/cam0_1.png"], "is frame 1 of camera cam0"),
+        (["cam0/x.txt"], "no images"),
+    ],
+)
 def test_names_that_do_not_tell_are_refused(names, says, design, tmp_path):
     with pytest.raises(RigError, match=says):
         scan(tmp_path, design, names)

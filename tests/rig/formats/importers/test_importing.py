@@ -1,4 +1,6 @@
-"""What people have becomes the same recording, whatever their dialect; what can be read in two ways is refused with both."""
+"""What people have becomes the same recording, whatever their dialect; what can be read in two ways is refused with
+both.
+"""
 
 import json
 
@@ -17,8 +19,13 @@ from tests.rig.formats.importers.foreign import DIALECTS, export
 
 def words(folder, files, dialect=None, *more):
     settings = (*(dialect.settings if dialect else ()), *more)
-    return ("import", "--rig", folder / "rig.toml", *(word for name, path in files.items() for word in (f"--{name}", path)),
-            *(word for setting in settings for word in ("--set", setting)))
+    return (
+        "import",
+        "--rig",
+        folder / "rig.toml",
+        *(word for name, path in files.items() for word in (f"--{name}", path)),
+        *(word for setting in settings for word in ("--set", setting)),
+    )
 
 
 @pytest.mark.parametrize("dialect", DIALECTS, ids=lambda dialect: dialect.name)
@@ -35,7 +42,9 @@ def test_a_dialect_imports_to_the_same_arrays(dialect, good, tmp_path):
 
 def same(a, b):
     """Two recordings are the same, times from their origins to a nanosecond."""
-    assert np.abs(a.commands.t - b.commands.t).max() < 1e-9 and np.abs(a.commands.values - b.commands.values).max() < 1e-12
+    assert (
+        np.abs(a.commands.t - b.commands.t).max() < 1e-9 and np.abs(a.commands.values - b.commands.values).max() < 1e-12
+    )
     assert np.abs(a.exposures.times()[1] - b.exposures.times()[1]).max() < 1e-9
     assert np.abs(a.sensors.t - b.sensors.t).max() < 1e-9
     name = "ambient_temperature_C"
@@ -46,13 +55,28 @@ def same(a, b):
 
 
 AMBIGUOUS = {
-    "thousands or decimals": (dict(header=("t [s]", "L{} [mm]"), values=lambda q: [f"{v * 1e3:.3f}".replace(".", ",") for v in q], separator=";",
-                                   time=lambda t: f"{t:.0f}"), ("commands.decimal=comma", "commands.decimal=point")),
-    "several times": (dict(header=("t [s];timestamp", "L{}"), separator=";", time=lambda t: f"{t};{t}"), ("commands.columns.t=t [s]",
-                                                                                                    "commands.columns.t=timestamp")),
+    "thousands or decimals": (
+        dict(
+            header=("t [s]", "L{} [mm]"),
+            values=lambda q: [f"{v * 1e3:.3f}".replace(".", ",") for v in q],
+            separator=";",
+            time=lambda t: f"{t:.0f}",
+        ),
+        ("commands.decimal=comma", "commands.decimal=point"),
+    ),
+    "several times": (
+        dict(header=("t [s];timestamp", "L{}"), separator=";", time=lambda t: f"{t};{t}"),
+        ("commands.columns.t=t [s]", "commands.columns.t=timestamp"),
+    ),
     "which column": (dict(header=("t", "beam{}")), ("commands.columns.l1=HEADER",)),
-    "steps": (dict(header=("t", "l{} [steps]"), values=lambda q: [f"{v * 1e6:.0f}" for v in q]), ("commands.steps_per_mm=N",)),
-    "no unit fits": (dict(header=("t", "l{}"), values=lambda q: [f"{v * 5e5:.6f}" for v in q]), ("commands.unit=mm", "commands.relative=zero")),
+    "steps": (
+        dict(header=("t", "l{} [steps]"), values=lambda q: [f"{v * 1e6:.0f}" for v in q]),
+        ("commands.steps_per_mm=N",),
+    ),
+    "no unit fits": (
+        dict(header=("t", "l{}"), values=lambda q: [f"{v * 5e5:.6f}" for v in q]),
+        ("commands.unit=mm", "commands.relative=zero"),
+    ),
     "different units": (dict(header=("t", "l{} [mm]"), last="l6 [m]"), ("commands.unit=mm",)),
 }
 
@@ -61,20 +85,33 @@ AMBIGUOUS = {
 def test_what_is_ambiguous_is_refused_with_what_decides(name, good, tmp_path):
     how, settings = AMBIGUOUS[name]
     c = recording_folder.load(good).commands
-    sep, time, values = how.get("separator", ","), how.get("time", str), how.get("values", lambda q: [str(v) for v in q])
+    sep, time, values = (
+        how.get("separator", ","),
+        how.get("time", str),
+        how.get("values", lambda q: [str(v) for v in q]),
+    )
     header = [how["header"][0], *(how["header"][1].format(i) for i in range(1, 7))]
     header[-1] = how.get("last", header[-1])
-    (tmp_path / "c.csv").write_text("\n".join([sep.join(header), *(sep.join([time(t), *values(q)]) for t, q in zip(c.t, c.values))]))
+    (tmp_path / "c.csv").write_text(
+        "\n".join([sep.join(header), *(sep.join([time(t), *values(q)]) for t, q in zip(c.t, c.values))])
+    )
     (tmp_path / "p.csv").write_bytes((good / "poses.csv").read_bytes())
-    status, text = said(*words(good, {"commands": tmp_path / "c.csv", "poses": tmp_path / "p.csv"}), "--out", tmp_path / "rec")
+    status, text = said(
+        *words(good, {"commands": tmp_path / "c.csv", "poses": tmp_path / "p.csv"}), "--out", tmp_path / "rec"
+    )
     assert status == 1 and "Traceback" not in text and not (tmp_path / "rec").exists()
     assert all(setting in text for setting in settings), text
 
 
 def test_times_without_a_unit_are_told_by_what_can_be_or_refused():
     cells = [str(k * 20) for k in range(9)]
-    assert timestamps.read_times(cells, "commands", "x", None, None, 0.0, lambda t: t[-1] < 1 and t[-1] > 0.01).unit == "ms"
-    with pytest.raises(RigError, match=r"160 s in all: --set 'commands.time_unit=s'(.|\n)*0.16 s in all: --set 'commands.time_unit=ms'"):
+    assert (
+        timestamps.read_times(cells, "commands", "x", None, None, 0.0, lambda t: t[-1] < 1 and t[-1] > 0.01).unit
+        == "ms"
+    )
+    with pytest.raises(
+        RigError, match=r"160 s in all: --set 'commands.time_unit=s'(.|\n)*0.16 s in all: --set 'commands.time_unit=ms'"
+    ):
         timestamps.read_times(cells, "commands", "x", None, None, 0.0)
     for unit, per in (("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)):
         cells = [str(1763800000 * per + k * per // 4) if per > 1 else f"{1763800000 + k / 4}" for k in range(3)]
@@ -83,7 +120,9 @@ def test_times_without_a_unit_are_told_by_what_can_be_or_refused():
 
 
 def test_iso_times_keep_nanoseconds_and_zones():
-    read = timestamps.read_times(["2026-01-31T12:00:00.000000001+01:00", "2026-01-31 11:00:00,5Z"], "x", "x", None, None, 0.0)
+    read = timestamps.read_times(
+        ["2026-01-31T12:00:00.000000001+01:00", "2026-01-31 11:00:00,5Z"], "x", "x", None, None, 0.0
+    )
     assert read.floats().tolist() == [0, 0.499999999]
     with pytest.raises(RigError, match="some times state a time zone"):
         timestamps.read_times(["2026-01-31T12:00:00Z", "2026-01-31T12:00:00"], "x", "x", None, None, 0.0)
@@ -92,10 +131,14 @@ def test_iso_times_keep_nanoseconds_and_zones():
 
 def test_rotations_that_nothing_decides_are_refused(good, tmp_path):
     header, *rows = (good / "poses.csv").read_text().splitlines()
-    (tmp_path / "p.csv").write_text("\n".join([header.replace("rx,ry,rz", "rx [deg],ry [deg],rz [deg]").replace("frame", "t [s]"), *rows]))
+    (tmp_path / "p.csv").write_text(
+        "\n".join([header.replace("rx,ry,rz", "rx [deg],ry [deg],rz [deg]").replace("frame", "t [s]"), *rows])
+    )
     status, text = said(*words(good, {"poses": tmp_path / "p.csv"}), "--out", tmp_path / "rec")
     assert status == 1 and all(f"poses.rotation={way}" in text for way in ("rotvec", "zyx", "xyz")), text
-    assert said(*words(good, {"poses": tmp_path / "p.csv"}, None, "poses.rotation=zyx"), "--out", tmp_path / "rec")[0] == 0
+    assert (
+        said(*words(good, {"poses": tmp_path / "p.csv"}, None, "poses.rotation=zyx"), "--out", tmp_path / "rec")[0] == 0
+    )
 
 
 def test_an_import_is_told_to_programs(good, tmp_path, capsys):
@@ -103,14 +146,24 @@ def test_an_import_is_told_to_programs(good, tmp_path, capsys):
     assert main([str(word) for word in (*words(good, files), "--out", tmp_path / "rec", "--json")]) == 0
     out, said_of_it = capsys.readouterr()
     told = json.loads(out)
-    assert (told["schema"], told["frames"], told["poses"]) == ("imported/1", 60, 60) and "imported: 60 frames" in said_of_it
+    assert (told["schema"], told["frames"], told["poses"]) == (
+        "imported/1",
+        60,
+        60,
+    ) and "imported: 60 frames" in said_of_it
     assert told["assumed"] and all(line in said_of_it for line in told["assumed"])
 
 
 def test_settings_that_mean_nothing_are_refused(good, tmp_path):
     files = {"poses": good / "poses.csv"}
-    for setting, says in (("poses.unti=mm", "unknown key"), ("unit=mm", "KEY=VALUE"), ("poses.unit=yards", "must be one of"),
-                          ("commands.unit=mm", "not imported"), ("poses.shift=soon", "takes a number"), ("pozes.unit=mm", "unknown key 'pozes'")):
+    for setting, says in (
+        ("poses.unti=mm", "unknown key"),
+        ("unit=mm", "KEY=VALUE"),
+        ("poses.unit=yards", "must be one of"),
+        ("commands.unit=mm", "not imported"),
+        ("poses.shift=soon", "takes a number"),
+        ("pozes.unit=mm", "unknown key 'pozes'"),
+    ):
         status, text = said(*words(good, files, None, setting), "--out", tmp_path / "rec")
         assert status == 1 and says in text, (setting, text)
 
@@ -119,7 +172,10 @@ def test_what_is_imported_is_never_written_over(good, tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "poses.csv").write_bytes((good / "poses.csv").read_bytes())
     recipe = tmp_path / "r.toml"
-    recipe.write_text(f'schema = "import/1"\nrig = "{good}/rig.toml"\n[poses]\nfile = "in/poses.csv"\nrotation = "rotvec"\nunit = "m"\n')
+    recipe.write_text(
+        f'schema = "import/1"\nrig = "{good}/rig.toml"\n[poses]\nfile = "in/poses.csv"\nrotation = '
+        '"rotvec"\nunit = "m"\n'
+    )
     status, text = said("import", "--recipe", recipe, "--out", tmp_path / "in", "--force")
     assert status == 1 and (tmp_path / "in" / "poses.csv").read_bytes() == (good / "poses.csv").read_bytes()
     assert importers.load(recipe).poses.rotation == "rotvec"

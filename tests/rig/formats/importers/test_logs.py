@@ -1,4 +1,6 @@
-"""Trajectories of TUM, samples of LinuxCNC's halsampler and Parquet tables become the same recording; poses and tables go out and come back."""
+"""Trajectories of TUM, samples of LinuxCNC's halsampler and Parquet tables become the same recording; poses and tables
+go out and come back.
+"""
 
 import builtins
 import shutil
@@ -27,14 +29,21 @@ def tum(folder, out, header):
     at = dict(zip(frames["frame"], frames["t"]))
     v = np.array([p[name] for name in ("x", "y", "z", "rx", "ry", "rz")], float).T
     q = Rotation.from_rotvec(v[:, 3:]).as_quat()
-    rows = [" ".join([at[frame], *(repr(float(value)) for value in row)]) for frame, row in zip(p["frame"], np.column_stack([v[:, :3], q]))]
+    rows = [
+        " ".join([at[frame], *(repr(float(value)) for value in row)])
+        for frame, row in zip(p["frame"], np.column_stack([v[:, :3], q]))
+    ]
     out.write_text("\n".join([*(["# timestamp tx ty tz qx qy qz qw"] if header else []), *rows]) + "\n")
     return out
 
 
 @pytest.mark.parametrize("header", [True, False])
 def test_a_tum_trajectory_is_read_with_and_without_its_header(header, good, tmp_path):
-    files = {"commands": good / "commands.csv", "poses": tum(good, tmp_path / "poses.tum", header), "sensors": good / "sensors.csv"}
+    files = {
+        "commands": good / "commands.csv",
+        "poses": tum(good, tmp_path / "poses.tum", header),
+        "sensors": good / "sensors.csv",
+    }
     status, text = said(*words(good, files, None, "commands.unit=m"), "--out", tmp_path / "rec")
     assert status == 0 and ("a trajectory as TUM's" in text) != header, text
     same(recording_folder.load(good), recording_folder.load(tmp_path / "rec"))
@@ -55,7 +64,9 @@ def test_a_tum_trajectory_goes_out(good, tmp_path):
 
 
 def sampled(folder, out, tag, lost=()):
-    """What halsampler prints of a recording's commands, in mm, a sample a second: `%d ` where tagged, then `%f ` each."""
+    """What halsampler prints of a recording's commands, in mm, a sample a second: `%d ` where tagged, then `%f `
+    each.
+    """
     c = columns(folder / "commands.csv")
     t, q = np.array(c["t"], float), np.array([c[f"l{i}"] for i in range(1, 7)], float).T * 1e3
     lines = []
@@ -87,16 +98,24 @@ def test_samples_of_linuxcnc_are_commands_at_their_times(good, tmp_path):
 def test_samples_lost_that_nothing_counts_are_refused(good, tmp_path):
     log = sampled(good, tmp_path / "struts.log", False, lost=(7,))
     files = {"commands": log, "poses": tum(good, tmp_path / "poses.tum", False)}
-    status, text = said(*words(good, files, None, "commands.header=l1 l2 l3 l4 l5 l6", "commands.period=1"), "--out", tmp_path / "rec")
+    status, text = said(
+        *words(good, files, None, "commands.header=l1 l2 l3 l4 l5 l6", "commands.period=1"), "--out", tmp_path / "rec"
+    )
     assert status == 1 and "struts.log:8: samples were lost here" in text
     sampled(good, log, False)
-    status, text = said(*words(good, files, None, "commands.header=l1 l2 l3", "commands.period=1"), "--out", tmp_path / "rec")
+    status, text = said(
+        *words(good, files, None, "commands.header=l1 l2 l3", "commands.period=1"), "--out", tmp_path / "rec"
+    )
     assert status == 1 and "struts.log:1: has 6 cells in a row, and commands.header names 3 columns" in text
 
 
-@pytest.mark.parametrize("header, says", [
-    (None, "log:1: has no header line: name its 3 columns, --set 'commands.header=..'"),
-    ("t l1", "log:1: has 3 cells in a row, and commands.header names 2")])
+@pytest.mark.parametrize(
+    "header, says",
+    [
+        (None, "log:1: has no header line: name its 3 columns, --set 'commands.header=..'"),
+        ("t l1", "log:1: has 3 cells in a row, and commands.header names 2"),
+    ],
+)
 def test_names_that_columns_lack_are_asked_for(header, says, tmp_path):
     (tmp_path / "log").write_text("0 0.41 0.42\n1 0.43 0.44\n2 0.45 0.46\n")
     with pytest.raises(FileError) as refused:
@@ -108,14 +127,26 @@ def test_parquet_tables_come_in_as_csv_does(good, tmp_path):
     frames, c, p = (columns(good / f"{name}.csv") for name in ("frames", "commands", "poses"))
     at = dict(zip(frames["frame"], frames["t"]))
     stamps = pa.array([round(float(t) * 1e9) + EPOCH * 10**9 for t in c["t"]], pa.timestamp("ns", "UTC"))
-    pq.write_table(pa.table({"stamp": stamps, **{f"leg{i} [mm]": np.array(c[f"l{i}"], float) * 1e3 for i in range(1, 7)}}), tmp_path / "c.parquet")
-    pq.write_table(pa.table({"t": pa.array([round(float(at[f]) * 1e9) + EPOCH * 10**9 for f in p["frame"]], pa.int64()),
-                             **{name: np.array(p[name], float) for name in ("x", "y", "z", "rx", "ry", "rz")}}), tmp_path / "p.parquet")
+    pq.write_table(
+        pa.table({"stamp": stamps, **{f"leg{i} [mm]": np.array(c[f"l{i}"], float) * 1e3 for i in range(1, 7)}}),
+        tmp_path / "c.parquet",
+    )
+    pq.write_table(
+        pa.table(
+            {
+                "t": pa.array([round(float(at[f]) * 1e9) + EPOCH * 10**9 for f in p["frame"]], pa.int64()),
+                **{name: np.array(p[name], float) for name in ("x", "y", "z", "rx", "ry", "rz")},
+            }
+        ),
+        tmp_path / "p.parquet",
+    )
     files = {"commands": tmp_path / "c.parquet", "poses": tmp_path / "p.parquet"}
     status, text = said(*words(good, files, None, "poses.rotation=rotvec", "poses.unit=m"), "--out", tmp_path / "rec")
     assert status == 0, text
     a, b = recording_folder.load(good), recording_folder.load(tmp_path / "rec")
-    assert np.abs(a.commands.values - b.commands.values).max() < 1e-12 and np.abs(a.commands.t - b.commands.t).max() < 2e-9
+    assert (
+        np.abs(a.commands.values - b.commands.values).max() < 1e-12 and np.abs(a.commands.t - b.commands.t).max() < 2e-9
+    )
     assert said("import", "--recipe", tmp_path / "rec.import.toml", "--out", tmp_path / "again")[0] == 0
 
 
@@ -141,7 +172,11 @@ def test_what_is_no_parquet_is_refused_and_a_missing_library_says_what_installs_
     }
     for name, data in bad.items():
         (tmp_path / f"{name}.parquet").write_bytes(data)
-        status, text = said(*words(good, {"commands": tmp_path / f"{name}.parquet", "poses": good / "poses.csv"}), "--out", tmp_path / "rec")
+        status, text = said(
+            *words(good, {"commands": tmp_path / f"{name}.parquet", "poses": good / "poses.csv"}),
+            "--out",
+            tmp_path / "rec",
+        )
         assert status == 1 and f"{name}.parquet: " in text and "Traceback" not in text, text
     whole_import = builtins.__import__
 

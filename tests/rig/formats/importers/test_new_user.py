@@ -1,4 +1,6 @@
-"""Twenty images of each camera, millimetres, semicolons, milliseconds since 1970: imported, checked, measured, calibrated."""
+"""Twenty images of each camera, millimetres, semicolons, milliseconds since 1970: imported, checked, measured,
+calibrated.
+"""
 
 import csv
 import shutil
@@ -23,25 +25,41 @@ def theirs(folder):
     with open(BENCH / "fit" / "commands.csv") as file:
         rows = list(csv.reader(file))[1:]
     lines = ["# controller log", "Time [ms];" + ";".join(f"L{i} [mm]" for i in range(1, 7))]
-    lines += [";".join([f"{(Decimal(t) + EPOCH) * 1000:.0f}", *(str(Decimal(v) * 1000).replace(".", ",") for v in q)]) for t, *q in rows]
+    lines += [
+        ";".join([f"{(Decimal(t) + EPOCH) * 1000:.0f}", *(str(Decimal(v) * 1000).replace(".", ",") for v in q)])
+        for t, *q in rows
+    ]
     (folder / "log.csv").write_text("\n".join(lines), encoding="utf-8-sig")
 
 
 @pytest.mark.slow
 def test_twenty_images_become_a_calibration(tmp_path):
     theirs(tmp_path)
-    status, text = said("import", tmp_path / "pictures", "--rig", BENCH / "fit" / "rig.toml", "--commands", tmp_path / "log.csv",
-                        "--out", tmp_path / "rec")
+    status, text = said(
+        "import",
+        tmp_path / "pictures",
+        "--rig",
+        BENCH / "fit" / "rig.toml",
+        "--commands",
+        tmp_path / "log.csv",
+        "--out",
+        tmp_path / "rec",
+    )
     assert status == 0 and text.startswith("imported: 20 frames, 60 images of 3 cameras, 42 commands"), text
     assert "names of images: times are milliseconds since 1970" in text and "to look at" not in text
     ours, good = recording_folder.load(tmp_path / "rec"), recording_folder.load(BENCH / "fit")
-    assert np.abs(ours.exposures.times()[1] - good.exposures.times()[1]).max() < 1e-3 and ours.exposures.camera == good.exposures.camera
+    assert (
+        np.abs(ours.exposures.times()[1] - good.exposures.times()[1]).max() < 1e-3
+        and ours.exposures.camera == good.exposures.camera
+    )
     assert said("check", tmp_path / "rec") == (0, "nothing wrong or unlikely was found\n")
     status, text = said("measure", tmp_path / "rec", "--out", tmp_path / "measured")
     assert status == 0 and "20 of 20 frames solved" in text.splitlines()[0], text
     status, text = said("calibrate", tmp_path / "measured", "--out", tmp_path / "calibration.json")
     assert status == 0 and (tmp_path / "calibration.json").exists(), text
-    status, text = said("certify", tmp_path / "calibration.json", tmp_path / "rec", "--out", tmp_path / "certificate.html")
+    status, text = said(
+        "certify", tmp_path / "calibration.json", tmp_path / "rec", "--out", tmp_path / "certificate.html"
+    )
     assert status == 1 and "20 of 20 frames" in text and "--mask" in text, text
 
 
@@ -54,8 +72,17 @@ def test_twenty_images_become_a_certificate_in_four_commands(tmp_path):
     held, kept = "1,4,7,10,13,16", "0,2-3,5-6,8-9,11-12,14-15,17-19"
     status, text = said("calibrate", tmp_path / "rec", "--mask", held, "--out", tmp_path / "calibration.json")
     assert status == 0 and "from 14 distinct configurations" in text, text
-    words = ("certify", tmp_path / "calibration.json", tmp_path / "rec", "--coverage", "0.6", "--confidence", "0.9", "--out",
-             tmp_path / "certificate.html")
+    words = (
+        "certify",
+        tmp_path / "calibration.json",
+        tmp_path / "rec",
+        "--coverage",
+        "0.6",
+        "--confidence",
+        "0.9",
+        "--out",
+        tmp_path / "certificate.html",
+    )
     status, text = said(*words, "--mask", kept)
     assert status == 0 and "From 6 distinct configurations, none of which took part in fitting" in text, text
     assert "With 90 % confidence, 60 % of poses" in (tmp_path / "certificate.html").read_text()
@@ -67,15 +94,32 @@ def test_a_log_that_is_cut_off_names_its_last_line(tmp_path):
     theirs(tmp_path)
     lines = (tmp_path / "log.csv").read_text(encoding="utf-8-sig").splitlines()
     (tmp_path / "log.csv").write_text("\n".join([*lines[:9], lines[9][:30]]))
-    status, text = said("import", tmp_path / "pictures", "--rig", BENCH / "fit" / "rig.toml", "--commands", tmp_path / "log.csv",
-                        "--out", tmp_path / "rec")
+    status, text = said(
+        "import",
+        tmp_path / "pictures",
+        "--rig",
+        BENCH / "fit" / "rig.toml",
+        "--commands",
+        tmp_path / "log.csv",
+        "--out",
+        tmp_path / "rec",
+    )
     assert status == 1 and "log.csv:10: its last line is not like the 7 before it" in text and "cut off" in text, text
 
 
 def test_a_header_that_is_not_known_is_asked_for(tmp_path):
     theirs(tmp_path)
     log = (tmp_path / "log.csv").read_text(encoding="utf-8-sig")
-    words = ("import", tmp_path / "pictures", "--rig", BENCH / "fit" / "rig.toml", "--commands", tmp_path / "log.csv", "--out", tmp_path / "rec")
+    words = (
+        "import",
+        tmp_path / "pictures",
+        "--rig",
+        BENCH / "fit" / "rig.toml",
+        "--commands",
+        tmp_path / "log.csv",
+        "--out",
+        tmp_path / "rec",
+    )
     (tmp_path / "log.csv").write_text(log.replace("Time [ms]", "Tick [ms]"))
     status, text = said(*words)
     assert status == 1 and "--set 'commands.columns.t=HEADER'" in text, text

@@ -1,4 +1,6 @@
-"""Folders and columns by their owner's words, ISO times alone, an empty image and one that is missing: what is refused says what helps."""
+"""Folders and columns by their owner's words, ISO times alone, an empty image and one that is missing: what is refused
+says what helps.
+"""
 
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
@@ -15,7 +17,9 @@ START = datetime(2026, 3, 1, 9, tzinfo=UTC)
 
 
 def theirs(folder, design, count=4):
-    """Images and tables as somebody has them; the last image of cam1 is empty, the second of cam0 is named and not there."""
+    """Images and tables as somebody has them; the last image of cam1 is empty, the second of cam0 is named and not
+    there.
+    """
     lines = ["Bild;Zeit"]
     for ours, name in CAMERAS.items():
         camera = design.camera(ours)
@@ -31,9 +35,20 @@ def theirs(folder, design, count=4):
 
 def test_an_owners_own_words(good, tmp_path):
     theirs(tmp_path, design_file.load(good / "rig.toml"))
-    made = ["import", tmp_path / "Bilder Größe A", "--rig", good / "rig.toml", "--frames", tmp_path / "Bilder.csv", "--out", tmp_path / "rec"]
+    made = [
+        "import",
+        tmp_path / "Bilder Größe A",
+        "--rig",
+        good / "rig.toml",
+        "--frames",
+        tmp_path / "Bilder.csv",
+        "--out",
+        tmp_path / "rec",
+    ]
     status, text = said(*made)
-    assert status == 1 and "--set 'images.cameras.Kamera links=cam0' --set 'images.cameras.Kamera rechts=cam1'" in text, text
+    assert (
+        status == 1 and "--set 'images.cameras.Kamera links=cam0' --set 'images.cameras.Kamera rechts=cam1'" in text
+    ), text
     made += ["--set", "images.cameras.Kamera links=cam0", "--set", "images.cameras.Kamera rechts=cam1"]
     status, text = said(*made)
     assert status == 1 and "Aufnahme Prüfung 4.png: is an empty file (--skip-unreadable" in text, text
@@ -42,19 +57,39 @@ def test_an_owners_own_words(good, tmp_path):
     assert "Bilder.csv names images that are not there, 1 of 8: Kamera links/Aufnahme Prüfung 2.png" in text, text
     found = recording_folder.load(tmp_path / "rec")
     assert list(zip(found.exposures.frame.tolist(), found.exposures.camera)) == [
-        (1, "cam0"), (1, "cam1"), (2, "cam1"), (3, "cam0"), (3, "cam1"), (4, "cam0")]
+        (1, "cam0"),
+        (1, "cam1"),
+        (2, "cam1"),
+        (3, "cam0"),
+        (3, "cam1"),
+        (4, "cam0"),
+    ]
     assert found.exposures.times()[1].tolist() == [0.0, 5.0, 10.0, 15.0]
 
 
 def test_a_shift_of_images_moves_the_times_that_a_table_gives_them(good, tmp_path):
     theirs(tmp_path, design_file.load(good / "rig.toml"))
-    made = ["import", tmp_path / "Bilder Größe A", "--rig", good / "rig.toml", "--frames", tmp_path / "Bilder.csv", "--skip-unreadable",
-            "--set", "images.cameras.Kamera links=cam0", "--set", "images.cameras.Kamera rechts=cam1"]
+    made = [
+        "import",
+        tmp_path / "Bilder Größe A",
+        "--rig",
+        good / "rig.toml",
+        "--frames",
+        tmp_path / "Bilder.csv",
+        "--skip-unreadable",
+        "--set",
+        "images.cameras.Kamera links=cam0",
+        "--set",
+        "images.cameras.Kamera rechts=cam1",
+    ]
     assert said(*made, "--out", tmp_path / "as they are")[0] == 0
     for setting in ("images.shift=37.4", "frames.shift=37.4"):
         status, text = said(*made, "--set", setting, "--out", tmp_path / setting)
         assert status == 0, text
-        stated, moved = (Decimal((tmp_path / name / "frames.csv").read_text().splitlines()[1].split(",")[1]) for name in ("as they are", setting))
+        stated, moved = (
+            Decimal((tmp_path / name / "frames.csv").read_text().splitlines()[1].split(",")[1])
+            for name in ("as they are", setting)
+        )
         assert moved - stated == Decimal("37.4")
     status, text = said(*made, "--set", "images.shift=1", "--set", "frames.shift=2", "--out", tmp_path / "both")
     assert status == 1 and "both move the times of Bilder.csv; state one" in text

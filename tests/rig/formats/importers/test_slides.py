@@ -15,14 +15,21 @@ def table(path, header, row):
 
 
 def test_each_column_is_read_in_the_unit_of_its_header(tmp_path):
-    read = read_commands(table(tmp_path / "c.csv", "frame,q1 [deg],q2 [deg],q3 [mm],q4", "0,90,-45,120,0.5"), shipped_arms.load_shipped_arm("scara"))
+    read = read_commands(
+        table(tmp_path / "c.csv", "frame,q1 [deg],q2 [deg],q3 [mm],q4", "0,90,-45,120,0.5"),
+        shipped_arms.load_shipped_arm("scara"),
+    )
     np.testing.assert_allclose(read.values[0], [np.pi / 2, -np.pi / 4, 0.12, 0.5], atol=1e-12)
 
 
-@pytest.mark.parametrize("header, row, says", [
-    ("frame,q1,q2,q3,q4", "0,90,-45,120,0.5", "no unit in common"),
-    ("frame,q1,q2,q3 [deg],q4", "0,1,1,0.1,0.5", "deg is no unit of q3, which slides"),
-    ("frame,q1 [mm],q2,q3,q4", "0,1,1,0.1,0.5", "mm is no unit of q1, which turns")])
+@pytest.mark.parametrize(
+    "header, row, says",
+    [
+        ("frame,q1,q2,q3,q4", "0,90,-45,120,0.5", "no unit in common"),
+        ("frame,q1,q2,q3 [deg],q4", "0,1,1,0.1,0.5", "deg is no unit of q3, which slides"),
+        ("frame,q1 [mm],q2,q3,q4", "0,1,1,0.1,0.5", "mm is no unit of q1, which turns"),
+    ],
+)
 def test_other_units_are_refused(tmp_path, header, row, says):
     with pytest.raises(RigError, match=says):
         read_commands(table(tmp_path / "c.csv", header, row), shipped_arms.load_shipped_arm("scara"))

@@ -63,7 +63,10 @@ def test_what_is_no_regular_file_is_written_straight_to(tmp_path):
 
 @pytest.mark.parametrize("named", ["/dev/stdout", "out.txt"])
 def test_what_the_shell_sent_the_output_to_gets_it_in_order(named, tmp_path):
-    code = f"from rig.formats.output_files import write_text; print('before'); write_text({str(tmp_path / named)!r}, 'whole\\n'); print('after')"
+    code = (
+        "from rig.formats.output_files import write_text; print('before'); "
+        f"write_text({str(tmp_path / named)!r}, 'whole\\n'); print('after')"
+    )
     with open(tmp_path / "out.txt", "w") as out:
         subprocess.run([sys.executable, "-c", code], stdout=out, check=True)
     assert (tmp_path / "out.txt").read_text() == "before\nwhole\nafter\n"
@@ -120,7 +123,9 @@ def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
     assert victim.read_text() == "mine" and not (tmp_path / "d" / "x").exists()
 
 
-@pytest.mark.parametrize("path, said", [(".", "is a folder"), ("no/x", "No such file or directory"), ("loop", "levels of symbolic links")])
+@pytest.mark.parametrize(
+    "path, said", [(".", "is a folder"), ("no/x", "No such file or directory"), ("loop", "levels of symbolic links")]
+)
 def test_what_cannot_be_a_file_is_said(path, said, tmp_path):
     (tmp_path / "loop").symlink_to("loop")
     with pytest.raises(FileError, match=said):

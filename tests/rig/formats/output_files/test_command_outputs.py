@@ -1,4 +1,6 @@
-"""What a command makes: nothing of others' is written over, nothing of its own from before stays, and all of it comes or nothing does."""
+"""What a command makes: nothing of others' is written over, nothing of its own from before stays, and all of it comes
+or nothing does.
+"""
 
 import json
 import os
@@ -31,7 +33,11 @@ def put(path, text, command="plan", **how):
 
 
 def tree(folder):
-    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST}
+    return {
+        str(path.relative_to(folder)): path.read_text()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != MANIFEST
+    }
 
 
 def test_a_folder_is_replaced_whole(tmp_path):
@@ -39,17 +45,27 @@ def test_a_folder_is_replaced_whole(tmp_path):
     make(out, {"frames.csv": "1", "images/cam0/1.png": "x", "images/cam0/2.png": "y", "sensors.csv": "s"})
     (out / "notes.txt").write_text("mine")
     make(out, {"frames.csv": "2", "images/cam1/1.png": "z"})
-    assert tree(out) == {"frames.csv": "2", "images/cam1/1.png": "z", "notes.txt": "mine"} and not (out / "images" / "cam0").exists()
+    assert (
+        tree(out) == {"frames.csv": "2", "images/cam1/1.png": "z", "notes.txt": "mine"}
+        and not (out / "images" / "cam0").exists()
+    )
     known = load_manifest(out)
-    assert known.origin.command == "measure" and known.origin.complete and set(known.files) == {"frames.csv", "images/cam1/1.png"}
+    assert (
+        known.origin.command == "measure"
+        and known.origin.complete
+        and set(known.files) == {"frames.csv", "images/cam1/1.png"}
+    )
 
 
-@pytest.mark.parametrize("spoil, says", [
-    (lambda out: (out / "rig.toml").write_text("edited"), "rig.toml: was changed or added since"),
-    (lambda out: (out / "sensors.csv").write_text("added"), "sensors.csv: was changed or added since"),
-    (lambda out: (out / "poses_stage1.csv").write_text("added"), "poses_stage1.csv: was changed or added since"),
-    (lambda out: (out / MANIFEST).unlink(), "did not make what is in it"),
-])
+@pytest.mark.parametrize(
+    "spoil, says",
+    [
+        (lambda out: (out / "rig.toml").write_text("edited"), "rig.toml: was changed or added since"),
+        (lambda out: (out / "sensors.csv").write_text("added"), "sensors.csv: was changed or added since"),
+        (lambda out: (out / "poses_stage1.csv").write_text("added"), "poses_stage1.csv: was changed or added since"),
+        (lambda out: (out / MANIFEST).unlink(), "did not make what is in it"),
+    ],
+)
 def test_what_somebody_else_did_to_a_folder_is_kept_unless_forced(spoil, says, tmp_path):
     out = tmp_path / "out"
     make(out, {"rig.toml": "a", "frames.csv": "1"})
@@ -74,12 +90,22 @@ def test_an_input_is_never_written_over(force, tmp_path):
     rec, link = tmp_path / "rec", tmp_path / "link"
     make(rec, {"rig.toml": "a", "frames.csv": "1"})
     link.symlink_to(rec)
-    for out, given in ((rec, rec), (link, rec), (rec, link), (rec, rec / "rig.toml"), (tmp_path / "x" / ".." / "rec", rec)):
+    for out, given in (
+        (rec, rec),
+        (link, rec),
+        (rec, link),
+        (rec, rec / "rig.toml"),
+        (tmp_path / "x" / ".." / "rec", rec),
+    ):
         with pytest.raises(RigError, match="stays as it was"):
             make(out, {"rig.toml": "b"}, inputs=[given], force=force)
     os.link(rec / "rig.toml", tmp_path / "hard.toml")
-    for out, given in ((rec / "rig.toml", rec / "rig.toml"), (link / "rig.toml", rec / "rig.toml"), (tmp_path / "hard.toml", rec / "rig.toml"),
-                       (rec / "poses.csv", rec)):
+    for out, given in (
+        (rec / "rig.toml", rec / "rig.toml"),
+        (link / "rig.toml", rec / "rig.toml"),
+        (tmp_path / "hard.toml", rec / "rig.toml"),
+        (rec / "poses.csv", rec),
+    ):
         with pytest.raises(RigError, match="stays as it was"):
             put(out, "b", inputs=[given], force=force)
     assert tree(rec) == {"rig.toml": "a", "frames.csv": "1"}
@@ -128,7 +154,10 @@ def test_who_fails_leaves_everything_as_it_was(tmp_path):
     with pytest.raises(ZeroDivisionError), Outputs("plan") as outputs:
         write_text(outputs.file(tmp_path / "p.csv"), "x")
         raise ZeroDivisionError
-    assert tree(tmp_path) == {"old/frames.csv": "1"} and sorted(path.name for path in (tmp_path / "old").iterdir()) == before
+    assert (
+        tree(tmp_path) == {"old/frames.csv": "1"}
+        and sorted(path.name for path in (tmp_path / "old").iterdir()) == before
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["old"]
 
 
@@ -170,14 +199,20 @@ print("done")
 
 
 def test_killed_at_every_step_a_folder_is_old_or_new_or_marked(tmp_path):
-    """A process is killed before its nth change on the disk, for every n: files are whole, mixtures are marked, and the next run works."""
+    """A process is killed before its nth change on the disk, for every n: files are whole, mixtures are marked, and the
+    next run works.
+    """
     old, new = ({"frames.csv": "1", "corners.csv": "c"}, {"frames.csv": "new frames.csv", "poses.csv": "new poses.csv"})
     seen = set()
     for step in range(1, 99):
         out = tmp_path / str(step)
         make(out, old)
-        done = subprocess.run([sys.executable, "-c", KILLED, str(out), str(step)], capture_output=True, text=True,
-                              env={**os.environ, "PYTHONPATH": str(ROOT)})
+        done = subprocess.run(
+            [sys.executable, "-c", KILLED, str(out), str(step)],
+            capture_output=True,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
         assert done.returncode in (0, -signal.SIGKILL), done.stderr
         left = {name: text for name, text in tree(out).items() if not name.startswith(".rig-")}
         assert all(text in (old.get(name), new.get(name)) for name, text in left.items())
@@ -195,8 +230,16 @@ def test_killed_at_every_step_a_folder_is_old_or_new_or_marked(tmp_path):
 
 
 def test_a_recording_that_was_not_finished_is_no_recording(tmp_path, recording_folder):
-    write_text(recording_folder / MANIFEST, json.dumps({"schema": "made/1", "files": {}, "origin": {
-        "command": "simulate", "arguments": [], "complete": False, "data": []}}))
+    write_text(
+        recording_folder / MANIFEST,
+        json.dumps(
+            {
+                "schema": "made/1",
+                "files": {},
+                "origin": {"command": "simulate", "arguments": [], "complete": False, "data": []},
+            }
+        ),
+    )
     with pytest.raises(FileError, match="is not complete: `rig simulate` was ended while it wrote it"):
         recording.load(recording_folder)
     (recording_folder / MANIFEST).write_text("{")
@@ -255,7 +298,10 @@ def test_two_commands_in_one_folder_do_not_undo_each_other(tmp_path):
     with Outputs("plan") as one, Outputs("design") as two:
         write_text(one.file(tmp_path / "plan.csv"), "p")
         write_text(two.file(tmp_path / "rig.toml"), "d")
-    assert tree(tmp_path) == {"plan.csv": "p", "rig.toml": "d"} and set(load_manifest(tmp_path).files) == {"plan.csv", "rig.toml"}
+    assert tree(tmp_path) == {"plan.csv": "p", "rig.toml": "d"} and set(load_manifest(tmp_path).files) == {
+        "plan.csv",
+        "rig.toml",
+    }
 
 
 def test_what_a_killed_command_had_staged_is_swept(tmp_path):

@@ -15,8 +15,15 @@ from tests.numeric import jacobian
 from tests.rig.arms import GANTRY, SCARA, SEVEN, STANFORD, UR10, configurations, random_arm
 from tests.rig.pinocchio_arm import build, poses
 
-ARMS = {"UR10": UR10, "seven": SEVEN, "random": random_arm(np.random.default_rng(5)), "scara": SCARA, "gantry": GANTRY, "stanford": STANFORD,
-        "random slides": random_arm(np.random.default_rng(6), 6, (0, 2, 5))}
+ARMS = {
+    "UR10": UR10,
+    "seven": SEVEN,
+    "random": random_arm(np.random.default_rng(5)),
+    "scara": SCARA,
+    "gantry": GANTRY,
+    "stanford": STANFORD,
+    "random slides": random_arm(np.random.default_rng(6), 6, (0, 2, 5)),
+}
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -47,9 +54,13 @@ def test_jacobian_agrees_with_differences(name):
     arm = ARMS[name]
     q = configurations(arm, 1, np.random.default_rng(2))[0]
     T = mechanism.forward(q, arm)
-    np.testing.assert_allclose(mechanism.jacobian(q, arm), jacobian(lambda x: log(T.inv() * mechanism.forward(x, arm)), q), atol=1e-8)
+    np.testing.assert_allclose(
+        mechanism.jacobian(q, arm), jacobian(lambda x: log(T.inv() * mechanism.forward(x, arm)), q), atol=1e-8
+    )
     turned = mechanism.jacobian(q, arm, "base").reshape(2, 3, -1)
-    np.testing.assert_allclose(T.rotation.as_matrix().T @ turned, mechanism.jacobian(q, arm).reshape(2, 3, -1), atol=1e-14)
+    np.testing.assert_allclose(
+        T.rotation.as_matrix().T @ turned, mechanism.jacobian(q, arm).reshape(2, 3, -1), atol=1e-14
+    )
 
 
 @pytest.mark.parametrize("name", ["UR10", "seven", "scara", "gantry", "stanford"])
@@ -99,7 +110,9 @@ def test_weight_and_motion_of_slides_agree_with_pinocchio(name):
     own = arm_dynamics.Links(rng.uniform(1, 4, 6), 0.1 * rng.normal(size=(6, 3)), 0.01 * half @ np.swapaxes(half, 1, 2))
     model, _ = build(arm)
     for i, row in enumerate(arm.rows):
-        to_link = pinocchio.SE3(pinocchio.utils.rotate("x", row[3]) @ pinocchio.utils.rotate("y", row[4]), np.array([row[2], 0, 0]))
+        to_link = pinocchio.SE3(
+            pinocchio.utils.rotate("x", row[3]) @ pinocchio.utils.rotate("y", row[4]), np.array([row[2], 0, 0])
+        )
         model.appendBodyToJoint(i + 1, pinocchio.Inertia(own.mass[i], own.centre[i], own.inertia[i]), to_link)
     gravity = np.array([1.0, -2.0, -9.5])
     model.gravity.linear = gravity
@@ -142,7 +155,9 @@ def test_few_joints_come_as_near_as_they_can_and_say_what_is_left(name, reached)
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12
     np.testing.assert_allclose(pose_difference(mechanism.forward(found, arm), wanted), rest, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(rest[:, 3:], axis=1), np.linalg.norm(off[:, 3:], axis=1), atol=1e-5)
-    beyond = replace(arm, joints=arm.rows + 1e-3 * rng.normal(size=arm.rows.shape))  # askew: no direction more to be led in
+    beyond = replace(
+        arm, joints=arm.rows + 1e-3 * rng.normal(size=arm.rows.shape)
+    )  # askew: no direction more to be led in
     found, rest, settled = deficient_arm.nearest_configuration(wanted, beyond, q, count)
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12 and np.abs(found - q).max() < 0.4
 

@@ -1,4 +1,6 @@
-"""Compiled kinematics: the same bits whatever stands beside a pose and however many threads, and every pose that pivots solve."""
+"""Compiled kinematics: the same bits whatever stands beside a pose and however many threads, and every pose that pivots
+solve.
+"""
 
 import numpy as np
 
@@ -11,7 +13,9 @@ def test_a_pose_comes_out_the_same_to_the_last_bit_whatever_stands_beside_it(des
     commands = low_discrepancy(design.mechanism.strut_range, 300, 0.95)
     together = hexapod.forward(commands, design.mechanism).as_matrix()
     alone = np.stack([hexapod.forward(one, design.mechanism).as_matrix() for one in commands[:40]])
-    assert (together[:40] == alone).all() and (hexapod.forward(commands[37:90], design.mechanism).as_matrix() == together[37:90]).all()
+    assert (together[:40] == alone).all() and (
+        hexapod.forward(commands[37:90], design.mechanism).as_matrix() == together[37:90]
+    ).all()
     monkeypatch.setattr(hexapod_kernels, "worker_count", lambda: 3)
     parts = []
     hexapod_kernels.run_in_threads(parts.append, 100, 10)
@@ -28,5 +32,7 @@ def test_random_machines_are_solved_as_pivots_solve_them():
         found = hexapod.forward(lengths, m, T)
         np.testing.assert_allclose(found.as_matrix(), T.as_matrix(), atol=1e-9)
         matrix = T.as_matrix()
-        plain = np.linalg.norm(m.platform_joints @ matrix[:3, :3].T + matrix[:3, 3] - m.base_joints, axis=1) - m.strut_zeros
+        plain = (
+            np.linalg.norm(m.platform_joints @ matrix[:3, :3].T + matrix[:3, 3] - m.base_joints, axis=1) - m.strut_zeros
+        )
         np.testing.assert_allclose(lengths, plain, atol=1e-15)

@@ -10,7 +10,9 @@ from rig.model.mechanisms import ALL, hexapod, kinematics_of
 from rig.model.pose import exp, pose
 from tests.numeric import jacobian
 
-PARALLEL = [kind for kind in ALL if kind not in ("arm", "chain")]  # they answer to joint values, chains by choice: test_arm, test_chains
+PARALLEL = [
+    kind for kind in ALL if kind not in ("arm", "chain")
+]  # they answer to joint values, chains by choice: test_arm, test_chains
 PLANAR = Planar2([[0.0, 0.0], [1.0, 0.0]], [[0.6, 1.2], [0.6, 1.2]], [1e-3, -2e-3])
 
 
@@ -34,7 +36,11 @@ def test_jacobian_agrees_with_differences(kind, design):
     mechanism, lengths = samples(kind, design, (), np.random.default_rng(1))
     module = kinematics_of(mechanism)
     T = module.forward(lengths, mechanism)
-    np.testing.assert_allclose(module.jacobian(T, mechanism), jacobian(lambda xi: module.inverse(T * exp(xi), mechanism), np.zeros(6)), atol=1e-8)
+    np.testing.assert_allclose(
+        module.jacobian(T, mechanism),
+        jacobian(lambda xi: module.inverse(T * exp(xi), mechanism), np.zeros(6)),
+        atol=1e-8,
+    )
 
 
 @pytest.mark.parametrize("kind", PARALLEL)
@@ -63,7 +69,9 @@ def test_zeros_are_what_a_strut_is_longer_than_its_command(design):
 
     longer = replace(design.mechanism, strut_zeros=np.full(6, 1e-3))
     home = design.mechanism.home
-    np.testing.assert_allclose(hexapod.inverse(home, design.mechanism) - hexapod.inverse(home, longer), 1e-3, atol=1e-15)
+    np.testing.assert_allclose(
+        hexapod.inverse(home, design.mechanism) - hexapod.inverse(home, longer), 1e-3, atol=1e-15
+    )
 
 
 def test_home_lengths_are_hand_worked(design):
@@ -118,4 +126,6 @@ def test_a_kind_without_kinematics_is_named():
 
 
 def test_identity_batches_are_rigid_transforms(design):
-    assert isinstance(hexapod.forward(hexapod.inverse(design.mechanism.home, design.mechanism), design.mechanism), RigidTransform)
+    assert isinstance(
+        hexapod.forward(hexapod.inverse(design.mechanism.home, design.mechanism), design.mechanism), RigidTransform
+    )

@@ -1,4 +1,6 @@
-"""Six joints in one global frame: against the Denavit-Hartenberg chain, all branches, near singular and out of reach."""
+"""Six joints in one global frame: against the Denavit-Hartenberg chain, all branches, near singular and out of
+reach.
+"""
 
 from importlib.resources import files
 
@@ -14,10 +16,28 @@ from rig.model.pose import pose_difference
 from tests.rig.arms import HALF, SEVEN, UR10, random_arm
 
 PUMA = design_file.load(files("rig") / "arms" / "puma560.toml").mechanism
-OFFSET = Arm([[0, 0.29, 0.15, -HALF], [-HALF, 0, 0.27, 0], [0, 0, 0.07, -HALF], [0, 0.302, 0, HALF], [0, 0, 0, -HALF], [np.pi, 0.072, 0, 0]],
-             [[-3.1, 3.1]] * 6)
-TILTED = Arm([[0.2, 0.3, 0.1, 1.3], [0, 0.1, 0.4, 0], [0.3, 0.1, 0.05, -1.2], [0, 0.4, 0, 1.4], [0.1, 0, 0, -1.1], [0, 0.1, 0.02, 0.3]],
-             [[-3, 3]] * 6)
+OFFSET = Arm(
+    [
+        [0, 0.29, 0.15, -HALF],
+        [-HALF, 0, 0.27, 0],
+        [0, 0, 0.07, -HALF],
+        [0, 0.302, 0, HALF],
+        [0, 0, 0, -HALF],
+        [np.pi, 0.072, 0, 0],
+    ],
+    [[-3.1, 3.1]] * 6,
+)
+TILTED = Arm(
+    [
+        [0.2, 0.3, 0.1, 1.3],
+        [0, 0.1, 0.4, 0],
+        [0.3, 0.1, 0.05, -1.2],
+        [0, 0.4, 0, 1.4],
+        [0.1, 0, 0, -1.1],
+        [0, 0.1, 0.02, 0.3],
+    ],
+    [[-3, 3]] * 6,
+)
 ARMS = {"puma": PUMA, "offset": OFFSET, "UR10": UR10, "tilted": TILTED}
 
 
@@ -33,14 +53,17 @@ def near_singular(q, rng):
 def check(six, q):
     """(closure (m,) worst of all branches, missed (m,)): every branch must give the pose back, one of them the angles.
 
-    Within s of a singularity the angles themselves are only determined to (rounding / s), so they are compared after weighing by s
+    Within s of a singularity the angles themselves are only determined to (rounding / s), so they are compared after
+    weighing by s
     """
     matrix = mechanism.frames(q, six.arm)[:, -1]
     T = mechanism.forward(q, six.arm)
     found = six_joint_inverse.inverse(T, six)
     back = mechanism.frames(np.where(found.there[..., None], found.q, 0), six.arm)[..., -1, :, :]
     closure = np.where(found.there, np.abs(back - matrix[:, None]).max(axis=(-1, -2)), 0).max(axis=1)
-    apart = np.abs(np.exp(1j * np.where(found.there[..., None], found.q, np.nan)) - np.exp(1j * q[:, None])).max(axis=-1)
+    apart = np.abs(np.exp(1j * np.where(found.there[..., None], found.q, np.nan)) - np.exp(1j * q[:, None])).max(
+        axis=-1
+    )
     sine = np.minimum(1, np.abs(np.sin(q[:, 4])))
     return closure, ~(np.nanmin(np.where(found.there, apart, 9), axis=1) * sine < 1e-8), found
 
@@ -49,7 +72,11 @@ def check(six, q):
 def test_forward_is_the_chain_of_denavit_and_hartenberg(name):
     q = np.random.default_rng(0).uniform(-3, 3, (500, 6))
     np.testing.assert_allclose(
-        pose_difference(six_joint_inverse.forward(q, six_joint_inverse.six_joint_arm(ARMS[name])), mechanism.forward(q, ARMS[name])), 0, atol=1e-13
+        pose_difference(
+            six_joint_inverse.forward(q, six_joint_inverse.six_joint_arm(ARMS[name])), mechanism.forward(q, ARMS[name])
+        ),
+        0,
+        atol=1e-13,
     )
 
 
@@ -63,7 +90,9 @@ def test_the_frame_stands_at_the_crossing_of_the_first_axes():
 @pytest.mark.parametrize("name", ARMS)
 def test_every_branch_returns_and_none_is_missed(name):
     rng = np.random.default_rng(1)
-    closure, missed, found = check(six_joint_inverse.six_joint_arm(ARMS[name]), near_singular(rng.uniform(-np.pi, np.pi, (4000, 6)), rng))
+    closure, missed, found = check(
+        six_joint_inverse.six_joint_arm(ARMS[name]), near_singular(rng.uniform(-np.pi, np.pi, (4000, 6)), rng)
+    )
     assert closure.max() < 1e-11 and not missed.any() and not found.reason.any()
     assert np.isnan(found.q[~found.there]).all()
 
@@ -89,7 +118,12 @@ def test_singular_poses_are_named():
     q = np.tile([0.3, 0.4, 0.5, 0.6, 0.7, 0.8], (4, 1))
     q[[1, 3], 4], q[2:, 2] = 0, -stretched
     found = six_joint_inverse.inverse(mechanism.forward(q, PUMA), six)
-    assert [found.why(i) for i in range(4)] == ["regular", "singular: wrist", "singular: elbow", "singular: elbow, wrist"]
+    assert [found.why(i) for i in range(4)] == [
+        "regular",
+        "singular: wrist",
+        "singular: elbow",
+        "singular: elbow, wrist",
+    ]
 
 
 def test_a_free_joint_takes_what_is_near():
@@ -99,8 +133,14 @@ def test_a_free_joint_takes_what_is_near():
     assert np.nanmin(np.abs(found.q - q).max(axis=1)) < 1e-9
 
 
-@pytest.mark.parametrize("position, reason", [([2.0, 0, 0.6], "too far, by 1.1"), ([0.05, 0, 0.7], "axis 1 than the arm's offset allows"),
-                                              ([0.0, 0.15005, 0.672], "too near the shoulder")])
+@pytest.mark.parametrize(
+    "position, reason",
+    [
+        ([2.0, 0, 0.6], "too far, by 1.1"),
+        ([0.05, 0, 0.7], "axis 1 than the arm's offset allows"),
+        ([0.0, 0.15005, 0.672], "too near the shoulder"),
+    ],
+)
 def test_poses_out_of_reach_say_why(position, reason):
     bare = Arm(PUMA.joints * np.where(np.arange(6) == 5, 0, 1)[:, None], PUMA.limits)  # the hand is the wrist
     matrix = np.eye(4)
@@ -117,12 +157,20 @@ def test_nearest_branch_within_the_limits(shape):
     rng = np.random.default_rng(4)
     low, high = PUMA.limits.T
     q = rng.uniform(low, high, (*shape, 6))
-    found = six_joint_inverse.nearest_solution(mechanism.forward(q, PUMA), six_joint_inverse.six_joint_arm(PUMA), q + 1e-4)
+    found = six_joint_inverse.nearest_solution(
+        mechanism.forward(q, PUMA), six_joint_inverse.six_joint_arm(PUMA), q + 1e-4
+    )
     np.testing.assert_allclose(found, q, atol=1e-9)
 
 
-@pytest.mark.parametrize("arm, words", [(SEVEN, "six joints, not 7"), (random_arm(np.random.default_rng(0)), "take rig.model.mechanisms.arm.inverse"),
-                                        (Arm(UR10.joints * [1, 1, 1, 0], UR10.limits), "parallel")])
+@pytest.mark.parametrize(
+    "arm, words",
+    [
+        (SEVEN, "six joints, not 7"),
+        (random_arm(np.random.default_rng(0)), "take rig.model.mechanisms.arm.inverse"),
+        (Arm(UR10.joints * [1, 1, 1, 0], UR10.limits), "parallel"),
+    ],
+)
 def test_arms_without_a_closed_form_are_told_what_misses(arm, words):
     with pytest.raises(RigError, match=words):
         six_joint_inverse.six_joint_arm(arm)

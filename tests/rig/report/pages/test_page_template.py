@@ -1,4 +1,6 @@
-"""Pages that commands write: the verdict comes first, nothing leads elsewhere, text stays text, and a figure tells the values it was drawn from."""
+"""Pages that commands write: the verdict comes first, nothing leads elsewhere, text stays text, and a figure tells the
+values it was drawn from.
+"""
 
 import re
 
@@ -16,11 +18,24 @@ from rig.report.verdict import State, Verdict
 
 
 def test_a_page_says_its_verdict_first_and_needs_no_network():
-    page = page_html(Page("measure", "Measurement of <rec>", Verdict(State.CHECK, "38 of 40 frames solved"), ["<p>more</p>"],
-                     ["Do `rig view REC`"], [Link("all pages", "../index.html")]))
-    body = page[page.index("<body>"):]
+    page = page_html(
+        Page(
+            "measure",
+            "Measurement of <rec>",
+            Verdict(State.CHECK, "38 of 40 frames solved"),
+            ["<p>more</p>"],
+            ["Do `rig view REC`"],
+            [Link("all pages", "../index.html")],
+        )
+    )
+    body = page[page.index("<body>") :]
     assert re.sub("<[^>]*>", "", body).split()[:5] == ["check", "38", "of", "40", "frames"]
-    assert body.index("check") < body.index("Measurement of &lt;rec&gt;") < body.index("<code>rig view REC</code>") < body.index("<p>more</p>")
+    assert (
+        body.index("check")
+        < body.index("Measurement of &lt;rec&gt;")
+        < body.index("<code>rig view REC</code>")
+        < body.index("<p>more</p>")
+    )
     assert "default-src 'none'" in page and "://" not in page and '<a href="../index.html">all pages</a>' in page
 
 
@@ -51,11 +66,17 @@ def test_words_stay_within_their_figure():
     assert " ".join(lines) == label and len(lines) == 2 and all(text_width(line, 14) <= 340 for line in lines)
     drawn = plot_panel("t", (label, "y"), [Series(np.arange(3.0), np.arange(3.0))])
     assert all(f">{line}</text>" in drawn for line in lines) and text_width(lines[0], 14) < RIGHT
-    assert "1234" in text_within((0, 0, 60, 20), "1234") and text_within((0, 0, 20, 20), "1234") == text_within((0, 0, 60, 9), "1234") == ""
+    assert (
+        "1234" in text_within((0, 0, 60, 20), "1234")
+        and text_within((0, 0, 20, 20), "1234") == text_within((0, 0, 60, 9), "1234") == ""
+    )
 
 
 def test_whole_numbers_have_whole_ticks():
-    assert scale_of_values(np.array([1.0]), (0, 1), whole=True).ticks == [1.0] and 1.2 in scale_of_values(np.array([1.0]), (0, 1)).ticks
+    assert (
+        scale_of_values(np.array([1.0]), (0, 1), whole=True).ticks == [1.0]
+        and 1.2 in scale_of_values(np.array([1.0]), (0, 1)).ticks
+    )
     assert ">1.5</text>" not in plot_panel("t", ("visit", "y"), [Series(np.array([1.0, 2.0]), np.array([0.1, 0.7]))])
 
 
@@ -78,7 +99,11 @@ def test_a_figure_tells_the_values_it_was_drawn_from(log):
     x, y = rng.uniform(-5, 7, 40), 10 ** rng.uniform(-3, 1, 40)
     at, (across, up) = places(plot_panel("t", ("x", "y"), [Series(x, y)], log=log))
     assert np.allclose(values(at[:, 0], across), x, atol=0.002 * 12)
-    assert np.allclose(np.log(values(at[:, 1], up)), np.log(y), atol=0.02) if log else np.allclose(values(at[:, 1], up), y, atol=0.06)
+    assert (
+        np.allclose(np.log(values(at[:, 1], up)), np.log(y), atol=0.02)
+        if log
+        else np.allclose(values(at[:, 1], up), y, atol=0.06)
+    )
 
 
 def test_what_is_not_known_is_not_drawn_and_many_are_thinned():
@@ -102,12 +127,22 @@ def test_bars_and_cells_say_their_values():
     drawn = bar_chart("b", ["one", "two"], [("before", [1.0, np.nan], 0), ("noise", [0.5, 0.5], -1)], "px", ["two"])
     assert 'class="fill grey"' in drawn and 'class="fill c0"' in drawn
     assert "<title>one, before: 1 px</title>" in drawn and 'class="name" x=' in drawn
-    plane = image_plane("p", "below", (100, 50), (Cells(np.array([[10.0, 10.0]]), np.array([0.25]), 5.0, "px"),
-                                                  Arrows(np.array([[50.0, 25.0]]), np.array([[0.1, 0.0]]), 100.0, "px")))
+    plane = image_plane(
+        "p",
+        "below",
+        (100, 50),
+        (
+            Cells(np.array([[10.0, 10.0]]), np.array([0.25]), 5.0, "px"),
+            Arrows(np.array([[50.0, 25.0]]), np.array([[0.1, 0.0]]), 100.0, "px"),
+        ),
+    )
     start, along = re.search(r'd="M([\d.]+) [\d.]+l([\d.]+) ', plane).groups()
     enlarged = float(re.search(r'data-enlarged="([\d.]+)"', plane)[1])
     assert "<title>0.25 px</title>" in plane and float(along) / enlarged == pytest.approx(0.1, abs=1e-3)
     edge = image_plane("p", "below", (100, 50), (Cells(np.array([[0.0, 49.0]]), np.array([0.25]), 20.0, "px"),))
-    frame, cell = ([float(v) for v in re.findall(r' (?:x|y|width|height)="([-\d.]+)"', rect)] for rect in re.findall("<rect[^>]*>", edge))
+    frame, cell = (
+        [float(v) for v in re.findall(r' (?:x|y|width|height)="([-\d.]+)"', rect)]
+        for rect in re.findall("<rect[^>]*>", edge)
+    )
     assert cell[0] >= frame[0] and cell[1] + cell[3] <= frame[1] + frame[3] + 0.1, "a cell at the edge is cut off there"
     assert float(start) == pytest.approx(4 + 50.5 * 392 / 100, abs=0.06)

@@ -15,14 +15,48 @@ import pytest
 from rig.report.pages import run_page_server
 from rig.report.pages.run_page_server import STRANGERS, PageServer
 
-EVENT = {"phase": "moving to step 3", "frame": 2, "frames": 9, "step": 3, "steps": 10, "left": 75.0, "ended": None,
-         "struts": [{"low": 400.0, "high": 500.0, "at": 450.0, "goal": 460.5}] * 6,
-         "alarms": [{"kind": "camera", "text": "camera 'cam0' <b>moved</b>"}],
-         "history": [{"frame": 0, "rms": 0.02, "error": None, "innovation": None}, {"frame": 1, "rms": 0.03, "error": 12.0, "innovation": 1.1}],
-         "seen": {"frame": 1, "reason": "", "delay": 0.21, "pose": [1.0, 2.0, 450.0, 0.1, 0.2, 0.3], "sigma": [1.5] * 6, "error": [3.0] * 6,
-                  "innovation": 1.1, "cameras": [{"name": "cam0", "width": 64, "height": 48, "read": 3, "expected": 4, "rms": 0.02, "blur": 0.7,
-                                                  "quads": [[7, True, 1, 1, 9, 1, 9, 9, 1, 9]], "arrows": [[1, 1, 0.01, 0.02]]}]},
-         "rig": {"parts": [{"kind": "strut", "name": "1", "points": [[0, 0, 0], [0.1, 0, 0.4]]}], "middle": [0, 0, 0.2], "size": 1.3}}
+EVENT = {
+    "phase": "moving to step 3",
+    "frame": 2,
+    "frames": 9,
+    "step": 3,
+    "steps": 10,
+    "left": 75.0,
+    "ended": None,
+    "struts": [{"low": 400.0, "high": 500.0, "at": 450.0, "goal": 460.5}] * 6,
+    "alarms": [{"kind": "camera", "text": "camera 'cam0' <b>moved</b>"}],
+    "history": [
+        {"frame": 0, "rms": 0.02, "error": None, "innovation": None},
+        {"frame": 1, "rms": 0.03, "error": 12.0, "innovation": 1.1},
+    ],
+    "seen": {
+        "frame": 1,
+        "reason": "",
+        "delay": 0.21,
+        "pose": [1.0, 2.0, 450.0, 0.1, 0.2, 0.3],
+        "sigma": [1.5] * 6,
+        "error": [3.0] * 6,
+        "innovation": 1.1,
+        "cameras": [
+            {
+                "name": "cam0",
+                "width": 64,
+                "height": 48,
+                "read": 3,
+                "expected": 4,
+                "rms": 0.02,
+                "blur": 0.7,
+                "quads": [[7, True, 1, 1, 9, 1, 9, 9, 1, 9]],
+                "arrows": [[1, 1, 0.01, 0.02]],
+            }
+        ],
+    },
+    "rig": {
+        "parts": [{"kind": "strut", "name": "1", "points": [[0, 0, 0], [0.1, 0, 0.4]]}],
+        "middle": [0, 0, 0.2],
+        "size": 1.3,
+    },
+}
 
 
 @pytest.fixture
@@ -50,13 +84,25 @@ def ask(page, path, method="GET", host=None, token=True, headers=()):
 
 
 def test_who_has_the_token_sees_the_page_and_nothing_leads_elsewhere(page):
-    for path, kind in (("/", "text/html"), ("/page.js", "text/javascript"), ("/view3d.js", "text/javascript"), ("/page.css", "text/css"),
-                       ("/theme.css", "text/css")):
+    for path, kind in (
+        ("/", "text/html"),
+        ("/page.js", "text/javascript"),
+        ("/view3d.js", "text/javascript"),
+        ("/page.css", "text/css"),
+        ("/theme.css", "text/css"),
+    ):
         status, headers, body = ask(page, path)
         assert status == 200 and headers["Content-Type"].startswith(kind) and body
         assert b"http://" not in body.replace(b"http://www.w3.org/2000/svg", b"") and b"https://" not in body
-        assert headers["Cache-Control"] == "no-store" and headers["Referrer-Policy"] == "no-referrer" and headers["X-Frame-Options"] == "DENY"
-        assert "default-src 'none'" in headers["Content-Security-Policy"] and "unsafe" not in headers["Content-Security-Policy"]
+        assert (
+            headers["Cache-Control"] == "no-store"
+            and headers["Referrer-Policy"] == "no-referrer"
+            and headers["X-Frame-Options"] == "DENY"
+        )
+        assert (
+            "default-src 'none'" in headers["Content-Security-Policy"]
+            and "unsafe" not in headers["Content-Security-Policy"]
+        )
     assert ask(page, "/image?camera=cam0")[0] == 404
     page.show(lambda: EVENT, {"cam0": lambda: b"\xff\xd8jpeg"})
     assert ask(page, "/image?camera=cam0")[2] == b"\xff\xd8jpeg"
@@ -71,10 +117,22 @@ def test_without_the_token_or_with_another_all_is_refused(page, path):
 
 
 def test_another_host_or_site_is_refused_even_with_the_token(page):
-    for host in ("evil.example", f"evil.example:{page.port}", "127.0.0.1", f"127.0.0.1:{page.port + 1}", "", f"[::1]:{page.port}"):
+    for host in (
+        "evil.example",
+        f"evil.example:{page.port}",
+        "127.0.0.1",
+        f"127.0.0.1:{page.port + 1}",
+        "",
+        f"[::1]:{page.port}",
+    ):
         assert ask(page, "/", host=host or " ")[0] == 403
     assert ask(page, "/", host=f"localhost:{page.port}")[0] == 200
-    for origin in ("http://evil.example", "null", f"https://127.0.0.1:{page.port}", f"http://127.0.0.1:{page.port + 1}"):
+    for origin in (
+        "http://evil.example",
+        "null",
+        f"https://127.0.0.1:{page.port}",
+        f"http://127.0.0.1:{page.port + 1}",
+    ):
         assert ask(page, "/", headers=[("Origin", origin)])[0] == 403
         assert ask(page, "/stop", "POST", headers=[("Origin", origin)])[0] == 403
     assert ask(page, "/", headers=[("Sec-Fetch-Site", "cross-site")])[0] == 403
@@ -90,10 +148,26 @@ def test_it_listens_on_the_loopback_alone(page):
             socket.create_connection((address, page.port), timeout=2).close()
 
 
-@pytest.mark.parametrize("path", ["/../rig.toml", "/..%2f..%2fetc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/page.html", "/page.py",
-                                  "/server.py",
-                                  "/page.js/../server.py", "/page.js%00.html", "/./page.js", "/PAGE.JS", "/image?camera=../../rig.toml",
-                                  "http://evil.example/", "/image/../stop", "\\..\\server.py"])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../rig.toml",
+        "/..%2f..%2fetc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "//etc/passwd",
+        "/page.html",
+        "/page.py",
+        "/server.py",
+        "/page.js/../server.py",
+        "/page.js%00.html",
+        "/./page.js",
+        "/PAGE.JS",
+        "/image?camera=../../rig.toml",
+        "http://evil.example/",
+        "/image/../stop",
+        "\\..\\server.py",
+    ],
+)
 def test_path_tricks_are_refused(page, path):
     assert ask(page, path)[0] in (403, 404)
 
@@ -147,15 +221,19 @@ def test_nothing_is_drawn_that_nobody_looks_at_and_once_for_all_who_do(page):
 
 
 def test_strangers_neither_use_up_files_nor_shut_out_who_has_the_token(page):
-    flood = ("import socket, sys\nopen_ones = []\n"
-             "for k in range(200):\n"
-             "    one = socket.create_connection(('127.0.0.1', int(sys.argv[1])))\n"
-             "    one.sendall(b'GET / HTTP/1.1\\r\\n' + (b'', b'Host: x\\r\\n\\r\\n')[k % 2])\n"
-             "    open_ones.append(one)\n"
-             "print('done', flush=True)\nsys.stdin.read()\n")
+    flood = (
+        "import socket, sys\nopen_ones = []\n"
+        "for k in range(200):\n"
+        "    one = socket.create_connection(('127.0.0.1', int(sys.argv[1])))\n"
+        "    one.sendall(b'GET / HTTP/1.1\\r\\n' + (b'', b'Host: x\\r\\n\\r\\n')[k % 2])\n"
+        "    open_ones.append(one)\n"
+        "print('done', flush=True)\nsys.stdin.read()\n"
+    )
     page.show(lambda: EVENT, {"cam0": lambda: b"jpeg"})
     before = len(os.listdir("/proc/self/fd"))
-    with subprocess.Popen([sys.executable, "-c", flood, str(page.port)], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", flood, str(page.port)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
         answered, most = 0, 0
         while process.stdout not in select.select([process.stdout], [], [], 0)[0]:
             assert ask(page, "/")[0] == ask(page, "/image?camera=cam0")[0] == 200
@@ -169,8 +247,10 @@ def test_strangers_neither_use_up_files_nor_shut_out_who_has_the_token(page):
 @pytest.mark.parametrize("between", [" \x01", "\x1f", "\t"])
 def test_a_request_with_control_characters_presses_no_button(page, between):
     with socket.create_connection(("127.0.0.1", page.port), timeout=20) as asking:
-        asking.sendall(f"POST{between}/stop?token={page.token} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n"
-                       f"Origin: http://127.0.0.1:{page.port}\r\n\r\n".encode())
+        asking.sendall(
+            f"POST{between}/stop?token={page.token} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n"
+            f"Origin: http://127.0.0.1:{page.port}\r\n\r\n".encode()
+        )
         assert b" 403 " in asking.recv(100) and page.presses == []
 
 
@@ -209,9 +289,21 @@ def test_a_browser_shows_it(page, tmp_path):
     if browser is None:
         pytest.skip("needs Chromium: apt-get install chromium")
     page.show(lambda: {**EVENT, "ended": ""}, {})
-    with subprocess.Popen([browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--virtual-time-budget=3000",
-                           "--dump-dom",
-                           page.url], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:
+    with subprocess.Popen(
+        [
+            browser,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            f"--user-data-dir={tmp_path}",
+            "--virtual-time-budget=3000",
+            "--dump-dom",
+            page.url,
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as running:
         end = time.monotonic() + 120
         while not page._lines:  # until the browser listens
             assert running.poll() is None and time.monotonic() < end
@@ -221,5 +313,10 @@ def test_a_browser_shows_it(page, tmp_path):
     page.close = lambda: None
     assert "frame 2 of 9, step 3 of 10, 1:15 left" in shown
     assert "&lt;b&gt;moved&lt;/b&gt;" in shown, "what the run says is text, never markup"
-    assert shown.count('class="strut"') == 6 and "0.020 px" in shown and 'class="quad"' in shown and 'class="arrow"' in shown
+    assert (
+        shown.count('class="strut"') == 6
+        and "0.020 px" in shown
+        and 'class="quad"' in shown
+        and 'class="arrow"' in shown
+    )
     assert "450.000 mm" in shown and "0.21 s after its exposure" in shown and 'class="curve"' in shown
