@@ -8,7 +8,13 @@ from pathlib import Path
 from docs.make.imports_between_folders import Counts, downward, folder_counts, layers, names, package_counts, unimplied
 
 DIAGRAMS = ("packages", "rig", "vision", "calib")  # one a file; synthetic has no folders
-WIDTH, STEP, BOX, MARGIN, GAP = 680, 84, 30, 16, 18  # px: whole width, from layer to layer, height of a box, rim, least gap between boxes
+WIDTH, STEP, BOX, MARGIN, GAP = (
+    680,
+    84,
+    30,
+    16,
+    18,
+)  # px: whole width, from layer to layer, height of a box, rim, least gap between boxes
 LETTER, ROUNDS = 7.3, 8  # px of a letter at 13 px; how often the places within layers are sorted
 STYLE = """:root{color-scheme:light dark;--ground:#fff;--card:#eef1f6;--ink:#16181d;--soft:#555c69;--rule:#767d8a;--against:#b35c00}
 @media (prefers-color-scheme:dark){:root{--ground:#191c22;--card:#2c313b;--ink:#e8eaee;--soft:#b4bbc8;--rule:#8b93a2;--against:#ffae57}}
@@ -32,7 +38,9 @@ def diagram(name: str) -> str:
 
 
 def drawn(counts: Counts, shown: Counts, title: str, top: str = "") -> str:
-    """The SVG of some imports. shown : the downward ones that get an arrow; all that run upward get one; top : the package whose folders they are"""
+    """The SVG of some imports. shown : the downward ones that get an arrow; all that run upward get one; top : the
+    package whose folders they are
+    """
     level = layers(counts)
     against = {pair: n for pair, n in counts.items() if pair not in downward(counts)}
     routes = {pair: _route(pair, level) for pair in (*shown, *against)}
@@ -40,11 +48,17 @@ def drawn(counts: Counts, shown: Counts, title: str, top: str = "") -> str:
     width = {(name,): LETTER * len(label[name]) + 20 for name in names(counts)}
     at = placed(routes, level, width)
     high = MARGIN * 2 + BOX + STEP * max(level.values())
-    arrows = [_arrow([at[node] for node in routes[pair]], n, f"{pair[0]} imports {pair[1]}") for pair, n in shown.items()]
-    arrows += [_arrow([at[node] for node in routes[a, b]], n, f"{a} imports {b}, upward", "against") for (a, b), n in against.items()]
+    arrows = [
+        _arrow([at[node] for node in routes[pair]], n, f"{pair[0]} imports {pair[1]}") for pair, n in shown.items()
+    ]
+    arrows += [
+        _arrow([at[node] for node in routes[a, b]], n, f"{a} imports {b}, upward", "against")
+        for (a, b), n in against.items()
+    ]
     boxes = [_box(at[(name,)], width[(name,)], label[name], _told(name, counts)) for name in names(counts)]
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" viewBox="0 0 {WIDTH} {high}" width="{WIDTH}" height="{high}"><title>{escape(title)}'
+        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" viewBox="0 0 {WIDTH} {high}" width="{WIDTH}" '
+        f'height="{high}"><title>{escape(title)}'
         f'</title><style>{STYLE}</style><rect class="ground" width="{WIDTH}" height="{high}"/>'
         + "".join(line for line, _ in arrows)
         + "".join(boxes)
@@ -53,8 +67,11 @@ def drawn(counts: Counts, shown: Counts, title: str, top: str = "") -> str:
     )
 
 
-def placed(routes: Mapping[tuple[str, str], list[Node]], level: Mapping[str, int], width: Mapping[Node, float]) -> dict[Node, Place]:
-    """{node: its middle}. Within a layer nodes stand where their neighbours in other layers do, as far as boxes leave room.
+def placed(
+    routes: Mapping[tuple[str, str], list[Node]], level: Mapping[str, int], width: Mapping[Node, float]
+) -> dict[Node, Place]:
+    """{node: its middle}. Within a layer nodes stand where their neighbours in other layers do, as far as boxes leave
+    room.
 
     routes : the nodes of every arrow; level : the layer of every folder, 0 at the bottom; width : px of every box
     """
@@ -73,7 +90,14 @@ def placed(routes: Mapping[tuple[str, str], list[Node]], level: Mapping[str, int
     for turn in range(ROUNDS):
         for at in range(high + 1) if turn % 2 else range(high, -1, -1):
             row = [node for node in layer if layer[node] == at]
-            x |= _spread(row, {node: sum(x[other] for other in near[node]) / len(near[node]) if near[node] else x[node] for node in row}, width)
+            x |= _spread(
+                row,
+                {
+                    node: sum(x[other] for other in near[node]) / len(near[node]) if near[node] else x[node]
+                    for node in row
+                },
+                width,
+            )
     return {node: (x[node], MARGIN + BOX / 2 + STEP * (high - layer[node])) for node in layer}
 
 
@@ -110,7 +134,8 @@ def _told(name: str, counts: Counts) -> str:
 def _box(at: Place, wide: float, label: str, told: str) -> str:
     x, y = at
     return (
-        f'<g><title>{escape(told)}</title><rect x="{x - wide / 2:.1f}" y="{y - BOX / 2:.1f}" width="{wide:.1f}" height="{BOX}" rx="5"/>'
+        f'<g><title>{escape(told)}</title><rect x="{x - wide / 2:.1f}" y="{y - BOX / 2:.1f}" '
+        f'width="{wide:.1f}" height="{BOX}" rx="5"/>'
         f'<text x="{x:.1f}" y="{y + 4.5:.1f}">{escape(label)}</text></g>'
     )
 
@@ -120,14 +145,20 @@ def _arrow(places: list[Place], count: int, told: str, kind: str = "") -> tuple[
     down = 1 if places[-1][1] >= places[0][1] else -1
     shift = 12 if kind and len(places) == 2 else 0  # beside an arrow that runs down between the same boxes
     points = [(x + shift, y) for x, y in places]
-    points[0], points[-1] = (points[0][0], points[0][1] + down * BOX / 2), (points[-1][0], points[-1][1] - down * (BOX / 2 + 6))
+    points[0], points[-1] = (
+        (points[0][0], points[0][1] + down * BOX / 2),
+        (points[-1][0], points[-1][1] - down * (BOX / 2 + 6)),
+    )
     curve = f"M{points[0][0]:.1f},{points[0][1]:.1f}"
     for (x, y), (u, v) in zip(points, points[1:]):
         curve += f" C{x:.1f},{(y + v) / 2:.1f} {u:.1f},{(y + v) / 2:.1f} {u:.1f},{v:.1f}"
     u, v = points[-1]
     head = f"M{u:.1f},{v + down * 6:.1f} l-4,{-down * 8} h8 z"
     (x, y), (u, v) = points[0], points[1]
-    line = f'<g><title>{escape(told)} ({count})</title><path class="{kind}" d="{curve}"/><path class="head {kind}" d="{head}"/></g>'
+    line = (
+        f'<g><title>{escape(told)} ({count})</title><path class="{kind}" d="{curve}"/><path class="head {kind}" '
+        f'd="{head}"/></g>'
+    )
     return line, f'<text class="count {kind}" x="{(x + u) / 2:.1f}" y="{(y + v) / 2 + 4:.1f}">{count}</text>'
 
 

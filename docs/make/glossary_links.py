@@ -1,4 +1,6 @@
-"""Every page's first use of a special word links to the glossary: python -m docs.make.glossary_links writes the links that are missing."""
+"""Every page's first use of a special word links to the glossary: python -m docs.make.glossary_links writes the links
+that are missing.
+"""
 
 import re
 from pathlib import Path
@@ -25,13 +27,18 @@ SPECIAL = {  # anchor in the glossary: the word as pages use it
     "verdict": "verdicts?",
     "wild": "wild",
 }
-HIDDEN = re.compile(r"^(?: {4}|#|```)[^\n]*$|`[^`\n]*`|\$\$.*?\$\$|\$[^$\n]+\$|!?\[[^\]]*\]\([^)]*\)|<[^>\n]+>", re.MULTILINE | re.DOTALL)
+HIDDEN = re.compile(
+    r"^(?: {4}|#|```)[^\n]*$|`[^`\n]*`|\$\$.*?\$\$|\$[^$\n]+\$|!?\[[^\]]*\]\([^)]*\)|<[^>\n]+>",
+    re.MULTILINE | re.DOTALL,
+)
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 
 
 def pages() -> list[Path]:
     """The written pages, without the glossary itself and those that are made from the code."""
-    found = sorted((ROOT / "docs").glob("*.md")) + sorted((ROOT / "docs" / "decisions").glob("*.md")) + [ROOT / "README.md"]
+    found = (
+        sorted((ROOT / "docs").glob("*.md")) + sorted((ROOT / "docs" / "decisions").glob("*.md")) + [ROOT / "README.md"]
+    )
     return [path for path in found if path != PAGE and path.name not in GENERATED]
 
 
@@ -48,7 +55,9 @@ def links(text: str) -> list[str]:
 
 
 def linked(text: str, glossary: str) -> str:
-    """A page with a link at the first use of each special word that it does not link yet. glossary : the path that links name"""
+    """A page with a link at the first use of each special word that it does not link yet. glossary : the path that
+    links name
+    """
     for anchor, word in SPECIAL.items():
         found = re.search(rf"\b(?:{word})\b", prose(text), re.IGNORECASE if word.islower() else 0)
         if found and anchor not in links(text):
@@ -58,7 +67,13 @@ def linked(text: str, glossary: str) -> str:
 
 def path_of(page: Path) -> str:
     """The glossary's path as a page names it."""
-    return "docs/glossary.md" if page.parent == ROOT else "../glossary.md" if page.parent.name == "decisions" else "glossary.md"
+    return (
+        "docs/glossary.md"
+        if page.parent == ROOT
+        else "../glossary.md"
+        if page.parent.name == "decisions"
+        else "glossary.md"
+    )
 
 
 def main() -> None:

@@ -18,7 +18,9 @@ Counts = dict[tuple[str, str], int]  # {(importing, imported): imports}
 def module_imports() -> tuple[tuple[str, str], ...]:
     """(importing module, imported module) of every import within the packages, those inside functions too."""
     graph = grimp.build_graph(*PACKAGES)
-    return tuple(sorted((module, other) for module in graph.modules for other in graph.find_modules_directly_imported_by(module)))
+    return tuple(
+        sorted((module, other) for module in graph.modules for other in graph.find_modules_directly_imported_by(module))
+    )
 
 
 def package_of(module: str) -> str:
@@ -39,7 +41,9 @@ def package_counts() -> Counts:
 
 def folder_counts(package: str) -> Counts:
     """Imports between the folders of one package."""
-    return _counted((folder_of(a), folder_of(b)) for a, b in module_imports() if a.split(".")[0] == b.split(".")[0] == package)
+    return _counted(
+        (folder_of(a), folder_of(b)) for a, b in module_imports() if a.split(".")[0] == b.split(".")[0] == package
+    )
 
 
 def _counted(pairs: Iterable[tuple[str, str]]) -> Counts:
@@ -52,8 +56,8 @@ def names(counts: Counts) -> list[str]:
 
 
 def order(counts: Counts) -> list[str]:
-    """The folders from those that import to those that are imported, so that few imports run against it: each is moved to where fewest do, until no
-    move helps."""
+    """The folders from those that import to those that are imported, so that few imports run against it: each is moved
+    to where fewest do, until no move helps."""
 
     def against(row: list[str]) -> int:
         place = {name: k for k, name in enumerate(row)}
@@ -64,7 +68,12 @@ def order(counts: Counts) -> list[str]:
 
     row = sorted(names(counts), key=lambda name: (-balance(name), name))
     while True:
-        moves = [[*rest[:k], name, *rest[k:]] for name in row for rest in [[other for other in row if other != name]] for k in range(len(row))]
+        moves = [
+            [*rest[:k], name, *rest[k:]]
+            for name in row
+            for rest in [[other for other in row if other != name]]
+            for k in range(len(row))
+        ]
         best = min(moves, key=against, default=row)
         if against(best) >= against(row):
             return row

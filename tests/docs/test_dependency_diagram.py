@@ -1,4 +1,6 @@
-"""The diagrams of which folder imports which: counted, layered, and without a folder or an upward import that is not shown."""
+"""The diagrams of which folder imports which: counted, layered, and without a folder or an upward import that is not
+shown.
+"""
 
 import re
 import xml.etree.ElementTree as ET
@@ -20,7 +22,10 @@ def test_few_imports_run_against_the_order():
 
 def test_the_packages_stand_as_the_contract_has_them():
     level = layers(package_counts())
-    assert level["rig/cli"] > level["calib"] > level["vision"] > level["rig"] == 0 and level["rig/cli"] > level["synthetic"] > level["vision"]
+    assert (
+        level["rig/cli"] > level["calib"] > level["vision"] > level["rig"] == 0
+        and level["rig/cli"] > level["synthetic"] > level["vision"]
+    )
     assert not {("calib", "synthetic"), ("synthetic", "calib")} & set(package_counts())
     assert downward(package_counts()) == package_counts()
 
@@ -35,7 +40,15 @@ def test_every_folder_and_every_upward_import_is_drawn_within_the_frame(name):
     assert all(f"{a} imports {b}, upward ({counts[a, b]})" in told for a, b in upward)
     assert sum(path.get("class") == "against" for path in root.iter(f"{SVG}path")) == len(upward)
     wide, high = (float(root.get(key)) for key in ("width", "height"))
-    boxes = [[float(box.get(key)) for key in ("x", "y", "width", "height")] for box in root.iter(f"{SVG}rect") if box.get("x")]
-    assert len(boxes) == len(names(counts)) and all(x > 0 and x + w < wide and y > 0 and y + h < high for x, y, w, h in boxes)
-    apart = [abs(x - u) >= min(w, p) or abs(y - v) >= h for k, (x, y, w, h) in enumerate(boxes) for u, v, p, _ in boxes[:k]]
+    boxes = [
+        [float(box.get(key)) for key in ("x", "y", "width", "height")]
+        for box in root.iter(f"{SVG}rect")
+        if box.get("x")
+    ]
+    assert len(boxes) == len(names(counts)) and all(
+        x > 0 and x + w < wide and y > 0 and y + h < high for x, y, w, h in boxes
+    )
+    apart = [
+        abs(x - u) >= min(w, p) or abs(y - v) >= h for k, (x, y, w, h) in enumerate(boxes) for u, v, p, _ in boxes[:k]
+    ]
     assert all(apart) and not re.search(r"https?://(?!www\.w3\.org/2000/svg)", ET.tostring(root, encoding="unicode"))
