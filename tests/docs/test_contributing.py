@@ -4,6 +4,9 @@ import re
 
 import yaml
 
+from rig.effects.catalogue.effect_list import BY_NAME
+from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_validity import check_effect
 from tests.docs.told import ROOT
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -27,6 +30,14 @@ def test_every_path_that_is_named_exists():
         if re.fullmatch(r"(rig|vision|calib|synthetic|tests|docs|firmware|\.ci|\.github)/[\w./-]*", text)
     ]
     assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
+def test_the_first_change_is_an_effect_as_it_is_written():
+    names: dict = {}
+    exec(re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], names)
+    kind = names["LeadGrowth"]
+    made = kind("strut 3", growth=5e-3)
+    assert issubclass(kind, Effect) and kind.name not in BY_NAME and check_effect(made) is made
 
 
 def test_hooks_before_a_commit_use_the_environment_of_the_project():
