@@ -1,4 +1,8 @@
-"""Rigs and recordings that several tests use."""
+"""Rigs and recordings that several tests use, and what is skipped where the system lacks something.
+
+The packages are imported within the fixtures: where one cannot be imported, the tests that need it are skipped, and
+no others.
+"""
 
 import os
 from pathlib import Path
@@ -10,15 +14,47 @@ os.environ.setdefault(
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import design_file
-from rig.planning import plan
-from rig.planning.layout import hexapod_layout
-from rig.recording import recording_folder as recording
-from synthetic import recording_simulation, secret_machine
+from tests.platforms import missing_part
 
 ROOT = Path(__file__).parents[1]
 BENCH = ROOT / "tests" / "data" / "bench"
 SHARED = ROOT.parent / "shared"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    """A module of tests is skipped where importing it needs what the system lacks."""
+    report = yield
+    reason = missing_part(str(report.longrepr)) if report.failed else None
+    if reason:
+        report.outcome, report.longrepr = "skipped", (str(collector.path), 1, f"Skipped: {reason}")
+    return report
+
+
+def _skip_for_system(error):
+    """Skip a test that ended with an error for what the system lacks; raise any other error again."""
+    reason = missing_part(str(error))
+    if reason:
+        pytest.skip(reason)
+    raise error
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item):
+    """A test is skipped where a fixture needs what the system lacks."""
+    try:
+        return (yield)
+    except Exception as error:
+        _skip_for_system(error)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """A test is skipped where it needs what the system lacks."""
+    try:
+        return (yield)
+    except Exception as error:
+        _skip_for_system(error)
 
 
 @pytest.fixture
@@ -43,11 +79,15 @@ def opengl():
 
 @pytest.fixture(scope="session")
 def rig_text():
+    from rig.planning.layout import hexapod_layout
+
     return hexapod_layout.hexapod_layout(0.3, cameras=3, width=1280, height=1024, cubes=4)
 
 
 @pytest.fixture(scope="session")
 def design(rig_text, tmp_path_factory):
+    from rig.formats.rig_toml import design_file
+
     path = tmp_path_factory.mktemp("rig") / "rig.toml"
     path.write_text(rig_text)
     return design_file.load(path)
@@ -55,6 +95,9 @@ def design(rig_text, tmp_path_factory):
 
 def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0, effects=()):
     """A simulated recording at corner level in a folder, its World and its true poses."""
+    from rig.planning import plan
+    from synthetic import recording_simulation, secret_machine
+
     rng = np.random.default_rng(seed)
     secret = secret_machine.draw_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
@@ -78,6 +121,12 @@ def recording_folder(tmp_path, design, rig_text):
 def limbed(tmp_path_factory):
     """(Design, Recording, its Simulation) of a rig with measuring limbs that went along and about every axis; the
     folder holds a second recording of the same machine, "again", another day."""
+    from rig.formats.rig_toml import design_file
+    from rig.planning import plan
+    from rig.planning.layout import hexapod_layout
+    from rig.recording import recording_folder
+    from synthetic import recording_simulation, secret_machine
+
     folder = tmp_path_factory.mktemp("limbs")
     text = hexapod_layout.hexapod_layout(0.3, limbs=6)
     (folder / "rig.toml").write_text(text)
@@ -93,4 +142,4 @@ def limbed(tmp_path_factory):
         rng,
         noise=0.04,
     )
-    return design, recording.load(folder / "rec"), done
+    return design, recording_folder.load(folder / "rec"), done

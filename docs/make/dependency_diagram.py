@@ -16,12 +16,15 @@ WIDTH, STEP, BOX, MARGIN, GAP = (
     18,
 )  # px: whole width, from layer to layer, height of a box, rim, least gap between boxes
 LETTER, ROUNDS = 7.3, 8  # px of a letter at 13 px; how often the places within layers are sorted
-STYLE = """:root{color-scheme:light dark;--ground:#fff;--card:#eef1f6;--ink:#16181d;--soft:#555c69;--rule:#767d8a;--against:#b35c00}
-@media (prefers-color-scheme:dark){:root{--ground:#191c22;--card:#2c313b;--ink:#e8eaee;--soft:#b4bbc8;--rule:#8b93a2;--against:#ffae57}}
+STYLE = """:root{color-scheme:light dark;
+--ground:#fff;--card:#eef1f6;--ink:#16181d;--soft:#555c69;--rule:#767d8a;--against:#b35c00}
+@media (prefers-color-scheme:dark){:root{
+--ground:#191c22;--card:#2c313b;--ink:#e8eaee;--soft:#b4bbc8;--rule:#8b93a2;--against:#ffae57}}
 text{font:13px system-ui,sans-serif;fill:var(--ink);text-anchor:middle}
 .count{font-size:11px;fill:var(--soft);stroke:var(--ground);stroke-width:4px;paint-order:stroke}
 rect{fill:var(--card);stroke:var(--rule)}.ground{fill:var(--ground);stroke:none}
-path{fill:none;stroke:var(--rule);stroke-width:1.3}.against{stroke:var(--against);stroke-dasharray:5 4}.against.count{stroke-dasharray:none}
+path{fill:none;stroke:var(--rule);stroke-width:1.3}.against{stroke:var(--against);stroke-dasharray:5 4}
+.against.count{stroke-dasharray:none}
 .count.against{fill:var(--against);stroke:var(--ground)}.head{fill:var(--rule);stroke:none}.head.against{fill:var(--against)}"""
 
 Place = tuple[float, float]  # px, the middle of a box

@@ -61,7 +61,8 @@ def linked(text: str, glossary: str) -> str:
     for anchor, word in SPECIAL.items():
         found = re.search(rf"\b(?:{word})\b", prose(text), re.IGNORECASE if word.islower() else 0)
         if found and anchor not in links(text):
-            text = f"{text[: found.start()]}[{text[found.start() : found.end()]}]({glossary}#{anchor}){text[found.end() :]}"
+            before, after = text[: found.start()], text[found.end() :]
+            text = f"{before}[{found[0]}]({glossary}#{anchor}){after}"
     return text
 
 
