@@ -40,6 +40,24 @@ def test_the_first_change_is_an_effect_as_it_is_written():
     assert issubclass(kind, Effect) and kind.name not in BY_NAME and check_effect(made) is made
 
 
+def workflow(name: str) -> dict:
+    return yaml.safe_load((ROOT / ".github" / "workflows" / f"{name}.yml").read_text(encoding="utf-8"))
+
+
+def test_hosted_tests_are_those_of_make_on_three_systems():
+    (job,) = workflow("tests")["jobs"].values()
+    systems = [name.split("-")[0] for name in job["strategy"]["matrix"]["system"]]
+    assert systems == ["ubuntu", "macos", "windows"] and job["strategy"]["matrix"]["python"] == ["3.11", "3.13"]
+    commands = [step.get("run", "") for step in job["steps"]]
+    made = re.search(r"^test: setup\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)[1]
+    assert [line.replace("\t$(BIN)/python", "python") for line in made.splitlines()] == commands[-2:]
+
+
+def test_a_hosted_release_is_that_of_make():
+    (job,) = workflow("release")["jobs"].values()
+    assert any("sh .ci/release" in step.get("run", "") for step in job["steps"])
+
+
 def test_hooks_before_a_commit_use_the_environment_of_the_project():
     config = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
     hooks = {hook["id"]: hook for repo in config["repos"] for hook in repo["hooks"]}

@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.driving.emulators.emulator_construction import home_lengths
 from rig.model.controller_settings import PROTOCOLS, Controller
-from rig.recording.recording_folder import Commands, Sensors
-from tests.rig.judge import bench
 
 
 @pytest.fixture(scope="module")
 def setting(design):
     """A design with a load, a short path with dwells, reversals and moves, and sensors."""
+    from rig.recording.recording_folder import Commands, Sensors
+
     strokes = design.mechanism.strut_range
     middle, half = strokes.mean(axis=1), np.ptp(strokes, axis=1) / 2
     rng = np.random.default_rng(0)
@@ -36,6 +35,8 @@ def driven_design(design):
     """A design with a controller that counts from home and can home; speeds such that a move of 2 mm takes a quarter of
     a second.
     """
+    from rig.driving.emulators.emulator_construction import home_lengths
+
     controller = Controller(
         "grblhal",
         "none",
@@ -68,6 +69,9 @@ def protocol(request):
 @pytest.fixture
 def ready(driven_design, protocol):
     """(driver, emulator, clock, home lengths) of a rig that is homed."""
+    from rig.driving.emulators.emulator_construction import home_lengths
+    from tests.rig.judge import bench
+
     driver, emulator, clock = bench(driven_design, protocol, (), 1)
     driver.open()
     driver.home()

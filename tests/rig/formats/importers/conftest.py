@@ -2,9 +2,9 @@
 
 import pytest
 
-from tests.calib.checks.good import make
-
 
 @pytest.fixture(scope="package")
 def good(tmp_path_factory):
+    from tests.calib.checks.good import make
+
     return make("poses", tmp_path_factory.mktemp("good") / "rec")
