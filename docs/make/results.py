@@ -12,7 +12,7 @@ PAGE = FOLDER.parent / "results.md"
 HEAD = """# Results
 
 Each table is what one benchmark printed. It is stored in `docs/results/VERSION/` with the commit, machine, date and \
-command that gave it, and a file
+command that gave it. A file
 is never changed after its version is released. A "+" behind a commit means that the tree differed from it. A \
 benchmark that was not run again for a
 version keeps its newest result; where an older version has the same figure, a column shows it. Other pages state no \
